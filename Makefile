@@ -1,0 +1,106 @@
+# Everything a contributor types. `make` alone lists the targets.
+# Needed beforehand: git, make, and Python 3.11 or newer with its venv module.
+
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+
+VENV      := .venv
+BIN       := $(VENV)/bin
+# Stamps: what was done, so that it is done once and again when its input changes.
+PACKAGES  := $(VENV)/.packages
+READY     := $(VENV)/.ready
+PEERS     := $(VENV)/.peers
+# Any of these will do, the first that is new enough and has venv. `make test PYTHON=/path/to/python` picks one.
+PYTHON    ?=
+PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
+UV_VENV   := build/uv
+
+.PHONY: help demo test test-slow check lint format soak bench lock clean
+.DELETE_ON_ERROR:
+
+help:  ## this list
+	@echo "fixel: planar rigid bodies in frictional contact"
+	@echo
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | \
+	while IFS='|' read -r name text; do printf '%-18s %s\n' "$$name" "$$text"; done
+	@echo
+	@echo "The first target you run also creates $(VENV) from requirements/lock.txt."
+
+demo: $(READY)  ## simulate, replay and draw: see what fixel does
+	@$(BIN)/fixel demo
+
+test: $(READY)  ## the tests, and the check that each floor imports only from those below
+	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
+	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+lint: $(READY)  ## formatting, lint and types
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+check: lint test  ## everything a change must pass: lint, then test
+
+format: $(READY)  ## rewrite the code in the house format
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+soak: $(READY)  ## many random scenes and long runs; takes as long as SOAK_SECONDS (600) says
+	@HYPOTHESIS_PROFILE=soak SOAK_SECONDS=$${SOAK_SECONDS:-600} $(BIN)/python -m pytest -m soak $(PYTEST_ARGS)
+
+bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV under benchmarks/
+	@$(BIN)/python -m benchmarks
+
+lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions
+	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \
+	  python3 -m venv $(UV_VENV) && $(UV_VENV)/bin/python -m pip install --quiet --disable-pip-version-check uv; }
+	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra dev pyproject.toml -o requirements/lock.txt
+	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra bench -c requirements/lock.txt pyproject.toml -o requirements/bench.txt
+LOCK := --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url $(LOCK_ARGS)
+
+clean:  ## remove the environment, caches and built files
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- the environment -------------------------------------------------------------------------------------
+
+$(BIN)/python:
+	@chosen=; \
+	for candidate in $(PYTHONS); do \
+	  if "$$candidate" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    chosen="$$candidate"; break; \
+	  fi; \
+	done; \
+	if [ -z "$$chosen" ]; then \
+	  echo "fixel needs Python 3.11 or newer with its venv module; tried: $(strip $(PYTHONS))." >&2; \
+	  if command -v python3 >/dev/null 2>&1; then \
+	    echo "Found $$(python3 --version 2>&1), which is too old or came without venv." >&2; \
+	  else \
+	    echo "Found no python3 at all." >&2; \
+	  fi; \
+	  echo "On Debian or Ubuntu: sudo apt install python3 python3-venv" >&2; \
+	  echo "Elsewhere, install Python 3.11 or newer and run: make PYTHON=/path/to/python3" >&2; \
+	  exit 1; \
+	fi; \
+	echo "Creating $(VENV) with $$("$$chosen" --version) ..."; \
+	"$$chosen" -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "Could not create $(VENV). On Debian or Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
+
+$(PACKAGES): requirements/lock.txt | $(BIN)/python
+	@echo "Installing the packages of requirements/lock.txt into $(VENV) (once; a minute or two) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/lock.txt || { \
+	  echo "Installing failed; the reason stands above. Without network, or behind a mirror, set pip up first," >&2; \
+	  echo "then run the same command again; it continues where it stopped." >&2; exit 1; }
+	@touch $@
+
+$(READY): pyproject.toml $(PACKAGES)
+	@echo "Installing fixel itself, editable ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(PEERS): requirements/bench.txt | $(READY)
+	@echo "Installing the peers of requirements/bench.txt into $(VENV) (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/bench.txt
+	@touch $@

@@ -1,0 +1,160 @@
+"""What can go wrong, as exceptions.
+
+    FixelError
+    ├── InvalidInput(ValueError)        a shape, scene, parameter or option that cannot be
+    ├── SolveFailed(RuntimeError)       a simulation did not finish and the caller asked to raise
+    └── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
+
+Numerical failure is a value first: `simulate(...)` records a status, and raises `SolveFailed` only
+when asked.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from pathlib import Path
+from typing import Any, Final, final
+
+
+class FixelError(Exception):
+    """Root of everything fixel raises on purpose."""
+
+
+class _Absent:
+    """Marks an argument nobody gave, since `None` can be a value that was found."""
+
+    def __repr__(self) -> str:
+        return "ABSENT"
+
+    def __reduce__(self) -> str:
+        return "_ABSENT"
+
+
+_ABSENT: Final = _Absent()
+
+
+@final
+class InvalidInput(FixelError, ValueError):
+    """A shape, scene, parameter or option that cannot be.
+
+    Parameters
+    ----------
+    where : str
+        Path of the thing, as one would write it in a scene file: `bodies[0].shape.polygon`.
+        Alone, it may be the whole sentence.
+    found : object
+        What stands there. A string is shown as it is (`"two vertices"`), anything else as its
+        shortened `repr`.
+    expected : str
+        What could stand there.
+    hint : str
+        The next move, when there is an obvious one.
+
+    Examples
+    --------
+    >>> print(InvalidInput("bodies[0].mass", found=-1.0, expected="a positive number of kilograms"))
+    bodies[0].mass: found -1.0, expected a positive number of kilograms
+    """
+
+    def __init__(
+        self,
+        where: str,
+        *,
+        found: object = _ABSENT,
+        expected: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.where = where
+        self.found = found
+        self.expected = expected
+        self.hint = hint
+        super().__init__(self._sentence())
+
+    def within(self, parent: str) -> InvalidInput:
+        """The same complaint seen from further out: `mass` within `bodies[0]`: `bodies[0].mass`."""
+        joint = "" if self.where.startswith("[") else "."
+        return InvalidInput(
+            f"{parent}{joint}{self.where}", found=self.found, expected=self.expected, hint=self.hint
+        )
+
+    def _sentence(self) -> str:
+        clauses = []
+        if self.found is not _ABSENT:
+            clauses.append(f"found {_shown(self.found)}")
+        if self.expected:
+            clauses.append(f"expected {self.expected}")
+        sentence = f"{self.where}: {', '.join(clauses)}" if clauses else self.where
+        return f"{sentence}; {self.hint}" if self.hint else sentence
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _invalid_input, (self.where, self.found, self.expected, self.hint)
+
+
+@final
+class SolveFailed(FixelError, RuntimeError):
+    """A simulation did not finish and the caller asked to raise.
+
+    Parameters
+    ----------
+    message : str
+        What happened and what to try, in one sentence.
+    status : str
+        Name of the status, as in the record of the simulation: `jammed`, `max_iterations`, ...
+    stopped_at : float
+        Time of the last step that was solved [s].
+    """
+
+    def __init__(
+        self, message: str, *, status: str | None = None, stopped_at: float | None = None
+    ) -> None:
+        self.message = message
+        self.status = status
+        self.stopped_at = stopped_at
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _solve_failed, (self.message, self.status, self.stopped_at)
+
+
+@final
+class DatasetMissing(FixelError, LookupError):
+    """A folder of recorded data is not where it was looked for.
+
+    Parameters
+    ----------
+    folder : str or path
+        Where it was looked for.
+    expected : str
+        What should be in it: `"an inputs.csv"`.
+    hint : str
+        Where to get it.
+    """
+
+    def __init__(
+        self, folder: str | Path, expected: str | None = None, hint: str | None = None
+    ) -> None:
+        self.folder = str(folder)
+        self.expected = expected
+        self.hint = hint
+        what = expected or "a dataset"
+        sentence = f"found no dataset in {self.folder}, expected {what}"
+        super().__init__(f"{sentence}; {hint}" if hint else sentence)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return DatasetMissing, (self.folder, self.expected, self.hint)
+
+
+def _invalid_input(
+    where: str, found: object, expected: str | None, hint: str | None
+) -> InvalidInput:
+    return InvalidInput(where, found=found, expected=expected, hint=hint)
+
+
+def _solve_failed(message: str, status: str | None, stopped_at: float | None) -> SolveFailed:
+    return SolveFailed(message, status=status, stopped_at=stopped_at)
+
+
+def _shown(found: object) -> str:
+    if found is None:
+        return "nothing"
+    return found if isinstance(found, str) else reprlib.repr(found)

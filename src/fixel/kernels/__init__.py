@@ -1,0 +1,1 @@
+"""Numbers: arrays in, arrays and status codes out; numpy and numba only."""

@@ -1,0 +1,1 @@
+"""What there is: shapes, bodies, pushers, fixels, scenes; checked when built."""

@@ -1,0 +1,1 @@
+"""How it moves: motion models, steppers, solvers, and the loop that joins them."""

@@ -1,0 +1,85 @@
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import fixel
+from fixel.cli import main
+from fixel.errors import DatasetMissing, InvalidInput, SolveFailed
+
+COMMANDS = [command.name for command in main.app.registered_commands if command.name]
+
+
+def test_help_lists_every_command() -> None:
+    result = CliRunner().invoke(main.app, ["--help"])
+
+    assert result.exit_code == 0
+    for command in COMMANDS:
+        assert command in result.output
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_and_option_has_help(command: str) -> None:
+    found = typer.main.get_command(main.app).commands[command]  # type: ignore[attr-defined]
+
+    assert found.help
+    assert all(getattr(parameter, "help", None) for parameter in found.params)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_help_exits_zero(command: str) -> None:
+    assert CliRunner().invoke(main.app, [command, "--help"]).exit_code == 0
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main.run(["--version"])
+
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"fixel {fixel.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "sentence"),
+    [
+        (
+            InvalidInput("bodies[0].mass", found=-1, expected="a positive number"),
+            2,
+            "bodies[0].mass: found -1",
+        ),
+        (DatasetMissing("pushes"), 2, "found no dataset in pushes"),
+        (SolveFailed("the pusher is jammed"), 3, "the pusher is jammed"),
+        (KeyboardInterrupt(), 130, "stopped"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
+)
+def test_failure_becomes_a_sentence_and_an_exit_code(
+    error: BaseException,
+    code: int,
+    sentence: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+    @app.command()
+    def fail() -> None:
+        raise error
+
+    monkeypatch.setattr(main, "app", app)
+
+    with pytest.raises(SystemExit) as end:
+        main.run([])
+
+    printed = capsys.readouterr()
+    assert end.value.code == code
+    assert sentence in printed.err
+    assert "Traceback" not in printed.err
+    assert printed.out == ""
+
+
+def test_unknown_option_exits_two(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main.run(["simulate", "--nonsense"])
+
+    assert end.value.code == 2
+    assert "--nonsense" in capsys.readouterr().err

@@ -1,0 +1,73 @@
+import pickle
+
+import pytest
+
+from fixel.errors import DatasetMissing, FixelError, InvalidInput, SolveFailed
+
+ERRORS = [
+    InvalidInput(
+        "bodies[0].mass", found=-1.0, expected="a positive number", hint="give it in kilograms"
+    ),
+    InvalidInput("the scene is empty"),
+    SolveFailed("the pusher is jammed", status="jammed", stopped_at=1.25),
+    DatasetMissing("pushes", expected="an inputs.csv", hint="set FIXEL_DATA"),
+]
+
+
+def test_invalid_input_says_what_was_found_and_expected_in_one_sentence() -> None:
+    error = InvalidInput("bodies[0].shape.polygon", found="two vertices", expected="at least three")
+
+    assert str(error) == "bodies[0].shape.polygon: found two vertices, expected at least three"
+
+
+def test_invalid_input_ends_with_the_next_move() -> None:
+    error = InvalidInput(
+        "step", found=0.0, expected="a positive number", hint="leave it out to let fixel choose"
+    )
+
+    assert str(error).endswith("; leave it out to let fixel choose")
+
+
+def test_invalid_input_may_be_a_sentence_alone() -> None:
+    assert str(InvalidInput("a scene needs a body")) == "a scene needs a body"
+
+
+def test_none_can_be_what_was_found() -> None:
+    assert str(InvalidInput("duration", found=None)) == "duration: found nothing"
+
+
+def test_long_values_are_shortened() -> None:
+    assert len(str(InvalidInput("at", found=list(range(10_000))))) < 100
+
+
+@pytest.mark.parametrize(
+    ("inner", "outer"), [("mass", "bodies[0].mass"), ("[2].x", "bodies[0][2].x")]
+)
+def test_within_extends_the_path_outwards(inner: str, outer: str) -> None:
+    error = InvalidInput(inner, found=1, expected="2", hint="3").within("bodies[0]")
+
+    assert str(error) == f"{outer}: found 1, expected 2; 3"
+
+
+def test_dataset_missing_names_the_folder() -> None:
+    assert str(ERRORS[3]) == "found no dataset in pushes, expected an inputs.csv; set FIXEL_DATA"
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_errors_survive_a_trip_between_processes(error: FixelError) -> None:
+    copy = pickle.loads(pickle.dumps(error))
+
+    assert type(copy) is type(error)
+    assert str(copy) == str(error)
+    assert {name: repr(value) for name, value in vars(copy).items()} == {
+        name: repr(value) for name, value in vars(error).items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("kind", "base"),
+    [(InvalidInput, ValueError), (SolveFailed, RuntimeError), (DatasetMissing, LookupError)],
+)
+def test_each_error_is_also_the_builtin_one_expects(kind: type, base: type) -> None:
+    assert issubclass(kind, FixelError)
+    assert issubclass(kind, base)
