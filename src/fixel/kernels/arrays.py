@@ -1,0 +1,108 @@
+"""The NamedTuples that cross the border between Python and the kernels.
+
+`Model` is constant during a rollout, `State` is what moves, `Problem` is the mixed complementarity problem
+of one step, `Workspace` is scratch. All arrays are C-ordered float64 or int64, in scaled units (length,
+mass and time measured in the scene's own characteristic values). Something absent is an array of length
+zero, never None.
+
+Bodies are numbered free first, then driven, then fixed. Degrees of freedom are numbered three for each
+free body (vx, vy, omega at its centre of mass), then one for each driven body (its speed along its path).
+Arrays indexed by degree of freedom carry two spare entries at the end, so that every block may be read and
+written three wide.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+class Model(NamedTuple):
+    """Constant during a rollout."""
+
+    mass: FloatArray  # (n_free,)
+    inertia: FloatArray  # (n_free,) about the centre of mass
+    wrench: FloatArray  # (n_free, 3) constant applied wrench, world axes
+    spring: FloatArray  # (n_free, 3) stiffness, anchor x, anchor y
+    drag: FloatArray  # (n_free, 3, 3) first-order model: wrench per twist, body axes
+    piece_body: IntArray  # (n_piece,) body that owns the convex piece
+    piece_start: IntArray  # (n_piece + 1,) piece i owns vertex[piece_start[i]:piece_start[i + 1]]
+    piece_bound: FloatArray  # (n_piece, 3) bounding circle: centre x, y in the body frame, radius
+    piece_radius: FloatArray  # (n_piece,) rounding radius; a disk is one vertex with a radius
+    vertex: FloatArray  # (n_vertex, 2) body frame, counter-clockwise
+    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex lies on the outline
+    friction: FloatArray  # (n_body, n_body) of each pair
+    restitution: FloatArray  # (n_body, n_body)
+    element_body: IntArray  # (n_element,) free body that rests on the friction element
+    element_kind: IntArray  # (n_element,) codes.POINT or codes.ELLIPSOID
+    element_point: FloatArray  # (n_element, 2) in the body frame, from the centre of mass
+    element_limit: FloatArray  # (n_element,) largest friction force
+    element_ratio: FloatArray  # (n_element,) ellipsoid: largest torque over largest force
+    path_start: IntArray  # (n_driven + 1,) pusher k owns path[path_start[k]:path_start[k + 1]]
+    path: FloatArray  # (n_sample, 4) time, x, y, theta
+    force_limit: FloatArray  # (n_driven,) of the drive; inf for a rigid drive
+    drive_dof: IntArray  # (n_driven,) degree of freedom of a force-limited drive; -1 for a rigid one
+    plane: FloatArray  # (3,) friction factors along the plane's axes, angle of the first axis
+    map_frame: FloatArray  # (4,) friction map: origin x, y, cell x, y
+    map_factor: FloatArray  # (n_row, n_column) friction map; (0, 0) where there is none
+    sides: int  # of the support friction polygon; 0 for the exact disc
+
+
+class State(NamedTuple):
+    """What moves."""
+
+    pose: FloatArray  # (n_body, 3) of the centre of mass (free) or shape frame (driven, fixed)
+    velocity: FloatArray  # (n_dof + 2,)
+    path_time: FloatArray  # (n_driven,) each pusher's own clock; lags behind when its drive stalls
+
+
+class Problem(NamedTuple):
+    """The mixed complementarity problem of one step; docs/theory/contact.md gives the equations.
+
+    inertia v - momentum = sum of normal, tangent and element rows times their impulses,
+    0 <= p_n _|_ normal v + normal_bias >= 0, Coulomb on the tangents, maximum dissipation on the elements.
+    """
+
+    size: IntArray  # (4,) n_dof, n_contact, n_element in use, n_dof of the free bodies
+    inertia: FloatArray  # (n_dof + 2, 3) row of each degree of freedom within its own block
+    momentum: FloatArray  # (n_dof + 2,)
+    velocity: FloatArray  # (n_dof + 2,) unknown; holds the guess, then the answer
+    stiffness: FloatArray  # (n_dof + 2,) impulse per velocity that the block typically needs
+    contact_dof: IntArray  # (n_contact, 2) first degree of freedom of the two bodies, -1 where prescribed
+    contact_key: IntArray  # (n_contact,) names the pair of features, the same from step to step
+    contact_body: IntArray  # (n_contact, 2)
+    contact_place: FloatArray  # (n_contact, 5) gap, normal x, y (into the first body), point x, y
+    normal: FloatArray  # (n_contact, 6) row of the normal velocity, three columns a body
+    tangent: FloatArray  # (n_contact, 6)
+    bias: FloatArray  # (n_contact, 2) normal (gap / step and prescribed motion), tangential
+    friction: FloatArray  # (n_contact,)
+    impulse: FloatArray  # (n_contact, 2) unknown: normal, tangential
+    element_dof: IntArray  # (n_element,)
+    element_sides: IntArray  # (n_element,) 0: ball; m: polygon of m sides
+    element_row: FloatArray  # (n_element, 3, 3) rows of the slip velocity; unused rows are zero
+    element_bias: FloatArray  # (n_element, 3)
+    element_limit: FloatArray  # (n_element,) largest impulse
+    element_impulse: FloatArray  # (n_element, 3) unknown
+
+
+class Workspace(NamedTuple):
+    """Scratch space of one rollout."""
+
+    matrix: FloatArray  # (n_dof + 2, n_dof + 2)
+    matrix_upper: FloatArray  # (n_dof + 2, n_dof + 2) columns of the upper factor, as rows
+    profile: IntArray  # (n_dof + 2,) first column in use of each row
+    right: FloatArray  # (n_dof + 2,)
+    contact_change: FloatArray  # (n_contact, 4)
+    element_change: FloatArray  # (n_element, 8)
+    world: FloatArray  # (n_vertex, 2) vertices in the world
+    old_key: IntArray  # (n_contact,)
+    old_impulse: FloatArray  # (n_contact, 2)
+    near: IntArray  # (n_pair, 2) pairs of pieces close enough to meet soon
+    order: IntArray  # (n_piece,) pieces sorted along x
+    extent: FloatArray  # (n_piece, 3) circle of each piece in the world
+    anchor: FloatArray  # (n_body, 3) poses when the near pairs were found
+    reach: FloatArray  # (1,) how far ahead the near pairs look
+    near_count: IntArray  # (1,) near pairs in use; -1 for not found yet

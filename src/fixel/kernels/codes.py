@@ -1,0 +1,47 @@
+"""Integers the kernels understand, with the sentences that go with them."""
+
+from typing import Final
+
+# How a step or a rollout ended.
+CONVERGED: Final = 0
+JAMMED: Final = 1
+MAX_ITERATIONS: Final = 2
+NON_FINITE: Final = 3
+CONTACT_OVERFLOW: Final = 4
+STEP_TOO_SMALL: Final = 5
+MAX_STEPS: Final = 6
+
+STATUS_NAMES: Final = (
+    "converged",
+    "jammed",
+    "max_iterations",
+    "non_finite",
+    "contact_overflow",
+    "step_too_small",
+    "max_steps",
+)
+
+STATUS_ADVICE: Final = (
+    "",
+    "A rigid drive pushes against bodies that cannot move. Give the pusher a force_limit "
+    "(the thesis's actuator stalls at 34.3 N), or shorten its travel.",
+    "No solver of the chain met the tolerance in this step. Make the step smaller, or choose another solver.",
+    "A number overflowed. Check masses, sizes and speeds for a wrong unit.",
+    "More contacts than the rollout was given room for. Raise max_contacts.",
+    "The stepper could not meet its tolerance at the smallest step. Loosen the tolerance, or use a fixed step.",
+    "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
+)
+
+# Which equations move the bodies.
+DYNAMIC: Final = 0
+QUASI_STATIC: Final = 1
+FIRST_ORDER: Final = 2
+
+# Which solver solves the step's problem.
+NEWTON: Final = 0
+GAUSS_SEIDEL: Final = 1
+LEMKE: Final = 2
+
+# How a body rests on the plane, element by element.
+POINT: Final = 0
+ELLIPSOID: Final = 1

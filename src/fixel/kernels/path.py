@@ -1,0 +1,61 @@
+"""Where a pusher is along its prescribed path."""
+
+import math
+
+from fixel.kernels.arrays import Model
+from fixel.kernels.jit import kernel
+
+
+@kernel
+def path_pose(model: Model, driven: int, time: float) -> tuple[float, float, float]:
+    """Pose of a pusher at a time of its own clock: linear between samples, at rest beyond both ends."""
+    first = model.path_start[driven]
+    last = model.path_start[driven + 1] - 1
+    path = model.path
+    if time <= path[first, 0]:
+        return path[first, 1], path[first, 2], path[first, 3]
+    if time >= path[last, 0]:
+        return path[last, 1], path[last, 2], path[last, 3]
+    low = first
+    high = last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if path[middle, 0] <= time:
+            low = middle
+        else:
+            high = middle
+    u = (time - path[low, 0]) / (path[high, 0] - path[low, 0])
+    return (
+        path[low, 1] + u * (path[high, 1] - path[low, 1]),
+        path[low, 2] + u * (path[high, 2] - path[low, 2]),
+        path[low, 3] + u * (path[high, 3] - path[low, 3]),
+    )
+
+
+@kernel
+def path_direction(
+    model: Model, driven: int, time: float, step: float
+) -> tuple[float, float, float, float]:
+    """Unit direction (x, y, turn) and commanded speed of a pusher over the next `step` of its clock.
+
+    Beyond the end of the path the command is to hold: speed zero along the direction it came from.
+    """
+    x0, y0, a0 = path_pose(model, driven, time)
+    x1, y1, a1 = path_pose(model, driven, time + step)
+    dx = x1 - x0
+    dy = y1 - y0
+    da = a1 - a0
+    length = math.sqrt(dx * dx + dy * dy + da * da)
+    if length > 1e-14:
+        return dx / length, dy / length, da / length, length / step
+    path = model.path
+    k = model.path_start[driven + 1] - 1
+    while k > model.path_start[driven]:
+        dx = path[k, 1] - path[k - 1, 1]
+        dy = path[k, 2] - path[k - 1, 2]
+        da = path[k, 3] - path[k - 1, 3]
+        length = math.sqrt(dx * dx + dy * dy + da * da)
+        if length > 1e-14:
+            return dx / length, dy / length, da / length, 0.0
+        k -= 1
+    return 1.0, 0.0, 0.0, 0.0

@@ -1,0 +1,212 @@
+"""One step: find the contacts, write the problem, solve it; and, apart from that, move the bodies."""
+
+import math
+
+from fixel.kernels import codes
+from fixel.kernels.arrays import FloatArray, Model, Problem, State, Workspace
+from fixel.kernels.assembly import (
+    assemble_bodies,
+    assemble_contact,
+    assemble_elements,
+    set_stiffness,
+)
+from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
+from fixel.kernels.jit import kernel
+from fixel.kernels.path import path_direction, path_pose
+
+REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
+
+
+@kernel
+def place_rows(
+    model: Model, state: State, time: float, lead: float, velocity: FloatArray, pose: FloatArray
+) -> None:
+    """Write into `pose` the configuration at which a step's rows are taken, `lead` after its start."""
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    for b in range(n_free):
+        for k in range(3):
+            pose[b, k] = state.pose[b, k] + lead * velocity[3 * b + k]
+    dof = 3 * n_free
+    for d in range(n_driven):
+        own = time + lead
+        if math.isfinite(model.force_limit[d]):
+            speed = path_direction(model, d, state.path_time[d], max(lead, 1e-6))[3]
+            own = state.path_time[d]
+            if speed > 0.0:
+                own += lead * min(1.0, velocity[dof] / speed)
+            dof += 1
+        x, y, a = path_pose(model, d, own)
+        pose[n_free + d, 0] = x
+        pose[n_free + d, 1] = y
+        pose[n_free + d, 2] = a
+
+
+@kernel
+def prepare_step(
+    model: Model,
+    state: State,
+    motion: int,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    work: Workspace,
+    last_step: float,
+) -> bool:
+    """Write the problem of the step from `time` to ``time + step``; False where contacts overflow.
+
+    `guess` is the velocity expected over the step; rows are taken `lead` after its start. `last_step` is the
+    step whose impulses the problem still holds, zero for none.
+    """
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    n_moving = n_free + n_driven
+    place_rows(model, state, time, lead, guess, pose)
+    place_bodies(model, pose, n_moving, work)
+    margin = _margin(model, state, time, step, guess)
+    if margin + 2.0 * moved(model, pose, work.anchor, n_moving) > work.reach[0] or work.near_count[0] < 0:
+        reach = max(REACH, 2.0 * margin)
+        work.reach[0] = reach
+        work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, reach, work)
+        if work.near_count[0] < 0:
+            return False
+    n_old = problem.size[1]
+    for i in range(n_old):
+        work.old_key[i] = problem.contact_key[i]
+        work.old_impulse[i, 0] = problem.impulse[i, 0]
+        work.old_impulse[i, 1] = problem.impulse[i, 1]
+    n_contact = find_contacts(model, work.near_count[0], margin, problem, work)
+    if n_contact < 0:
+        return False
+    ratio = step / last_step if last_step > 0.0 else 0.0
+    warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
+    assemble_bodies(model, state, motion, step, pose, problem)
+    n_element = assemble_elements(model, motion, step, pose, problem)
+    n_support = n_element
+    dof = 3 * n_free
+    for d in range(n_driven):
+        if math.isfinite(model.force_limit[d]):
+            speed = path_direction(model, d, state.path_time[d], step)[3]
+            problem.element_dof[n_element] = dof
+            problem.element_sides[n_element] = 0
+            problem.element_row[n_element, 0, 0] = 1.0
+            problem.element_bias[n_element, 0] = -speed
+            problem.element_limit[n_element] = step * model.force_limit[d]
+            problem.inertia[dof, 0] = 0.0
+            problem.momentum[dof] = 0.0
+            n_element += 1
+            dof += 1
+    problem.size[0] = dof
+    problem.size[1] = n_contact
+    problem.size[2] = n_element
+    problem.size[3] = 3 * n_free
+    for e in range(n_element):
+        for k in range(3):
+            problem.element_impulse[e, k] *= ratio
+    set_stiffness(problem, n_support)
+    for i in range(dof):
+        problem.velocity[i] = guess[i]
+    for i in range(n_contact):
+        _prepare_contact(model, state, motion, time, step, lead, guess, pose, problem, i)
+    return True
+
+
+@kernel
+def _margin(model: Model, state: State, time: float, step: float, guess: FloatArray) -> float:
+    """Gap below which a contact may close within the step: three times the fastest motion in sight."""
+    fastest = 0.0
+    for b in range(model.mass.size):
+        for v in (state.velocity, guess):
+            vx = v[3 * b]
+            vy = v[3 * b + 1]
+            fastest = max(fastest, math.sqrt(vx * vx + vy * vy) + abs(v[3 * b + 2]))
+    for d in range(model.force_limit.size):
+        own = time if math.isinf(model.force_limit[d]) else state.path_time[d]
+        fastest = max(fastest, path_direction(model, d, own, step)[3])
+    return 3.0 * step * fastest + 1e-3
+
+
+@kernel
+def _prepare_contact(
+    model: Model,
+    state: State,
+    motion: int,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    i: int,
+) -> None:
+    n_free = model.mass.size
+    a = problem.contact_body[i, 0]
+    b = problem.contact_body[i, 1]
+    problem.friction[i] = model.friction[a, b]
+    d = b - n_free
+    driven = 0 <= d < model.force_limit.size
+    dof = -1
+    dx = 0.0
+    dy = 0.0
+    da = 0.0
+    if driven and math.isfinite(model.force_limit[d]):
+        dof = model.drive_dof[d]
+        dx, dy, da, _ = path_direction(model, d, state.path_time[d], step)
+    assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
+    nx = problem.contact_place[i, 1]
+    ny = problem.contact_place[i, 2]
+    ahead = 0.0  # normal motion expected from the step's start to where the rows are taken
+    before = 0.0  # normal velocity before the step
+    first = problem.contact_dof[i, 0]
+    second = problem.contact_dof[i, 1]
+    for k in range(3):
+        ahead += problem.normal[i, k] * guess[first + k]
+        before += problem.normal[i, k] * state.velocity[first + k]
+        if second >= 0:
+            ahead += problem.normal[i, 3 + k] * guess[second + k]
+            before += problem.normal[i, 3 + k] * state.velocity[second + k]
+    bias_n = problem.contact_place[i, 0] / step - lead / step * ahead
+    bias_t = 0.0
+    if driven and dof < 0:
+        rx = problem.contact_place[i, 3] - pose[b, 0]
+        ry = problem.contact_place[i, 4] - pose[b, 1]
+        x0, y0, a0 = path_pose(model, d, time)
+        x1, y1, a1 = path_pose(model, d, time + step)
+        mx = x1 - x0 - ry * (a1 - a0)
+        my = y1 - y0 + rx * (a1 - a0)
+        bias_t = -(nx * my - ny * mx) / step
+        before -= (nx * mx + ny * my) / step
+        mx = x1 - pose[b, 0] - ry * (a1 - pose[b, 2])
+        my = y1 - pose[b, 1] + rx * (a1 - pose[b, 2])
+        bias_n -= (nx * mx + ny * my) / step
+    bounce = model.restitution[a, b]
+    if bounce > 0.0 and motion == codes.DYNAMIC and before < 0.0:
+        gap_before = problem.contact_place[i, 0] - lead * ahead
+        if gap_before + step * before < 0.0:
+            # Newton's law of impact in place of the gap: leave with `bounce` times the speed of approach.
+            bias_n += bounce * before - gap_before / step
+    problem.bias[i, 0] = bias_n
+    problem.bias[i, 1] = bias_t
+
+
+@kernel
+def move(model: Model, state: State, step: float, problem: Problem) -> None:
+    """Take the step: the velocity becomes the problem's, the poses follow it."""
+    n_free = model.mass.size
+    v = problem.velocity
+    for b in range(n_free):
+        for k in range(3):
+            state.pose[b, k] += step * v[3 * b + k]
+    for d in range(model.force_limit.size):
+        if math.isfinite(model.force_limit[d]):
+            dof = model.drive_dof[d]
+            speed = path_direction(model, d, state.path_time[d], step)[3]
+            last = model.path[model.path_start[d + 1] - 1, 0]
+            if speed > 0.0:
+                own = state.path_time[d] + step * v[dof] / speed
+                state.path_time[d] = min(last, own)
+    for i in range(problem.size[0]):
+        state.velocity[i] = v[i]
