@@ -105,4 +105,7 @@ class Workspace(NamedTuple):
     extent: FloatArray  # (n_piece, 3) circle of each piece in the world
     anchor: FloatArray  # (n_body, 3) poses when the near pairs were found
     reach: FloatArray  # (1,) how far ahead the near pairs look
+    inverse: FloatArray  # (n_dof + 2, 3) rows of the inverse inertia of each block
+    pull: FloatArray  # (n_dof + 2,) proximal mass
+    centre: FloatArray  # (n_dof + 2,) proximal centre
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet

@@ -24,17 +24,24 @@ _STICKING = 2
 
 
 @kernel
-def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int) -> tuple[float, int]:
+def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int, epsilon: float = EPSILON) -> tuple[float, int]:
     """Improve the problem's velocity and impulses until the map is below `tolerance`.
 
     Returns the largest entry of the natural map at the last linearisation (impulse units of this module's
     own scaling); above `tolerance` it has failed.
     """
+    damped = epsilon > EPSILON
+    before = math.inf
+    full = True
     for iteration in range(max_iterations):
-        worst = _linearise(problem, work)
-        # The momentum rows are linear: every iteration leaves them solved, but the guess need not solve them.
-        if iteration > 0 and worst <= tolerance:
+        worst = _linearise(problem, work, epsilon)
+        # The momentum rows are linear: a full step leaves them solved, but the guess need not solve them.
+        if iteration > 0 and full and worst <= tolerance:
             return worst, iteration
+        if damped:
+            epsilon = max(EPSILON, 0.1 * epsilon) if worst < 0.8 * before else min(1.0, 10.0 * epsilon)
+            before = worst
+            _linearise(problem, work, epsilon)
         n_dof = problem.size[0]
         if n_dof <= DENSE_LIMIT:
             solved = solve_dense(work.matrix, work.right, n_dof)
@@ -44,12 +51,21 @@ def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: 
             )
         if not solved:
             return math.inf, iteration
-        _update(problem, work)
-    return _linearise(problem, work), max_iterations
+        full = True
+        if damped:
+            largest = 0.0
+            for i in range(n_dof):
+                largest = max(largest, abs(work.right[i]))
+            if largest > 2.0:
+                full = False
+                _update(problem, work, epsilon, 2.0 / largest)
+                continue
+        _update(problem, work, epsilon, 1.0)
+    return _linearise(problem, work, epsilon), max_iterations
 
 
 @kernel
-def _linearise(problem: Problem, work: Workspace) -> float:
+def _linearise(problem: Problem, work: Workspace, epsilon: float) -> float:
     """Fill the linear system of the present iterate; returns the largest entry of the natural map."""
     n_dof = problem.size[0]
     n_free = problem.size[3]
@@ -57,6 +73,7 @@ def _linearise(problem: Problem, work: Workspace) -> float:
     matrix = work.matrix
     right = work.right
     dense = n_dof <= DENSE_LIMIT
+    pull = epsilon if epsilon > EPSILON else 1e-11
     for i in range(n_dof):
         for j in range(0 if dense else work.profile[i], n_dof if dense else i + 1):
             matrix[i, j] = 0.0
@@ -72,12 +89,12 @@ def _linearise(problem: Problem, work: Workspace) -> float:
                     matrix[i + k, i + m] = inertia
                 else:
                     work.matrix_upper[i + m, i + k] = inertia
-            matrix[i + k, i + k] += 1e-11 * problem.stiffness[i + k]
+            matrix[i + k, i + k] += pull * problem.stiffness[i + k]
             right[i + k] = total
     for i in range(n_free, n_dof):
-        matrix[i, i] = problem.inertia[i, 0] + 1e-11 * problem.stiffness[i]
+        matrix[i, i] = problem.inertia[i, 0] + pull * problem.stiffness[i]
         right[i] = problem.momentum[i] - problem.inertia[i, 0] * v[i]
-    return max(_add_elements(problem, work, dense), _add_contacts(problem, work, dense))
+    return max(_add_elements(problem, work, dense, epsilon), _add_contacts(problem, work, dense, epsilon))
 
 
 @kernel
@@ -89,7 +106,7 @@ def _add(matrix: FloatArray, upper: FloatArray, dense: bool, i: int, j: int, val
 
 
 @kernel
-def _add_elements(problem: Problem, work: Workspace, dense: bool) -> float:
+def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float) -> float:
     v = problem.velocity
     row = problem.element_row
     p = problem.element_impulse
@@ -111,7 +128,7 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool) -> float:
         zx = p[e, 0] - rho * ux
         zy = p[e, 1] - rho * uy
         zz = p[e, 2] - rho * uz
-        stiff = rho / EPSILON
+        stiff = rho / epsilon
         # The change of impulse is c - (kx, ky, kz) slip change, with slip change taken across `d`.
         dx = 0.0
         dy = 0.0
@@ -207,7 +224,7 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool) -> float:
 
 
 @kernel
-def _add_contacts(problem: Problem, work: Workspace, dense: bool) -> float:
+def _add_contacts(problem: Problem, work: Workspace, dense: bool, epsilon: float) -> float:
     v = problem.velocity
     p = problem.impulse
     normal = problem.normal
@@ -234,7 +251,7 @@ def _add_contacts(problem: Problem, work: Workspace, dense: bool) -> float:
         pt = p[i, 1]
         zn = pn - rho * un
         zt = pt - rho * ut
-        stiff = rho / EPSILON
+        stiff = rho / epsilon
         if zn <= 0.0:
             state = _APART
             cn = -pn
@@ -288,14 +305,14 @@ def _add_contacts(problem: Problem, work: Workspace, dense: bool) -> float:
 
 
 @kernel
-def _update(problem: Problem, work: Workspace) -> None:
+def _update(problem: Problem, work: Workspace, epsilon: float, alpha: float) -> None:
     """Move the velocities by the solution in `work.right`, and the impulses with them."""
     dv = work.right
     p = problem.impulse
     for i in range(problem.size[1]):
         state = int(work.contact_change[i, 3])
-        p[i, 0] += work.contact_change[i, 0]
-        p[i, 1] += work.contact_change[i, 1]
+        p[i, 0] += alpha * work.contact_change[i, 0]
+        p[i, 1] += alpha * work.contact_change[i, 1]
         if state == _APART:
             continue
         a = problem.contact_dof[i, 0]
@@ -311,12 +328,12 @@ def _update(problem: Problem, work: Workspace) -> None:
             for k in range(3):
                 dn += problem.normal[i, 3 + k] * dv[b + k]
                 dt += problem.tangent[i, 3 + k] * dv[b + k]
-        stiff = rho / EPSILON
-        p[i, 0] -= stiff * dn
+        stiff = rho / epsilon
+        p[i, 0] -= alpha * stiff * dn
         if state == _STICKING:
-            p[i, 1] -= stiff * dt
+            p[i, 1] -= alpha * stiff * dt
         else:
-            p[i, 1] -= work.contact_change[i, 2] * stiff * dn
+            p[i, 1] -= alpha * work.contact_change[i, 2] * stiff * dn
     change = work.element_change
     row = problem.element_row
     for e in range(problem.size[2]):
@@ -330,8 +347,8 @@ def _update(problem: Problem, work: Workspace) -> None:
             uz += row[e, 2, k] * dv[o + k]
         kappa = change[e, 3]
         cross = ux * change[e, 4] + uy * change[e, 5] + uz * change[e, 6]
-        problem.element_impulse[e, 0] += change[e, 0] - kappa * (ux - cross * change[e, 4])
-        problem.element_impulse[e, 1] += change[e, 1] - kappa * (uy - cross * change[e, 5])
-        problem.element_impulse[e, 2] += change[e, 2] - kappa * (uz - cross * change[e, 6])
+        problem.element_impulse[e, 0] += alpha * (change[e, 0] - kappa * (ux - cross * change[e, 4]))
+        problem.element_impulse[e, 1] += alpha * (change[e, 1] - kappa * (uy - cross * change[e, 5]))
+        problem.element_impulse[e, 2] += alpha * (change[e, 2] - kappa * (uz - cross * change[e, 6]))
     for i in range(problem.size[0]):
-        problem.velocity[i] += dv[i]
+        problem.velocity[i] += alpha * dv[i]
