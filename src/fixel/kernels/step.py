@@ -193,13 +193,24 @@ def _prepare_contact(
 
 
 @kernel
-def move(model: Model, state: State, step: float, problem: Problem) -> None:
-    """Take the step: the velocity becomes the problem's, the poses follow it."""
+def move(model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+    """Take the step: the velocity becomes the problem's, the poses follow it.
+
+    With `glide`, a body without any contact follows the mean of the velocities before and after, which is
+    exact for a body that slides to rest under constant friction.
+    """
     n_free = model.mass.size
     v = problem.velocity
     for b in range(n_free):
+        free = glide
+        if glide:
+            for i in range(problem.size[1]):
+                if problem.contact_body[i, 0] == b or problem.contact_body[i, 1] == b:
+                    free = False
+                    break
         for k in range(3):
-            state.pose[b, k] += step * v[3 * b + k]
+            mean = 0.5 * (v[3 * b + k] + state.velocity[3 * b + k])
+            state.pose[b, k] += step * (mean if free else v[3 * b + k])
     for d in range(model.force_limit.size):
         if math.isfinite(model.force_limit[d]):
             dof = model.drive_dof[d]

@@ -1,0 +1,425 @@
+"""Many steps of one rollout, at a fixed step or at one chosen to meet a tolerance."""
+
+import math
+
+import numpy as np
+
+from fixel.kernels import codes
+from fixel.kernels.arrays import (
+    FloatArray,
+    Method,
+    Model,
+    Pace,
+    Problem,
+    Record,
+    State,
+    Workspace,
+)
+from fixel.kernels.contacts import place_bodies
+from fixel.kernels.jit import allocating_kernel, kernel
+from fixel.kernels.path import path_direction, path_pose
+from fixel.kernels.solve import TOLERANCE, locked, solve
+from fixel.kernels.step import move, prepare_step
+
+GROWTH = 3.0  # the step grows at most so much from one step to the next
+SHRINK = 0.3  # and shrinks at most so much after a rejection
+CAUTION = 0.9  # aim at this part of the tolerance
+TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
+SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
+
+
+@allocating_kernel
+def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
+    """Empty problem and workspace large enough for every step of a rollout."""
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    n_body = model.friction.shape[0]
+    n_piece = model.piece_body.size
+    n_dof = 3 * n_free
+    for d in range(n_driven):
+        if model.drive_dof[d] >= 0:
+            n_dof += 1
+    n_pair = 0
+    for i in range(n_piece):
+        if model.piece_body[i] < n_free:
+            n_pair += n_piece - i - 1
+    n_pair = min(n_pair, 32 * n_piece)
+    n_contact = min(2 * n_pair, max_contacts)
+    n_element = model.element_body.size + n_driven
+    wide = n_dof + 2
+    wide_upper = wide if n_dof > 12 else 0
+    problem = Problem(
+        size=np.zeros(4, np.int64),
+        inertia=np.zeros((wide, 3)),
+        momentum=np.zeros(wide),
+        velocity=np.zeros(wide),
+        stiffness=np.zeros(wide),
+        contact_dof=np.zeros((n_contact, 2), np.int64),
+        contact_key=np.zeros(n_contact, np.int64),
+        contact_body=np.zeros((n_contact, 2), np.int64),
+        contact_place=np.zeros((n_contact, 5)),
+        normal=np.zeros((n_contact, 6)),
+        tangent=np.zeros((n_contact, 6)),
+        bias=np.zeros((n_contact, 2)),
+        friction=np.zeros(n_contact),
+        impulse=np.zeros((n_contact, 2)),
+        element_dof=np.zeros(n_element, np.int64),
+        element_sides=np.zeros(n_element, np.int64),
+        element_row=np.zeros((n_element, 3, 3)),
+        element_bias=np.zeros((n_element, 3)),
+        element_limit=np.zeros(n_element),
+        element_impulse=np.zeros((n_element, 3)),
+    )
+    work = Workspace(
+        matrix=np.zeros((wide, wide)),
+        matrix_upper=np.zeros((wide_upper, wide_upper)),
+        profile=np.zeros(wide, np.int64),
+        right=np.zeros(wide),
+        contact_change=np.zeros((n_contact, 4)),
+        element_change=np.zeros((n_element, 8)),
+        world=np.zeros((model.vertex.shape[0], 2)),
+        old_key=np.zeros(n_contact, np.int64),
+        old_impulse=np.zeros((n_contact, 2)),
+        near=np.zeros((n_pair, 2), np.int64),
+        order=np.arange(n_piece),
+        extent=np.zeros((n_piece, 3)),
+        anchor=np.zeros((n_body, 3)),
+        reach=np.zeros(1),
+        inverse=np.zeros((wide, 3)),
+        pull=np.zeros(wide),
+        centre=np.zeros(wide),
+        near_count=np.full(1, -1, np.int64),
+    )
+    return problem, work
+
+
+@allocating_kernel
+def rollout(
+    model: Model,
+    start: FloatArray,
+    velocity: FloatArray,
+    method: Method,
+    pace: Pace,
+    record: Record,
+    every_step: bool,
+) -> int:
+    """Simulate one scene; fills `record`, returns how it ended (codes.py).
+
+    Parameters
+    ----------
+    model : Model
+    start : (n_body, 3) float64
+        Pose of every body at time zero.
+    velocity : (n_free, 3) float64
+        Twist of every free body at time zero.
+    method, pace
+        How to step.
+    record : Record
+        Filled. Samples are linear between step ends, as the motion within a step is.
+    every_step : bool
+        Sample at each step's end (as far as there is room) in place of the times in `record.time`.
+    """
+    problem, work = allocate(model, method.max_contacts)
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    n_dof = problem.momentum.size - 2
+    state = State(
+        pose=start.copy(), velocity=np.zeros(n_dof + 2), path_time=np.zeros(n_driven)
+    )
+    for b in range(n_free):
+        for k in range(3):
+            state.velocity[3 * b + k] = velocity[b, k]
+    for d in range(n_driven):
+        if model.drive_dof[d] >= 0:
+            state.velocity[model.drive_dof[d]] = path_direction(model, d, 0.0, 1e-3 * pace.step)[3]
+    for i in range(model.piece_body.size):
+        work.extent[i, 2] = model.piece_bound[i, 2]
+    for e in range(model.element_body.size):
+        problem.element_dof[e] = 3 * model.element_body[e]
+        problem.element_sides[e] = model.sides if model.element_kind[e] == codes.POINT else 0
+    rows = start.copy()
+    place_bodies(model, rows, start.shape[0], work)
+    guess = np.zeros(n_dof + 2)
+    before = State(
+        pose=start.copy(), velocity=np.zeros(n_dof + 2), path_time=np.zeros(n_driven)
+    )
+    return _run(model, state, before, guess, rows, problem, work, method, pace, record, every_step)
+
+
+@kernel
+def _run(
+    model: Model,
+    state: State,
+    before: State,
+    guess: FloatArray,
+    rows: FloatArray,
+    problem: Problem,
+    work: Workspace,
+    method: Method,
+    pace: Pace,
+    record: Record,
+    every_step: bool,
+) -> int:
+    time = 0.0
+    step = min(pace.step, pace.duration)
+    last_step = 0.0  # the step whose impulses the problem holds
+    n_dof = problem.momentum.size - 2
+    worst = 0.0
+    status = codes.CONVERGED
+    taken = 0
+    sample = _sample(model, before, state, time, time, step, problem, record, 0, every_step, pace.duration)
+    while time < pace.duration * (1.0 - 1e-12):
+        if taken == method.max_steps:
+            status = codes.MAX_STEPS
+            break
+        left = pace.duration - time
+        trial = min(step, left)
+        if method.adaptive == 1 and trial < left < 1.5 * trial:
+            trial = 0.5 * left
+        elif left < trial * (1.0 + 1e-9):
+            trial = left
+        for i in range(n_dof):
+            guess[i] = state.velocity[i]
+        again = 0  # how often the guess was renewed at this trial step
+        growth = 1.0
+        while True:
+            ready = prepare_step(
+                model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem, work,
+                last_step,
+            )  # fmt: skip
+            if not ready:
+                status = codes.CONTACT_OVERFLOW
+                break
+            off, fell_back = solve(problem, work, guess, method.solver, method.max_sweeps)
+            last_step = trial
+            record.count[3] += fell_back
+            if not off <= TOLERANCE:
+                last_step = 0.0
+                if method.adaptive == 1 and trial > pace.smallest:
+                    trial *= 0.25
+                    again = 0
+                    for i in range(n_dof):
+                        guess[i] = state.velocity[i]
+                    continue
+                if math.isinf(off):
+                    status = codes.NON_FINITE
+                elif locked(problem, work, guess):
+                    status = codes.JAMMED
+                else:
+                    status = codes.MAX_ITERATIONS
+                break
+            worst = max(worst, off)
+            if method.adaptive == 0:
+                break
+            change = _largest_change(problem, guess)
+            error = 0.5 * trial * change
+            if error <= pace.tolerance or trial <= pace.smallest:
+                growth = min(GROWTH, CAUTION * math.sqrt(pace.tolerance / max(error, 1e-30)))
+                growth = max(growth, 0.5)
+                break
+            if again == 0:
+                closing = _closing_time(problem, guess, trial, method.lead)
+                if 0.02 * trial < closing < 0.98 * trial:
+                    # A gap closes inside the step: end the step there.
+                    trial = max(closing * (1.0 + 1e-6), pace.smallest)
+                    again = 1
+                    continue
+            if again < 2:
+                # The velocity jumped at the step's start: take the new one as the guess, once.
+                again = 2
+                for i in range(n_dof):
+                    guess[i] = problem.velocity[i]
+                continue
+            again = 0
+            trial = max(
+                pace.smallest, trial * max(SHRINK, CAUTION * math.sqrt(pace.tolerance / error))
+            )
+            for i in range(n_dof):
+                guess[i] = state.velocity[i]
+        if status != codes.CONVERGED:
+            break
+        _copy_state(state, before)
+        move(model, state, trial, problem, method.motion == codes.DYNAMIC and method.adaptive == 1)
+        time += trial
+        taken += 1
+        if method.adaptive == 1:
+            step = min(trial * growth, pace.largest)
+        sample = _sample(
+            model, before, state, time - trial, time, trial, problem, record, sample, every_step,
+            pace.duration,
+        )  # fmt: skip
+    record.count[0] = sample
+    record.count[2] = taken
+    record.total[0] = time
+    record.total[1] = worst
+    return status
+
+
+@kernel
+def _copy_state(source: State, target: State) -> None:
+    for i in range(source.pose.shape[0]):
+        for k in range(3):
+            target.pose[i, k] = source.pose[i, k]
+    for i in range(source.velocity.size):
+        target.velocity[i] = source.velocity[i]
+    for i in range(source.path_time.size):
+        target.path_time[i] = source.path_time[i]
+
+
+@kernel
+def _largest_change(problem: Problem, guess: FloatArray) -> float:
+    """Largest difference between the velocity found and the one guessed, over bodies and drives."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[3], 3):
+        dx = v[o] - guess[o]
+        dy = v[o + 1] - guess[o + 1]
+        largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
+    for o in range(problem.size[3], problem.size[0]):
+        largest = max(largest, abs(v[o] - guess[o]))
+    return largest
+
+
+@kernel
+def _closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
+    """When the first open gap that ends up loaded would close at the guessed velocity."""
+    earliest = math.inf
+    for i in range(problem.size[1]):
+        if problem.impulse[i, 0] <= 0.0:
+            continue
+        motion = 0.0
+        a = problem.contact_dof[i, 0]
+        b = problem.contact_dof[i, 1]
+        for k in range(3):
+            motion += problem.normal[i, k] * guess[a + k]
+            if b >= 0:
+                motion += problem.normal[i, 3 + k] * guess[b + k]
+        # bias is the gap at the step's end, over the step, were the bodies to stand still.
+        end = step * (motion + problem.bias[i, 0])
+        gap = problem.contact_place[i, 0]
+        rate = (gap - end) / ((1.0 - lead) * step)
+        start = gap + lead * step * rate
+        if rate > 0.0 and start > 0.0:
+            earliest = min(earliest, start / rate)
+    return earliest
+
+
+@kernel
+def _sample(
+    model: Model,
+    before: State,
+    state: State,
+    from_time: float,
+    to_time: float,
+    step: float,
+    problem: Problem,
+    record: Record,
+    sample: int,
+    every_step: bool,
+    duration: float,
+) -> int:
+    """Write the samples that fall in (from_time, to_time]; returns the next one to write."""
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    while sample < record.pose.shape[0]:
+        if every_step:
+            record.time[sample] = to_time
+            share = 1.0
+        else:
+            if record.time[sample] > to_time + SAMPLE_SLACK * duration:
+                break
+            share = 1.0
+            if to_time > from_time:
+                share = min(1.0, (record.time[sample] - from_time) / (to_time - from_time))
+        for b in range(n_free):
+            for k in range(3):
+                old = before.pose[b, k]
+                record.pose[sample, b, k] = old + share * (state.pose[b, k] - old)
+                record.twist[sample, b, k] = state.velocity[3 * b + k]
+        for d in range(n_driven):
+            _sample_driven(
+                model, before, state, from_time, to_time, step, problem, record, sample, d, share
+            )
+        if to_time > from_time:
+            _sample_contacts(problem, record, sample, step)
+        sample += 1
+        if every_step:
+            break
+    return sample
+
+
+@kernel
+def _sample_driven(
+    model: Model,
+    before: State,
+    state: State,
+    from_time: float,
+    to_time: float,
+    step: float,
+    problem: Problem,
+    record: Record,
+    sample: int,
+    d: int,
+    share: float,
+) -> None:
+    n_free = model.mass.size
+    row = n_free + d
+    own = from_time + share * (to_time - from_time)
+    own_start = from_time
+    speed = 1.0
+    limited = model.drive_dof[d] >= 0
+    if limited:
+        own = before.path_time[d] + share * (state.path_time[d] - before.path_time[d])
+        own_start = before.path_time[d]
+    x, y, a = path_pose(model, d, own)
+    record.pose[sample, row, 0] = x
+    record.pose[sample, row, 1] = y
+    record.pose[sample, row, 2] = a
+    dx, dy, da, command = path_direction(model, d, own_start, step)
+    speed = state.velocity[model.drive_dof[d]] if limited else command
+    record.twist[sample, row, 0] = speed * dx
+    record.twist[sample, row, 1] = speed * dy
+    record.twist[sample, row, 2] = speed * da
+    force = 0.0
+    if to_time > from_time:
+        for i in range(problem.size[1]):
+            if problem.contact_body[i, 1] == row:
+                nx = problem.contact_place[i, 1]
+                ny = problem.contact_place[i, 2]
+                pn = problem.impulse[i, 0]
+                pt = problem.impulse[i, 1]
+                fx = pn * nx - pt * ny
+                fy = pn * ny + pt * nx
+                rx = problem.contact_place[i, 3] - x
+                ry = problem.contact_place[i, 4] - y
+                force += (fx * dx + fy * dy + (rx * fy - ry * fx) * da) / step
+    record.drive[sample, d, 0] = force
+    stalled = limited and command > 0.0 and speed < 0.01 * command
+    record.drive[sample, d, 1] = 1.0 if stalled else 0.0
+
+
+@kernel
+def _sample_contacts(problem: Problem, record: Record, sample: int, step: float) -> None:
+    for i in range(problem.size[1]):
+        row = record.count[1]
+        if row == record.contact.shape[0]:
+            return
+        a = problem.contact_dof[i, 0]
+        b = problem.contact_dof[i, 1]
+        gap = problem.bias[i, 0]
+        for k in range(3):
+            gap += problem.normal[i, k] * problem.velocity[a + k]
+            if b >= 0:
+                gap += problem.normal[i, 3 + k] * problem.velocity[b + k]
+        gap *= step
+        if problem.impulse[i, 0] <= 0.0 and gap > TOUCHING:
+            continue
+        record.contact[row, 0] = sample
+        record.contact[row, 1] = problem.contact_body[i, 0]
+        record.contact[row, 2] = problem.contact_body[i, 1]
+        record.contact[row, 3] = gap
+        for k in range(4):
+            record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
+        record.contact[row, 8] = problem.impulse[i, 0] / step
+        record.contact[row, 9] = problem.impulse[i, 1] / step
+        record.count[1] += 1
