@@ -146,18 +146,30 @@ class Record(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Many rollouts: the arrays of their models, end to end, and where each rollout's begin.
+    """Many rollouts: the arrays of their models end to end, and where each rollout's rows begin.
 
-    Rollouts may share rows (one shape, many parameters). Numbers stored in `piece_body`, `piece_start`,
-    `path_start`, `element_body` and `drive_dof` count from each rollout's own first row.
+    Rollouts may share rows (one shape, many parameters). Indices stored in the rows (`piece_body`,
+    `piece_start`, `path_start`, `element_body`, `drive_dof`) count from each rollout's own first row.
     """
 
-    begin: IntArray  # (n_rollout, 8) first row in each family: free, body, piece, vertex, element, driven, path, map
-    count: IntArray  # (n_rollout, 8) rows in each family
-    model: Model  # friction and restitution flattened, body family squared; plane and map_frame one row a rollout
-    friction_begin: IntArray  # (n_rollout,)
+    begin: IntArray  # (n_rollout, N_FAMILY) first row of each family, see batch.py
+    count: IntArray  # (n_rollout, N_FAMILY) rows of each family
+    model: Model  # friction, restitution and map_factor flattened; plane, map_frame: a row a rollout
     map_shape: IntArray  # (n_rollout, 2)
     sides: IntArray  # (n_rollout,)
-    pose: FloatArray  # (body rows, 3)
-    velocity: FloatArray  # (free rows, 3)
+    pose: FloatArray  # (body rows, 3) at time zero
+    velocity: FloatArray  # (free rows, 3) at time zero
     pace: FloatArray  # (n_rollout, 5) fields of Pace
+
+
+class BatchRecord(NamedTuple):
+    """What a batch of rollouts leaves behind: a Record each, stacked."""
+
+    time: FloatArray  # (n_rollout, n_sample)
+    pose: FloatArray  # (n_rollout, n_sample, n_moving, 3)
+    twist: FloatArray  # (n_rollout, n_sample, n_moving, 3)
+    drive: FloatArray  # (n_rollout, n_sample, n_driven, 2)
+    contact: FloatArray  # (n_rollout, n_row, 10)
+    count: IntArray  # (n_rollout, 4)
+    total: FloatArray  # (n_rollout, 2)
+    status: IntArray  # (n_rollout,)

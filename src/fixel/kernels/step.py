@@ -30,7 +30,7 @@ def place_rows(
     dof = 3 * n_free
     for d in range(n_driven):
         own = time + lead
-        if math.isfinite(model.force_limit[d]):
+        if model.drive_dof[d] >= 0:
             speed = path_direction(model, d, state.path_time[d], max(lead, 1e-6))[3]
             own = state.path_time[d]
             if speed > 0.0:
@@ -58,19 +58,44 @@ def prepare_step(
 ) -> bool:
     """Write the problem of the step from `time` to ``time + step``; False where contacts overflow.
 
-    `guess` is the velocity expected over the step; rows are taken `lead` after its start. `last_step` is the
-    step whose impulses the problem still holds, zero for none.
+    `guess` is the velocity expected over the step; rows are taken `lead` after its start, at the
+    configuration left in `pose`. `last_step` is the step whose impulses the problem still holds, zero for
+    none.
     """
+    if not prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, last_step):
+        return False
+    n_support = prepare_bodies(model, state, motion, step, pose, problem)
+    prepare_rows(
+        model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step
+    )
+    return True
+
+
+@kernel
+def prepare_contacts(
+    model: Model,
+    state: State,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    work: Workspace,
+    last_step: float,
+) -> bool:
+    """First part: where the bodies meet, with the impulses they met with before; False on overflow."""
     n_free = model.mass.size
-    n_driven = model.force_limit.size
-    n_moving = n_free + n_driven
+    n_moving = n_free + model.force_limit.size
     place_rows(model, state, time, lead, guess, pose)
     place_bodies(model, pose, n_moving, work)
     margin = _margin(model, state, time, step, guess)
-    if margin + 2.0 * moved(model, pose, work.anchor, n_moving) > work.reach[0] or work.near_count[0] < 0:
-        reach = max(REACH, 2.0 * margin)
-        work.reach[0] = reach
-        work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, reach, work)
+    travelled = moved(model, pose, work.anchor, n_moving)
+    if work.near_count[0] < 0 or margin + 2.0 * travelled > work.reach[0]:
+        work.reach[0] = max(REACH, 2.0 * margin)
+        work.near_count[0] = find_near_pairs(
+            model, pose, n_free, n_moving, work.reach[0], work
+        )
         if work.near_count[0] < 0:
             return False
     n_old = problem.size[1]
@@ -83,35 +108,67 @@ def prepare_step(
         return False
     ratio = step / last_step if last_step > 0.0 else 0.0
     warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
+    problem.size[1] = n_contact
+    problem.size[3] = 3 * n_free
+    return True
+
+
+@kernel
+def prepare_bodies(
+    model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
+) -> int:
+    """Second part: the motion model's own rows; returns the number of support friction elements."""
     assemble_bodies(model, state, motion, step, pose, problem)
-    n_element = assemble_elements(model, motion, step, pose, problem)
-    n_support = n_element
-    dof = 3 * n_free
-    for d in range(n_driven):
-        if math.isfinite(model.force_limit[d]):
-            speed = path_direction(model, d, state.path_time[d], step)[3]
-            problem.element_dof[n_element] = dof
-            problem.element_sides[n_element] = 0
-            problem.element_row[n_element, 0, 0] = 1.0
-            problem.element_bias[n_element, 0] = -speed
-            problem.element_limit[n_element] = step * model.force_limit[d]
-            problem.inertia[dof, 0] = 0.0
-            problem.momentum[dof] = 0.0
+    return assemble_elements(model, motion, step, pose, problem)
+
+
+@kernel
+def prepare_rows(
+    model: Model,
+    state: State,
+    motion: int,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    n_support: int,
+    last_step: float,
+) -> None:
+    """Third part: the drives, the stiffness of every block, the contact rows, the guess."""
+    dof = 3 * model.mass.size
+    n_element = n_support
+    for d in range(model.force_limit.size):
+        if model.drive_dof[d] >= 0:
+            _prepare_drive(model, state, d, step, problem, n_element, dof)
             n_element += 1
             dof += 1
     problem.size[0] = dof
-    problem.size[1] = n_contact
     problem.size[2] = n_element
-    problem.size[3] = 3 * n_free
+    ratio = step / last_step if last_step > 0.0 else 0.0
     for e in range(n_element):
         for k in range(3):
             problem.element_impulse[e, k] *= ratio
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
-    for i in range(n_contact):
+    for i in range(problem.size[1]):
         _prepare_contact(model, state, motion, time, step, lead, guess, pose, problem, i)
-    return True
+
+
+@kernel
+def _prepare_drive(
+    model: Model, state: State, d: int, step: float, problem: Problem, e: int, dof: int
+) -> None:
+    """A force-limited drive is friction in one dimension: it holds its commanded speed up to its limit."""
+    problem.element_dof[e] = dof
+    problem.element_sides[e] = 0
+    problem.element_row[e, 0, 0] = 1.0
+    problem.element_bias[e, 0] = -path_direction(model, d, state.path_time[d], step)[3]
+    problem.element_limit[e] = step * model.force_limit[d]
+    problem.inertia[dof, 0] = 0.0
+    problem.momentum[dof] = 0.0
 
 
 @kernel
@@ -124,7 +181,7 @@ def _margin(model: Model, state: State, time: float, step: float, guess: FloatAr
             vy = v[3 * b + 1]
             fastest = max(fastest, math.sqrt(vx * vx + vy * vy) + abs(v[3 * b + 2]))
     for d in range(model.force_limit.size):
-        own = time if math.isinf(model.force_limit[d]) else state.path_time[d]
+        own = time if model.drive_dof[d] < 0 else state.path_time[d]
         fastest = max(fastest, path_direction(model, d, own, step)[3])
     return 3.0 * step * fastest + 1e-3
 
@@ -152,7 +209,7 @@ def _prepare_contact(
     dx = 0.0
     dy = 0.0
     da = 0.0
-    if driven and math.isfinite(model.force_limit[d]):
+    if driven and model.drive_dof[d] >= 0:
         dof = model.drive_dof[d]
         dx, dy, da, _ = path_direction(model, d, state.path_time[d], step)
     assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
@@ -212,7 +269,7 @@ def move(model: Model, state: State, step: float, problem: Problem, glide: bool)
             mean = 0.5 * (v[3 * b + k] + state.velocity[3 * b + k])
             state.pose[b, k] += step * (mean if free else v[3 * b + k])
     for d in range(model.force_limit.size):
-        if math.isfinite(model.force_limit[d]):
+        if model.drive_dof[d] >= 0:
             dof = model.drive_dof[d]
             speed = path_direction(model, d, state.path_time[d], step)[3]
             last = model.path[model.path_start[d + 1] - 1, 0]

@@ -1,0 +1,99 @@
+"""Many rollouts in one call, spread over the threads; the same bits for any number of them."""
+
+from numba import prange
+
+from fixel.kernels.arrays import Batch, BatchRecord, Method, Model, Pace, Record
+from fixel.kernels.jit import allocating_kernel, entry, parallel_entry
+from fixel.kernels.rollout import rollout
+
+# Families: arrays whose rows begin together.
+FREE = 0  # mass, inertia, wrench, spring, drag, velocity
+BODY = 1  # pose
+PAIR = 2  # friction, restitution
+PIECE = 3  # piece_body, piece_bound, piece_radius
+PIECE_START = 4  # piece_start
+VERTEX = 5  # vertex, edge_real
+ELEMENT = 6  # element_*
+DRIVEN = 7  # force_limit, drive_dof
+PATH_START = 8  # path_start
+PATH = 9  # path
+MAP = 10  # map_factor
+N_FAMILY = 11
+
+
+@allocating_kernel
+def select(batch: Batch, r: int) -> Model:
+    """The model of rollout r: views of the batch's arrays."""
+    a = batch.begin[r]
+    z = a + batch.count[r]
+    m = batch.model
+    n_body = batch.count[r, BODY]
+    n_row, n_column = batch.map_shape[r]
+    return Model(
+        m.mass[a[FREE] : z[FREE]],
+        m.inertia[a[FREE] : z[FREE]],
+        m.wrench[a[FREE] : z[FREE]],
+        m.spring[a[FREE] : z[FREE]],
+        m.drag[a[FREE] : z[FREE]],
+        m.piece_body[a[PIECE] : z[PIECE]],
+        m.piece_start[a[PIECE_START] : z[PIECE_START]],
+        m.piece_bound[a[PIECE] : z[PIECE]],
+        m.piece_radius[a[PIECE] : z[PIECE]],
+        m.vertex[a[VERTEX] : z[VERTEX]],
+        m.edge_real[a[VERTEX] : z[VERTEX]],
+        m.friction[a[PAIR] : z[PAIR]].reshape(n_body, n_body),
+        m.restitution[a[PAIR] : z[PAIR]].reshape(n_body, n_body),
+        m.element_body[a[ELEMENT] : z[ELEMENT]],
+        m.element_kind[a[ELEMENT] : z[ELEMENT]],
+        m.element_point[a[ELEMENT] : z[ELEMENT]],
+        m.element_limit[a[ELEMENT] : z[ELEMENT]],
+        m.element_ratio[a[ELEMENT] : z[ELEMENT]],
+        m.path_start[a[PATH_START] : z[PATH_START]],
+        m.path[a[PATH] : z[PATH]],
+        m.force_limit[a[DRIVEN] : z[DRIVEN]],
+        m.drive_dof[a[DRIVEN] : z[DRIVEN]],
+        m.plane[r],
+        m.map_frame[r],
+        m.map_factor[a[MAP] : z[MAP]].reshape(n_row, n_column),
+        batch.sides[r],
+    )
+
+
+@allocating_kernel
+def _rollout(batch: Batch, method: Method, record: BatchRecord, every_step: bool, r: int) -> None:
+    a = batch.begin[r]
+    z = a + batch.count[r]
+    pace = Pace(
+        batch.pace[r, 0], batch.pace[r, 1], batch.pace[r, 2], batch.pace[r, 3], batch.pace[r, 4]
+    )
+    own = Record(
+        record.time[r],
+        record.pose[r],
+        record.twist[r],
+        record.drive[r],
+        record.contact[r],
+        record.count[r],
+        record.total[r],
+    )
+    record.status[r] = rollout(
+        select(batch, r),
+        batch.pose[a[BODY] : z[BODY]],
+        batch.velocity[a[FREE] : z[FREE]],
+        method,
+        pace,
+        own,
+        every_step,
+    )
+
+
+@entry
+def roll_one(batch: Batch, method: Method, record: BatchRecord, every_step: bool, r: int) -> None:
+    """Simulate rollout r of a batch."""
+    _rollout(batch, method, record, every_step, r)
+
+
+@parallel_entry
+def roll_all(batch: Batch, method: Method, record: BatchRecord, every_step: bool) -> None:
+    """Simulate every rollout of a batch, in parallel."""
+    for r in prange(batch.begin.shape[0]):
+        _rollout(batch, method, record, every_step, r)
