@@ -1,1 +1,50 @@
 """What there is: shapes, bodies, pushers, fixels, scenes; checked when built."""
+
+from fixel.model.body import Body, Spring
+from fixel.model.fixel import Fixel
+from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
+from fixel.model.plane import FrictionMap, Plane
+from fixel.model.pusher import Drive, LineDrive, PathDrive, Pusher
+from fixel.model.scene import PairFriction, Scene
+from fixel.model.shape import Disk, Polygon, Shape, placed
+from fixel.model.support import (
+    Ellipsoid,
+    NoSupport,
+    Support,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+    support_points,
+)
+from fixel.model.trajectory import Trajectory, pose_error, wrapped
+
+__all__ = [
+    "KNOWN_PARAMETERS",
+    "Body",
+    "Disk",
+    "Drive",
+    "Ellipsoid",
+    "Fixel",
+    "FrictionMap",
+    "LineDrive",
+    "NoSupport",
+    "PairFriction",
+    "ParameterInfo",
+    "Parameters",
+    "PathDrive",
+    "Plane",
+    "Polygon",
+    "Pusher",
+    "Scene",
+    "Shape",
+    "Spring",
+    "Support",
+    "SupportPoints",
+    "Trajectory",
+    "Tripod",
+    "UniformPressure",
+    "placed",
+    "pose_error",
+    "support_points",
+    "wrapped",
+]

@@ -1,0 +1,158 @@
+"""Checks shared by the objects of this floor, and equality of objects that hold arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from numbers import Real
+from types import UnionType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fixel.errors import InvalidInput
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class Comparable:
+    """Equality and hash by fields, for dataclasses built with `eq=False` that may hold arrays."""
+
+    __slots__ = ()
+
+    def _compared(self) -> tuple[Any, ...]:
+        named = dataclasses.fields(self)  # type: ignore[arg-type]
+        return tuple(_hashable(getattr(self, field.name)) for field in named if field.compare)
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._compared() == other._compared()
+
+    def __hash__(self) -> int:
+        return hash((type(self).__name__, self._compared()))
+
+
+def settle(instance: object, **values: object) -> None:
+    """Write checked values into a frozen instance, from its `__post_init__` only."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+
+
+def name_of(value: object, where: str) -> str:
+    """A name: text with something in it, on one line."""
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise InvalidInput(where, found=_quoted(value), expected="a name of printable characters")
+    return value
+
+
+def instance(value: object, kind: type | UnionType, where: str, expected: str) -> None:
+    """Refuse a value of another kind."""
+    if not isinstance(value, kind):
+        found = None if value is None else f"a {type(value).__name__}"
+        raise InvalidInput(where, found=found, expected=expected)
+
+
+def finite(value: object, where: str, unit: str = "") -> float:
+    """A finite number."""
+    return _number(value, where, f"a finite number{_in(unit)}", lambda x: True)
+
+
+def positive(value: object, where: str, unit: str = "") -> float:
+    """A finite number above zero."""
+    return _number(value, where, f"a number greater than 0{_in(unit)}", lambda x: x > 0.0)
+
+
+def non_negative(value: object, where: str, unit: str = "") -> float:
+    """A finite number, zero or more."""
+    return _number(value, where, f"a number of at least 0{_in(unit)}", lambda x: x >= 0.0)
+
+
+def fraction(value: object, where: str) -> float:
+    """A number from 0 to 1."""
+    return _number(value, where, "a number from 0 to 1", lambda x: 0.0 <= x <= 1.0)
+
+
+def optional_positive(value: object, where: str, unit: str = "") -> float | None:
+    """A finite number above zero, or nothing."""
+    return None if value is None else positive(value, where, unit)
+
+
+def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
+    """A row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
+    length = labels.count(",") + 1
+    row = _floats(value, where, f"{length} numbers: {labels}")
+    if row.shape != (length,):
+        raise InvalidInput(where, found=_shape(row), expected=f"{length} numbers: {labels}")
+    _refuse_non_finite(row, where, labels)
+    return frozen(row)
+
+
+def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
+    """Rows of finite numbers, one column per comma-separated label; at least one row."""
+    width = labels.count(",") + 1
+    rows = _floats(value, where, f"rows of {width} numbers: {labels}")
+    if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0:
+        raise InvalidInput(where, found=_shape(rows), expected=f"rows of {width} numbers: {labels}")
+    for index, row in enumerate(rows) if not np.isfinite(rows).all() else ():
+        _refuse_non_finite(row, f"{where}[{index}]", labels)
+    return frozen(rows)
+
+
+def frozen(array: ArrayLike) -> FloatArray:
+    """A C-ordered copy that cannot be written to; minus zero becomes zero."""
+    copy = np.array(array, dtype=np.float64, order="C") + 0.0
+    copy.flags.writeable = False
+    return copy
+
+
+def _number(value: object, where: str, expected: str, fits: Callable[[float], bool]) -> float:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise InvalidInput(where, found=_quoted(value), expected=expected)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number) or not fits(number):
+        raise InvalidInput(where, found=number, expected=expected)
+    return number
+
+
+def _floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
+    try:
+        raw = np.asarray(value)
+        if raw.dtype.kind not in "iuf" and raw.size:
+            raise TypeError
+        return raw.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(where, found=_quoted(value), expected=expected) from None
+
+
+def _refuse_non_finite(row: FloatArray, where: str, labels: str) -> None:
+    if not np.isfinite(row).all():
+        raise InvalidInput(where, found=row.tolist(), expected=f"finite numbers: {labels}")
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _shape(array: FloatArray) -> str:
+    if array.ndim == 0:
+        return "one number"
+    if array.size == 0:
+        return "an empty list"
+    return "one row of " + str(len(array)) if array.ndim == 1 else f"an array of {array.shape}"
+
+
+def _quoted(value: object) -> object:
+    return repr(value) if isinstance(value, str) else value
+
+
+def _hashable(value: Any) -> Any:
+    return (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value

@@ -1,0 +1,58 @@
+"""Fixed bodies: pegs, walls, slots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import (
+    Comparable,
+    FloatArray,
+    fraction,
+    instance,
+    name_of,
+    non_negative,
+    settle,
+    vector,
+)
+from fixel.model.shape import Shape
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fixel(Comparable):
+    """A body that stays where it is.
+
+    Parameters
+    ----------
+    name : str
+        Unique in its scene.
+    shape : Shape
+        In its own frame.
+    pose : (3,) array_like
+        Of its frame in the world [m, m, rad].
+    friction : float
+        Coefficient against every free body [-].
+    restitution : float
+        Share of the approach speed given back at an impact, from 0 to 1 [-].
+    """
+
+    name: str
+    shape: Shape
+    pose: FloatArray
+    friction: float
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "fixel.name")
+        try:
+            instance(self.shape, Shape, "shape", "a Polygon or a Disk")
+            settle(
+                self,
+                pose=vector(self.pose, "pose", "x [m], y [m], angle [rad]"),
+                friction=non_negative(self.friction, "friction"),
+                restitution=fraction(self.restitution, "restitution"),
+            )
+        except InvalidInput as problem:
+            raise problem.within(f"fixel {self.name!r}") from None

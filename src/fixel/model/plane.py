@@ -1,0 +1,118 @@
+"""The plane the bodies rest on, where it is not the same in every direction or everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import (
+    Comparable,
+    FloatArray,
+    finite,
+    frozen,
+    instance,
+    settle,
+    table,
+    vector,
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrictionMap(Comparable):
+    """A multiplier of support friction that depends on the place.
+
+    Bilinear between the nodes of a grid; beyond the border, the value at the border.
+
+    Parameters
+    ----------
+    origin : (2,) array_like
+        World position of node [0, 0] [m].
+    cell : (2,) array_like
+        Distance of neighbouring nodes along x and y [m].
+    factor : (n_y, n_x) array_like
+        Multiplier at each node, row by row from low y to high [-].
+    """
+
+    origin: FloatArray
+    cell: FloatArray
+    factor: FloatArray
+
+    def __post_init__(self) -> None:
+        cell = vector(self.cell, "friction_map.cell", "x [m], y [m]")
+        if (cell <= 0.0).any():
+            raise InvalidInput(
+                "friction_map.cell", found=cell.tolist(), expected="numbers greater than 0 [m]"
+            )
+        settle(
+            self,
+            origin=vector(self.origin, "friction_map.origin", "x [m], y [m]"),
+            cell=cell,
+            factor=_positive_grid(self.factor),
+        )
+
+    def at(self, position: ArrayLike) -> FloatArray:
+        """(...) multipliers at world positions (..., 2) [m]."""
+        n_y, n_x = self.factor.shape
+        node = (np.asarray(position, dtype=np.float64) - self.origin) / self.cell
+        column = np.clip(node[..., 0], 0.0, n_x - 1.0)
+        row = np.clip(node[..., 1], 0.0, n_y - 1.0)
+        left = np.minimum(column.astype(np.intp), max(n_x - 2, 0))
+        low = np.minimum(row.astype(np.intp), max(n_y - 2, 0))
+        right, high = np.minimum(left + 1, n_x - 1), np.minimum(low + 1, n_y - 1)
+        u, v = column - left, row - low
+        below = (1.0 - u) * self.factor[low, left] + u * self.factor[low, right]
+        above = (1.0 - u) * self.factor[high, left] + u * self.factor[high, right]
+        return np.asarray((1.0 - v) * below + v * above)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plane(Comparable):
+    """Multipliers of the friction of every support.
+
+    Parameters
+    ----------
+    anisotropy : (2,) array_like
+        Factors along the principal axes of the plane [-].
+    axis : float
+        Angle of the first principal axis from world x [rad].
+    friction_map : FrictionMap, optional
+        Multiplier by place.
+    """
+
+    anisotropy: FloatArray = (1.0, 1.0)  # type: ignore[assignment]
+    axis: float = 0.0
+    friction_map: FrictionMap | None = None
+
+    def __post_init__(self) -> None:
+        anisotropy = vector(self.anisotropy, "plane.anisotropy", "along the axis, across it")
+        if (anisotropy <= 0.0).any():
+            raise InvalidInput(
+                "plane.anisotropy", found=anisotropy.tolist(), expected="factors greater than 0"
+            )
+        instance(
+            self.friction_map, FrictionMap | None, "plane.friction_map", "a FrictionMap, or None"
+        )
+        settle(self, anisotropy=anisotropy, axis=finite(self.axis, "plane.axis", "rad"))
+
+
+def _positive_grid(factor: ArrayLike) -> FloatArray:
+    where = "friction_map.factor"
+    try:
+        width = len(factor[0])  # type: ignore[index,arg-type]
+    except (TypeError, IndexError, KeyError):
+        raise InvalidInput(where, found=type(factor).__name__, expected="rows of factors") from None
+    grid = table(factor, where, ", ".join(["factor"] * width))
+    if (grid <= 0.0).any():
+        row, column = np.argwhere(grid <= 0.0)[0].tolist()
+        raise InvalidInput(
+            f"{where}[{row}][{column}]",
+            found=float(grid[row, column]),
+            expected="factors greater than 0",
+        )
+    return frozen(grid)

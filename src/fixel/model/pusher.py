@@ -1,0 +1,187 @@
+"""Driven bodies and the motions that are asked of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, inf, pi
+from typing import final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import (
+    Comparable,
+    FloatArray,
+    fraction,
+    frozen,
+    instance,
+    name_of,
+    non_negative,
+    optional_positive,
+    settle,
+    table,
+    vector,
+)
+from fixel.model.shape import Shape
+
+# How far from 1 the length of a direction may be before it is scaled; a few times the rounding of
+# one float64, so that a direction that was scaled once stays bitwise the same.
+UNIT_LENGTH = 1e-15
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineDrive(Comparable):
+    """Straight motion without rotation, at constant speed.
+
+    Parameters
+    ----------
+    direction : (2,) array_like
+        World axes; scaled to length 1.
+    speed : float
+        [m/s], not negative.
+    travel : float
+        Distance after which the drive stands still [m]; infinite: it goes on.
+    force_limit : float, optional
+        Force along the direction at which the drive stalls [N]. Left out: a rigid drive.
+    """
+
+    direction: FloatArray
+    speed: float
+    travel: float = inf
+    force_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        direction = vector(self.direction, "drive.direction", "x, y")
+        length = hypot(*direction)
+        if length == 0.0:
+            raise InvalidInput(
+                "drive.direction",
+                found="(0, 0)",
+                expected="a direction",
+                hint="for a drive that stands still, give any direction and speed 0",
+            )
+        if abs(length - 1.0) > UNIT_LENGTH:
+            direction = frozen(direction / length)
+        travel = self.travel
+        settle(
+            self,
+            direction=direction,
+            speed=non_negative(self.speed, "drive.speed", "m/s"),
+            travel=inf if travel == inf else non_negative(travel, "drive.travel", "m"),
+            force_limit=optional_positive(self.force_limit, "drive.force_limit", "N"),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathDrive(Comparable):
+    """A measured path, linear between its samples; before the first and after the last it rests.
+
+    Parameters
+    ----------
+    waypoints : (n, 4) array_like
+        Rows of time [s] and pose in the world [m, m, rad], times increasing. Angles are continuous:
+        from one sample to the next they change by at most half a turn.
+    force_limit : float, optional
+        Force at which the drive stalls [N]. Left out: a rigid drive.
+    """
+
+    waypoints: FloatArray
+    force_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        rows = table(self.waypoints, "drive.waypoints", "t [s], x [m], y [m], angle [rad]")
+        _refuse_time_going_back(rows[:, 0])
+        _refuse_angle_jumps(rows[:, 3])
+        settle(
+            self,
+            waypoints=rows,
+            force_limit=optional_positive(self.force_limit, "drive.force_limit", "N"),
+        )
+
+    def pose_at(self, time: float) -> FloatArray:
+        """(3,) pose the path asks for [m, m, rad]."""
+        instants = self.waypoints[:, 0]
+        return np.array([np.interp(time, instants, column) for column in self.waypoints.T[1:]])
+
+
+Drive = LineDrive | PathDrive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pusher(Comparable):
+    """A driven body.
+
+    Parameters
+    ----------
+    name : str
+        Unique in its scene.
+    shape : Shape
+        In its own frame.
+    pose : (3,) array_like or None
+        Of its frame in the world, at t = 0 [m, m, rad]. With a `PathDrive` the path says where the
+        pusher starts: None is fine, and what is given is replaced.
+    drive : Drive
+        The motion asked of it.
+    friction : float
+        Coefficient against every free body [-].
+    restitution : float
+        Share of the approach speed given back at an impact, from 0 to 1 [-].
+    """
+
+    name: str
+    shape: Shape
+    pose: FloatArray
+    drive: Drive
+    friction: float
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "pusher.name")
+        try:
+            instance(self.shape, Shape, "shape", "a Polygon or a Disk")
+            settle(
+                self,
+                pose=self._start(),
+                friction=non_negative(self.friction, "friction"),
+                restitution=fraction(self.restitution, "restitution"),
+            )
+        except InvalidInput as problem:
+            raise problem.within(f"pusher {self.name!r}") from None
+
+    def _start(self) -> FloatArray:
+        instance(self.drive, LineDrive | PathDrive, "drive", "a LineDrive or a PathDrive")
+        given: object = self.pose
+        pose = None if given is None else vector(self.pose, "pose", "x [m], y [m], angle [rad]")
+        if isinstance(self.drive, PathDrive):
+            return frozen(self.drive.pose_at(0.0))
+        if pose is None:
+            raise InvalidInput("pose", found=None, expected="x [m], y [m], angle [rad]")
+        return pose
+
+
+def _refuse_time_going_back(instants: FloatArray) -> None:
+    steps = np.diff(instants)
+    if (steps <= 0.0).any():
+        row = int(np.argmax(steps <= 0.0)) + 1
+        motion = "goes back in time" if steps[row - 1] < 0.0 else "stands still in time"
+        raise InvalidInput(
+            f"drive.waypoints[{row}]",
+            found=f"t = {instants[row]:g} s after {instants[row - 1]:g} s: the path {motion}",
+            expected="increasing times",
+            hint="sort the rows by time and drop repeated ones",
+        )
+
+
+def _refuse_angle_jumps(angle: FloatArray) -> None:
+    steps = np.abs(np.diff(angle))
+    if (steps > pi).any():
+        row = int(np.argmax(steps > pi)) + 1
+        raise InvalidInput(
+            f"drive.waypoints[{row}]",
+            found=f"an angle of {angle[row]:g} rad after {angle[row - 1]:g} rad",
+            expected="a change of at most half a turn between samples",
+            hint="unwrap the angles first, for example with numpy.unwrap",
+        )

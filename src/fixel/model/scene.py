@@ -1,0 +1,279 @@
+"""Scenes: everything a rollout needs but the method and the parameters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any, TypeVar, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.body import Body
+from fixel.model.fields import (
+    BoolArray,
+    Comparable,
+    fraction,
+    instance,
+    name_of,
+    non_negative,
+    positive,
+    settle,
+)
+from fixel.model.fixel import Fixel
+from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
+from fixel.model.plane import Plane
+from fixel.model.pusher import Pusher
+
+T = TypeVar("T")
+
+# Overlap at the start that still counts as touching, as a share of the larger of the two shapes.
+# Smaller values refuse scenes whose poses were rounded in a file.
+TOUCHING = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairFriction(Comparable):
+    """Friction of a named pair, in place of what its obstacle says.
+
+    Parameters
+    ----------
+    pair : (str, str)
+        Names in either order; `*`, `?` and `[...]` match as in a shell.
+    friction : float
+        Coefficient [-].
+    restitution : float, optional
+        Share of the approach speed given back at an impact, from 0 to 1 [-].
+    """
+
+    pair: tuple[str, str]
+    friction: float
+    restitution: float | None = None
+
+    def __post_init__(self) -> None:
+        first, second = _two_names(self.pair)
+        if first == second and not _is_pattern(first):
+            raise InvalidInput(
+                "contact_friction.pair", found=f"{first!r} twice", expected="two different names"
+            )
+        restitution = self.restitution
+        where = f"contact_friction of {first!r} and {second!r}"
+        settle(
+            self,
+            pair=(first, second),
+            friction=non_negative(self.friction, where),
+            restitution=None if restitution is None else fraction(restitution, where),
+        )
+
+    def covers(self, a: str, b: str) -> bool:
+        """Whether this is about bodies `a` and `b`, in either order."""
+        first, second = self.pair
+        return (_matches(a, first) and _matches(b, second)) or (
+            _matches(b, first) and _matches(a, second)
+        )
+
+    @property
+    def is_literal(self) -> bool:
+        """Whether both names are names and no patterns."""
+        return not any(_is_pattern(name) for name in self.pair)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene(Comparable):
+    """Bodies, pushers and fixels on a plane, and for how long.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        Free bodies, at least one.
+    pushers : sequence of Pusher
+        Driven bodies.
+    fixels : sequence of Fixel
+        Fixed bodies.
+    contact_friction : sequence of PairFriction
+        Overrides of the obstacle's own value. Every pair of free bodies needs one. An entry without
+        patterns comes before one with; among equals the first counts.
+    plane : Plane
+        Direction and place dependence of support friction.
+    gravity : float
+        [m/s^2], not negative.
+    duration : float
+        [s].
+    support_directions : int or None
+        None: exact friction disc at every support point. A number of at least 4: that many
+        directions, as in the linear form of the complementarity problem.
+
+    Raises
+    ------
+    InvalidInput
+        No free body, two things of one name, a friction entry nothing answers to, free bodies
+        without one, or bodies that overlap at the start.
+    """
+
+    bodies: tuple[Body, ...]
+    pushers: tuple[Pusher, ...] = ()
+    fixels: tuple[Fixel, ...] = ()
+    contact_friction: tuple[PairFriction, ...] = ()
+    plane: Plane = field(default_factory=Plane)
+    gravity: float = 9.81
+    duration: float
+    support_directions: int | None = None
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            bodies=_members(self.bodies, Body, "bodies"),
+            pushers=_members(self.pushers, Pusher, "pushers"),
+            fixels=_members(self.fixels, Fixel, "fixels"),
+            contact_friction=_members(self.contact_friction, PairFriction, "contact_friction"),
+            gravity=non_negative(self.gravity, "gravity", "m/s^2"),
+            duration=positive(self.duration, "duration", "s"),
+        )
+        if not self.bodies:
+            raise InvalidInput("bodies", found="no free body", expected="at least one")
+        instance(self.plane, Plane, "plane", "a Plane")
+        _check_directions(self.support_directions)
+        _refuse_repeated_names(self.names)
+        for index, entry in enumerate(self.contact_friction):
+            _refuse_strangers(entry, self.names, f"contact_friction[{index}].pair")
+        _refuse_missing_friction(self)
+        _refuse_overlaps(self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the bodies, then the pushers, then the fixels."""
+        return tuple(thing.name for thing in self._things())
+
+    def _things(self) -> tuple[Body | Pusher | Fixel, ...]:
+        return (*self.bodies, *self.pushers, *self.fixels)
+
+    def friction(self, a: str, b: str) -> float:
+        """Coefficient of friction between two named bodies, one of them free at least [-]."""
+        entry = self._entry(a, b)
+        return entry.friction if entry else self._obstacle(a, b).friction
+
+    def restitution(self, a: str, b: str) -> float:
+        """Coefficient of restitution between two named bodies, one of them free at least [-]."""
+        entry = self._entry(a, b)
+        if entry and entry.restitution is not None:
+            return entry.restitution
+        if self._is_free(a) and self._is_free(b):
+            return 0.0
+        return self._obstacle(a, b).restitution
+
+    def _entry(self, a: str, b: str) -> PairFriction | None:
+        covering = [entry for entry in self.contact_friction if entry.covers(a, b)]
+        return min(covering, key=lambda entry: not entry.is_literal, default=None)
+
+    def _is_free(self, name: str) -> bool:
+        return any(body.name == name for body in self.bodies)
+
+    def _obstacle(self, a: str, b: str) -> Pusher | Fixel:
+        for name in (a, b):
+            if name not in self.names:
+                raise _stranger(name, self.names, "the pair")
+        pushers = [pusher for pusher in self.pushers if pusher.name in (a, b)]
+        fixels = [fixel for fixel in self.fixels if fixel.name in (a, b)]
+        obstacles: list[Pusher | Fixel] = [*pushers, *fixels]
+        if a == b or len(obstacles) != 1:
+            raise InvalidInput(
+                f"the pair {a!r} and {b!r}",
+                found=f"{len(obstacles)} obstacles",
+                expected="one free body and one pusher or fixel",
+            )
+        return obstacles[0]
+
+
+def _two_names(pair: object) -> tuple[str, str]:
+    where = "contact_friction.pair"
+    if not isinstance(pair, list | tuple) or len(pair) != 2:
+        raise InvalidInput(where, found=pair, expected="two names")
+    return name_of(pair[0], where), name_of(pair[1], where)
+
+
+def _members(values: Iterable[T], kind: type, where: str) -> tuple[T, ...]:
+    members = tuple(values)
+    for index, member in enumerate(members):
+        instance(member, kind, f"{where}[{index}]", f"a {kind.__name__}")
+    return members
+
+
+def _check_directions(value: Any) -> None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 4):
+        raise InvalidInput(
+            "support_directions",
+            found=value,
+            expected="a whole number of at least 4, or nothing for the exact disc",
+        )
+
+
+def _refuse_repeated_names(names: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise InvalidInput(
+                "scene",
+                found=f"the name {name!r} twice",
+                expected="different names for all bodies, pushers and fixels",
+            )
+        seen.add(name)
+
+
+def _refuse_strangers(entry: PairFriction, names: Sequence[str], where: str) -> None:
+    for name in entry.pair:
+        if not _is_pattern(name) and name not in names:
+            raise _stranger(name, names, where)
+
+
+def _stranger(name: str, names: Sequence[str], where: str) -> InvalidInput:
+    close = difflib.get_close_matches(name, names, n=1)
+    return InvalidInput(
+        where,
+        found=repr(name),
+        expected="one of " + ", ".join(names),
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )
+
+
+def _refuse_missing_friction(scene: Scene) -> None:
+    free = [body.name for body in scene.bodies]
+    covered: BoolArray = np.eye(len(free), dtype=bool)
+    for entry in scene.contact_friction:
+        first, second = (np.array([_matches(x, pattern) for x in free]) for pattern in entry.pair)
+        covered |= np.outer(first, second) | np.outer(second, first)
+    if not covered.all():
+        a, b = (free[k] for k in np.argwhere(~covered)[0])
+        raise InvalidInput(
+            "contact_friction",
+            found=f"no entry for the free bodies {a!r} and {b!r}",
+            expected="one for every pair of free bodies",
+            hint=f"add {{pair: [{a}, {b}], friction: 0.3}}, or pair: ['*', '*'] for all at once",
+        )
+
+
+def _refuse_overlaps(scene: Scene) -> None:
+    things = scene._things()
+    box = boxes([x.shape for x in things], [x.pose for x in things])
+    for i, j in pairs_of_boxes(box, len(scene.bodies)):
+        a, b = things[i], things[j]
+        depth = overlap_depth(a.shape, a.pose, b.shape, b.pose)
+        size = float((box[[i, j], 2:] - box[[i, j], :2]).max())
+        if depth > TOUCHING * size:
+            raise InvalidInput(
+                f"{a.name!r} and {b.name!r}",
+                found=f"an overlap of {depth * 1e3:.4g} mm at the start",
+                expected="bodies that are apart or touch",
+                hint="move one of them",
+            )
+
+
+def _is_pattern(name: str) -> bool:
+    return any(mark in name for mark in "*?[")
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return name == pattern or fnmatchcase(name, pattern)

@@ -1,0 +1,270 @@
+"""Shapes: the geometry of a body, in the body's own frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import hypot, pi
+from typing import final
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.decomposition import Piece, convex_pieces, is_convex
+from fixel.model.fields import Comparable, FloatArray, frozen, positive, settle, table
+
+# Share of the size of a polygon below which two points are one, and a vertex lies on a straight
+# edge. Larger values eat detail of finely digitised outlines.
+COINCIDENT = 1e-12
+
+# Corners of the polygon that stands for a disk in drawings.
+DRAWN_CORNERS = 64
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Polygon(Comparable):
+    """A simple polygon, convex or not.
+
+    Parameters
+    ----------
+    vertices : (n, 2) array_like
+        Corners in order, in the frame of the shape [m], either orientation. Clockwise ones are
+        turned round; repeated vertices and vertices on a straight edge are taken out.
+
+    Attributes
+    ----------
+    area : float
+        [m^2].
+    centroid : (2,) float64
+        In the frame of the shape [m].
+    unit_inertia : float
+        Polar second moment of area about the centroid, divided by the area [m^2]; times the mass it
+        is the moment of inertia of a uniform body.
+    is_convex : bool
+        Whether it turns left at every vertex.
+    pieces : tuple of ((k, 2) float64, (k,) bool)
+        Convex counter-clockwise pieces [m] with a flag per edge, from vertex k to k + 1: whether it
+        lies on the outline. One piece if convex.
+    radius : float
+        Largest distance of a vertex from the origin of the frame [m].
+
+    Raises
+    ------
+    InvalidInput
+        Fewer than three corners, a number that is not finite, no area, or an outline that crosses
+        or touches itself.
+    """
+
+    vertices: FloatArray
+    area: float = field(init=False, repr=False, compare=False)
+    centroid: FloatArray = field(init=False, repr=False, compare=False)
+    unit_inertia: float = field(init=False, repr=False, compare=False)
+    is_convex: bool = field(init=False, repr=False, compare=False)
+    pieces: tuple[Piece, ...] = field(init=False, repr=False, compare=False)
+    radius: float = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        vertices = _simple_outline(table(self.vertices, "polygon", "x [m], y [m]"))
+        area, centroid, unit_inertia = _area_moments(vertices)
+        settle(
+            self,
+            vertices=vertices,
+            area=area,
+            centroid=frozen(centroid),
+            unit_inertia=unit_inertia,
+            is_convex=is_convex(vertices),
+            pieces=convex_pieces(vertices),
+            radius=float(np.hypot(*vertices.T).max()),
+        )
+
+    @property
+    def outline(self) -> FloatArray:
+        """(n, 2) corners, counter-clockwise, in the frame of the shape [m]."""
+        return self.vertices
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Disk(Comparable):
+    """A round disk about the origin of its frame.
+
+    Contacts treat it as exactly round; `outline` and `pieces` hold a 64-gon, for drawing only.
+
+    Parameters
+    ----------
+    radius : float
+        [m].
+
+    Attributes
+    ----------
+    area, centroid, unit_inertia, is_convex, pieces
+        As for `Polygon`.
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        settle(self, radius=positive(self.radius, "disk", "m"))
+
+    @property
+    def area(self) -> float:
+        """[m^2]."""
+        return pi * self.radius**2
+
+    @property
+    def centroid(self) -> FloatArray:
+        """(2,) the origin [m]."""
+        return frozen(np.zeros(2))
+
+    @property
+    def unit_inertia(self) -> float:
+        """Polar second moment of area about the centre, divided by the area [m^2]."""
+        return 0.5 * self.radius**2
+
+    @property
+    def is_convex(self) -> bool:
+        """Always."""
+        return True
+
+    @property
+    def outline(self) -> FloatArray:
+        """(64, 2) corners on the circle, counter-clockwise [m]."""
+        angle = np.arange(DRAWN_CORNERS) * (2.0 * pi / DRAWN_CORNERS)
+        return frozen(self.radius * np.column_stack((np.cos(angle), np.sin(angle))))
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """The outline as one piece."""
+        return convex_pieces(self.outline)
+
+
+Shape = Polygon | Disk
+
+
+def placed(points: ArrayLike, pose: ArrayLike) -> FloatArray:
+    """Points of a frame, seen in the frame that holds its pose.
+
+    Parameters
+    ----------
+    points : (..., 2) array_like
+        In the inner frame [m].
+    pose : (3,) array_like
+        Of the inner frame in the outer one [m, m, rad].
+
+    Returns
+    -------
+    (..., 2) float64
+        In the outer frame [m].
+    """
+    x, y, angle = np.asarray(pose, dtype=np.float64)
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.asarray(points, dtype=np.float64) @ np.array([[c, s], [-s, c]])
+    return np.asarray(turned + np.array([x, y]))
+
+
+def _simple_outline(given: FloatArray) -> FloatArray:
+    vertices = _without_repeats(given)
+    if len(vertices) < 3:
+        raise InvalidInput(
+            "polygon",
+            found=f"{len(vertices)} distinct vertices",
+            expected="at least 3 vertices",
+        )
+    size = float(np.ptp(vertices, axis=0).max())
+    scaled = (vertices - vertices.mean(axis=0)) / size
+    if shapely.MultiPoint(scaled).convex_hull.area <= COINCIDENT:
+        raise InvalidInput(
+            "polygon",
+            found="zero area: all vertices on one line",
+            expected="a polygon with an inside",
+        )
+    _refuse_self_contact(scaled, vertices)
+    vertices = _without_straight_corners(vertices, size)
+    doubled = _doubled_area(vertices)
+    if abs(doubled) <= COINCIDENT * size**2:
+        raise InvalidInput(
+            "polygon",
+            found=f"an area of {abs(doubled) / 2:g} m^2",
+            expected="a polygon with an inside",
+        )
+    return frozen(vertices if doubled > 0.0 else vertices[::-1])
+
+
+def _without_repeats(vertices: FloatArray) -> FloatArray:
+    size = float(np.ptp(vertices, axis=0).max())
+    kept: list[FloatArray] = []
+    for vertex in vertices:
+        if not kept or np.abs(vertex - kept[-1]).max() > COINCIDENT * size:
+            kept.append(vertex)
+    while len(kept) > 1 and np.abs(kept[0] - kept[-1]).max() <= COINCIDENT * size:
+        kept.pop()
+    return np.array(kept)
+
+
+def _without_straight_corners(vertices: FloatArray, size: float) -> FloatArray:
+    while True:
+        before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
+        chord = after - before
+        offset = vertices - before
+        height = np.abs(chord[:, 0] * offset[:, 1] - chord[:, 1] * offset[:, 0])
+        straight = height <= COINCIDENT * size * np.hypot(*chord.T)
+        straight &= ~np.roll(straight, 1)  # neighbours one at a time
+        if not straight.any() or len(vertices) == 3:
+            return vertices
+        vertices = vertices[~straight]
+
+
+def _refuse_self_contact(scaled: FloatArray, vertices: FloatArray) -> None:
+    outline = shapely.Polygon(scaled)
+    if outline.is_valid:
+        return
+    crossing = _crossing_edges(scaled)
+    found = "an outline that crosses or touches itself"
+    if crossing is not None:
+        first, second = crossing
+        n = len(vertices)
+        found += (
+            f": the edge from vertex {first} to {(first + 1) % n}"
+            f" meets the edge from vertex {second} to {(second + 1) % n}"
+        )
+    raise InvalidInput(
+        "polygon",
+        found=found,
+        expected="a simple polygon",
+        hint="list the corners in the order one walks round the outline",
+    )
+
+
+def _crossing_edges(vertices: FloatArray) -> tuple[int, int] | None:
+    """Numbers of the first two edges that meet, for neighbours: along a length."""
+    n = len(vertices)
+    edges = shapely.linestrings(np.stack((vertices, np.roll(vertices, -1, axis=0)), axis=1))
+    tree = shapely.STRtree(edges)
+    pairs = np.sort(tree.query(edges, predicate="intersects").T, axis=1)
+    for first, second in np.unique(pairs, axis=0).tolist():
+        neighbours = (second - first) in (1, n - 1)
+        if first == second:
+            continue
+        if not neighbours or shapely.intersection(edges[first], edges[second]).length > 0.0:
+            return first, second
+    return None
+
+
+def _doubled_area(vertices: FloatArray) -> float:
+    x, y = (vertices - vertices[0]).T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _area_moments(vertices: FloatArray) -> tuple[float, FloatArray, float]:
+    """Area [m^2], centroid [m] and polar second moment about it over the area [m^2]."""
+    origin = vertices.mean(axis=0)
+    p = vertices - origin
+    q = np.roll(p, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    area = 0.5 * float(cross.sum())
+    centre = ((p + q) * cross[:, None]).sum(axis=0) / (6.0 * area)
+    squares = (p * p + p * q + q * q).sum(axis=1)
+    about_origin = float((squares * cross).sum()) / (12.0 * area)
+    return area, origin + centre, about_origin - hypot(*centre) ** 2

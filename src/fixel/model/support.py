@@ -1,0 +1,294 @@
+"""How a body rests on the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import (
+    Comparable,
+    FloatArray,
+    finite,
+    frozen,
+    non_negative,
+    positive,
+    settle,
+    table,
+    vector,
+)
+from fixel.model.quadrature import cells
+from fixel.model.shape import Shape
+
+# Share of the weight below which a negative load is rounding and becomes zero.
+LOAD_ROUNDING = 1e-12
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tripod(Comparable):
+    """Three equal support points, equilateral about the centre of mass.
+
+    Parameters
+    ----------
+    radius : float
+        Distance of the points from the centre of mass [m].
+    friction : float
+        Coefficient against the plane [-].
+    angle : float
+        Of the first point, from the body's x axis [rad].
+    """
+
+    radius: float
+    friction: float
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            radius=positive(self.radius, "tripod.radius", "m"),
+            friction=non_negative(self.friction, "tripod.friction"),
+            angle=finite(self.angle, "tripod.angle", "rad"),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SupportPoints(Comparable):
+    """Support at given points.
+
+    Three points carry what the balance out of the plane says. Otherwise loads are given, or equal.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        In the frame of the shape [m].
+    friction : float or (n,) array_like
+        Coefficients against the plane [-].
+    loads : (n,) array_like, optional
+        Normal force at each point [N]; left out with three points.
+    """
+
+    points: FloatArray
+    friction: float | FloatArray
+    loads: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        points = table(self.points, "points.at", "x [m], y [m]")
+        friction = self.friction
+        if np.ndim(friction) == 0:
+            friction = non_negative(friction, "points.friction")
+        else:
+            friction = _one_per_point(friction, len(points), "points.friction", "coefficient")
+        loads = self.loads
+        if loads is not None:
+            loads = _one_per_point(loads, len(points), "points.loads", "load [N]")
+            _refuse_loads(loads)
+        settle(self, points=points, friction=friction, loads=loads)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UniformPressure(Comparable):
+    """Even pressure over the footprint, as quadrature points.
+
+    A centre of mass away from the centroid tilts the pressure linearly until the balance holds.
+
+    Parameters
+    ----------
+    friction : float
+        Coefficient against the plane [-].
+    n_points : int
+        About how many points stand for the footprint; the next count that fits the shape is used.
+    """
+
+    friction: float
+    n_points: int = 64
+
+    def __post_init__(self) -> None:
+        n_points = finite(self.n_points, "uniform.n_points")
+        if n_points != int(n_points) or not 3 <= n_points <= 100_000:
+            raise InvalidInput(
+                "uniform.n_points", found=self.n_points, expected="a whole number from 3 to 100000"
+            )
+        settle(
+            self,
+            friction=non_negative(self.friction, "uniform.friction"),
+            n_points=int(n_points),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ellipsoid(Comparable):
+    """Ellipsoidal limit surface; choose points where the pressure is known.
+
+    Parameters
+    ----------
+    force : float
+        Largest friction force, sliding without rotation [N].
+    torque : float
+        Largest friction torque, rotating about the centre [N m].
+    centre : (2,) array_like
+        Centre of friction in the frame of the shape [m].
+    """
+
+    force: float
+    torque: float
+    centre: FloatArray = (0.0, 0.0)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            force=positive(self.force, "ellipsoid.force", "N"),
+            torque=positive(self.torque, "ellipsoid.torque", "N m"),
+            centre=vector(self.centre, "ellipsoid.centre", "x [m], y [m]"),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoSupport(Comparable):
+    """No friction with the plane."""
+
+
+Support = Tripod | SupportPoints | UniformPressure | Ellipsoid | NoSupport
+
+
+def support_points(
+    support: Support, shape: Shape, centre_of_mass: ArrayLike, mass: float, gravity: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where a body presses on the plane, and how hard.
+
+    Parameters
+    ----------
+    support : Support
+        Any but `Ellipsoid`, which has no points; `NoSupport` answers with empty arrays.
+    shape : Shape
+        Footprint.
+    centre_of_mass : (2,) array_like
+        In the frame of the shape [m].
+    mass : float
+        [kg].
+    gravity : float
+        [m/s^2].
+
+    Returns
+    -------
+    points : (n, 2) float64
+        Relative to the centre of mass, body axes [m].
+    loads : (n,) float64
+        Normal force at each point [N].
+    friction : (n,) float64
+        Coefficient at each point [-].
+
+    Raises
+    ------
+    InvalidInput
+        A centre of mass the support cannot carry, or an `Ellipsoid`.
+    """
+    com = np.asarray(centre_of_mass, dtype=np.float64)
+    weight = mass * gravity
+    friction: float | FloatArray
+    if isinstance(support, Tripod):
+        angle = support.angle + np.arange(3) * (2.0 * pi / 3.0)
+        points = support.radius * np.column_stack((np.cos(angle), np.sin(angle)))
+        loads = np.full(3, weight / 3.0)
+        friction = support.friction
+    elif isinstance(support, SupportPoints):
+        points = support.points - com
+        loads = _point_loads(support, points, com, weight)
+        friction = support.friction
+    elif isinstance(support, UniformPressure):
+        points, share = cells(shape, support.n_points)
+        points = points - com
+        loads = weight * _tilted(share, points, com)
+        friction = support.friction
+    elif isinstance(support, NoSupport):
+        points, loads, friction = np.zeros((0, 2)), np.zeros(0), 0.0
+    else:
+        raise InvalidInput(
+            "support",
+            found=type(support).__name__,
+            expected="Tripod, SupportPoints, UniformPressure or NoSupport",
+            hint="an ellipsoidal limit surface has no points",
+        )
+    return frozen(points), frozen(loads), frozen(np.broadcast_to(friction, loads.shape))
+
+
+def _point_loads(
+    support: SupportPoints, points: FloatArray, com: FloatArray, weight: float
+) -> FloatArray:
+    if support.loads is not None:
+        return support.loads
+    n = len(points)
+    if n != 3:
+        return np.full(n, weight / n)
+    return weight * _barycentric(points, com)
+
+
+def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
+    """Shares of three points in a weight at the origin; refused when one would pull."""
+    size = float(np.ptp(points, axis=0).max())
+    balance = np.vstack((points.T / size if size > 0.0 else points.T, np.ones(3)))
+    if abs(np.linalg.det(balance)) < 1e-9:
+        raise InvalidInput(
+            "support.points.at",
+            found="three points on one line",
+            expected="a triangle",
+            hint="give more points, or move one",
+        )
+    share = np.linalg.solve(balance, np.array([0.0, 0.0, 1.0]))
+    if share.min() < -LOAD_ROUNDING:
+        weights = ", ".join(f"{s:.4g}" for s in share)
+        raise InvalidInput(
+            "support.points.at",
+            found=f"the centre of mass ({com[0]:g}, {com[1]:g}) outside the support triangle"
+            f" (barycentric weights {weights})",
+            expected="weights of at least 0",
+            hint="the body would tip over: move a point, or the centre of mass",
+        )
+    return np.maximum(share, 0.0)
+
+
+def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArray:
+    """Shares of the weight under p0 (1 + a . r), with a such that their centre is the origin."""
+    centroid = share @ points
+    r = points - centroid
+    tilt = np.linalg.solve((share[:, None] * r).T @ r, -centroid)
+    tilted = share * (1.0 + r @ tilt)
+    if tilted.min() < -LOAD_ROUNDING:
+        x, y = -centroid
+        raise InvalidInput(
+            "support.uniform",
+            found=f"a centre of mass at ({com[0]:g}, {com[1]:g}),"
+            f" ({x:g}, {y:g}) m from the centroid: the pressure would be negative at one end",
+            expected="a centre of mass nearer to the centroid",
+            hint="give support points instead",
+        )
+    return np.maximum(tilted, 0.0)
+
+
+def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArray:
+    row = np.asarray(value)
+    if row.shape != (n,) or row.dtype.kind not in "iuf":
+        raise InvalidInput(
+            where, found=f"{row.size} values", expected=f"one {what} for each of the {n} points"
+        )
+    return frozen([non_negative(x, f"{where}[{k}]") for k, x in enumerate(row.tolist())])
+
+
+def _refuse_loads(loads: FloatArray) -> None:
+    if len(loads) == 3:
+        raise InvalidInput(
+            "points.loads",
+            found="loads for three points",
+            expected="nothing: the balance out of the plane gives them",
+            hint="leave loads out, or split one point into two",
+        )
+    if loads.sum() <= 0.0:
+        raise InvalidInput("points.loads", found="only zeros", expected="at least one load above 0")

@@ -1,0 +1,92 @@
+"""Poses against time, measured or computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import Comparable, FloatArray, frozen, settle, table
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trajectory(Comparable):
+    """Pose of one body against time.
+
+    Parameters
+    ----------
+    time : (n,) array_like
+        Increasing [s].
+    pose : (n, 3) array_like
+        In the world [m, m, rad]; angles may wrap.
+    """
+
+    time: FloatArray
+    pose: FloatArray
+
+    def __post_init__(self) -> None:
+        pose = table(self.pose, "trajectory.pose", "x [m], y [m], angle [rad]")
+        time = np.asarray(self.time)
+        if time.shape != (len(pose),) or time.dtype.kind not in "iuf":
+            raise InvalidInput(
+                "trajectory.time",
+                found=f"an array of shape {time.shape}",
+                expected=f"one instant for each of the {len(pose)} poses",
+            )
+        time = frozen(time)
+        if not (np.isfinite(time).all() and (np.diff(time) > 0.0).all()):
+            raise InvalidInput(
+                "trajectory.time",
+                found="instants that do not increase",
+                expected="finite, increasing instants [s]",
+            )
+        settle(self, time=time, pose=pose)
+
+    def at(self, time: ArrayLike) -> FloatArray:
+        """(..., 3) poses at instants (...) [s]: linear, angles the short way; the ends go on."""
+        x, y, angle = self.pose.T
+        instants = np.asarray(time, dtype=np.float64)
+        columns = (x, y, np.unwrap(angle))
+        return np.stack([np.interp(instants, self.time, column) for column in columns], axis=-1)
+
+    def resampled(self, time: ArrayLike) -> Trajectory:
+        """The trajectory at other instants (n,) [s]."""
+        instants = np.asarray(time, dtype=np.float64)
+        return Trajectory(time=instants, pose=self.at(instants))
+
+    def position_rms(self, other: Trajectory) -> float:
+        """Root mean square distance to another trajectory, at the instants of this one [m]."""
+        position, _ = pose_error(self.pose, other.at(self.time))
+        return float(np.sqrt(np.mean(position**2)))
+
+
+def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """How far poses lie apart.
+
+    Parameters
+    ----------
+    a, b : (..., 3) array_like
+        Poses [m, m, rad].
+
+    Returns
+    -------
+    position : (...) float64
+        Distance [m].
+    angle : (...) float64
+        From b to a, the short way, in [-pi, pi) [rad].
+    """
+    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
+    return np.hypot(difference[..., 0], difference[..., 1]), wrapped(difference[..., 2])
+
+
+def wrapped(angle: ArrayLike) -> FloatArray:
+    """Angles brought into [-pi, pi) [rad]; those already there are left bitwise alone."""
+    given = np.asarray(angle, dtype=np.float64)
+    turned = np.mod(given + pi, 2.0 * pi) - pi
+    inside = (given >= -pi) & (given < pi)
+    return np.where(inside, given, np.where(turned < pi, turned, -pi))
