@@ -53,6 +53,11 @@ def kernel(function: Function) -> Function:
     return cast(Function, njit(_nrt=False, forceinline=True, **_FLAGS)(function))
 
 
+def large_kernel(function: Function) -> Function:
+    """As `kernel`, but compiled once and called: for long functions that are called once a step at most."""
+    return cast(Function, njit(_nrt=False, **_FLAGS)(function))
+
+
 def allocating_kernel(function: Function) -> Function:
     """Compile a helper that allocates arrays: once a rollout, never in a step."""
     return cast(Function, njit(**_FLAGS)(function))

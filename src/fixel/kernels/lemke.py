@@ -1,0 +1,632 @@
+"""Lemke's method: exact pivots on problems whose friction is made of straight lines.
+
+`lemke` solves any linear complementarity problem 0 <= z _|_ M z + q >= 0 or says that it ended on a ray.
+`solve_linear_form` writes the step problem in that form (polygons and intervals of friction impulses, the
+velocities eliminated), solves it and puts the answer back:
+
+    A = [ W_n'D^-1 W_n  W_n'D^-1 W_f  0 ]      z = (p_n, p_f, s)
+        [ W_f'D^-1 W_n  W_f'D^-1 W_f  E ]      D inertia, W rows of the impulses, U friction coefficients,
+        [ U             -E'           0 ]      s slip speeds
+
+Blocks with little inertia of their own (quasi-static bodies, drives) are given some, and pulled towards where
+they were one solve before: a proximal-point iteration, as in gauss_seidel.py.
+
+Source: Cottle, Pang & Stone (1992), sections 4.4 (the method) and 4.9 (the lexicographic rule);
+Stewart & Trinkle (1996) and Anitescu & Potra (1997) for the form and why the method ends at a solution;
+Rockafellar (1976) for the proximal pull.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray, IntArray, Problem, Workspace
+from fixel.kernels.jit import allocating_kernel, kernel, large_kernel
+
+# How a solve ended.
+SOLVED: Final = 0
+RAY: Final = 1  # ended on a ray: no solution, if M is copositive-plus; otherwise nothing is proven
+MAX_PIVOTS: Final = 2
+INACCURATE: Final = 3  # a basis was found, but rounding spoiled it
+NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
+NO_ROOM: Final = 5  # the tableau has too few rows
+UNSETTLED: Final = 6  # the proximal iteration did not come to rest
+
+ACCURACY = 1e-10  # natural-map residual, relative to the largest |q| (at least 1), of every SOLVED answer
+PIVOT = 1e-11  # of the largest entry of a column: below it an entry is no pivot
+TIE = 1e-13  # of the size of the numbers compared: ratios this close are tied, and broken lexicographically
+PULL = 1e-2  # of the stiffness: proximal mass; small settles sooner, smaller yet spoils the last digits
+MAX_PULLS = 100
+SETTLED = 1e-12  # impulse left in the proximal pull
+
+
+class Tableau(NamedTuple):
+    """Problem, answer and scratch of Lemke's method, with room for n rows; `allocate_tableau` makes one."""
+
+    matrix: FloatArray  # (n, n) M; kept
+    vector: FloatArray  # (n,) q; kept
+    answer: FloatArray  # (n,) z; out
+    trial: FloatArray  # (n,)
+    table: FloatArray  # (n, n + 2) columns of the variables out of the basis, then the right side
+    where: IntArray  # (2 n + 1,) of w, z and the artificial variable: column, or -1 - row if in the basis
+    row_label: IntArray  # (n,) variable in the basis
+    column_label: IntArray  # (n + 1,) variable of each column
+    active: IntArray  # (n,) which z are in the basis at the end
+    order: IntArray  # (n,) rows exchanged by the refinement
+    lever: FloatArray  # (n, 6) row of each impulse in the velocities, three columns a block
+    block: IntArray  # (n, 2) first degree of freedom of these blocks, -1 for none
+    bias: FloatArray  # (n,) velocity of a row at rest; limit of a slip row
+    scale: FloatArray  # (n,) unit of each unknown
+
+
+@allocating_kernel
+def allocate_tableau(n: int) -> Tableau:
+    """Tableau with room for n rows; `tableau_size` counts those of a step."""
+    return Tableau(
+        matrix=np.zeros((n, n)),
+        vector=np.zeros(n),
+        answer=np.zeros(n),
+        trial=np.zeros(n),
+        table=np.zeros((n, n + 2)),
+        where=np.zeros(2 * n + 1, np.int64),
+        row_label=np.zeros(n, np.int64),
+        column_label=np.zeros(n + 1, np.int64),
+        active=np.zeros(n, np.int64),
+        order=np.zeros(n, np.int64),
+        lever=np.zeros((n, 6)),
+        block=np.zeros((n, 2), np.int64),
+        bias=np.zeros(n),
+        scale=np.zeros(n),
+    )
+
+
+# --- the method ------------------------------------------------------------------------------------------
+
+
+@large_kernel
+def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
+    """Solve 0 <= z _|_ M z + q >= 0; returns SOLVED, RAY, MAX_PIVOTS or INACCURATE.
+
+    Parameters
+    ----------
+    tableau : Tableau
+        In: the first n rows (and columns) of `matrix` and `vector`. Out: the first n of `answer`, with a
+        natural-map residual within `ACCURACY` where SOLVED is returned, and zero where it is not.
+    n : int
+        Size of the problem.
+    max_pivots : int
+        Each costs about n^2 multiplications; n to 2 n of them are the rule.
+
+    Notes
+    -----
+    The covering vector is all ones. The table keeps w + T x = rhs for the variables x out of the basis, so
+    that the columns of w, which the lexicographic rule compares, are either in the table or unit columns.
+
+    Source: Cottle, Pang & Stone (1992), algorithms 4.4.1 and 4.9.3.
+    """
+    for i in range(n):
+        tableau.answer[i] = 0.0
+        tableau.active[i] = 0
+    worst = _most_negative(tableau, n)
+    if worst < 0:
+        return SOLVED if _is_solved(tableau, tableau.answer, n) else INACCURATE
+    _fill_table(tableau, n)
+    artificial = 2 * n
+    _exchange(tableau, n, worst, n)
+    entering = n + worst
+    for _ in range(max_pivots):
+        column = tableau.where[entering]
+        row = _leaving_row(tableau, n, column)
+        if row < 0:
+            return RAY
+        leaving = tableau.row_label[row]
+        _exchange(tableau, n, row, column)
+        if leaving == artificial:
+            return SOLVED if _finish(tableau, n) else INACCURATE
+        entering = leaving + n if leaving < n else leaving - n
+    return MAX_PIVOTS
+
+
+@kernel
+def _most_negative(tableau: Tableau, n: int) -> int:
+    """Row of the least q, the last of equals (lexicographically the least); -1 where none is negative."""
+    row = -1
+    least = 0.0
+    for i in range(n):
+        if tableau.vector[i] < 0.0 and tableau.vector[i] <= least:
+            least = tableau.vector[i]
+            row = i
+    return row
+
+
+@kernel
+def _fill_table(tableau: Tableau, n: int) -> None:
+    """The first table: every w in the basis, every z and the artificial variable out of it."""
+    for i in range(n):
+        for j in range(n):
+            tableau.table[i, j] = -tableau.matrix[i, j]
+        tableau.table[i, n] = -1.0
+        tableau.table[i, n + 1] = tableau.vector[i]
+        tableau.row_label[i] = i
+        tableau.column_label[i] = n + i
+        tableau.where[i] = -1 - i
+        tableau.where[n + i] = i
+    tableau.column_label[n] = 2 * n
+    tableau.where[2 * n] = n
+
+
+@kernel
+def _exchange(tableau: Tableau, n: int, row: int, column: int) -> None:
+    """Pivot: the variable of `column` enters the basis in `row`, the one there leaves."""
+    table = tableau.table
+    pivot = table[row, column]
+    table[row, column] = 1.0
+    for j in range(n + 2):
+        table[row, j] /= pivot
+    for i in range(n):
+        factor = table[i, column]
+        if i == row or factor == 0.0:
+            continue
+        table[i, column] = 0.0
+        for j in range(n + 2):
+            table[i, j] -= factor * table[row, j]
+    entering = tableau.column_label[column]
+    leaving = tableau.row_label[row]
+    tableau.row_label[row] = entering
+    tableau.column_label[column] = leaving
+    tableau.where[entering] = -1 - row
+    tableau.where[leaving] = column
+
+
+@kernel
+def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
+    """Row of the lexicographically least ratio; -1 for none, which is a ray.
+
+    The artificial variable leaves as soon as it may: a tie with it is a solution.
+    """
+    table = tableau.table
+    largest = 0.0
+    size = 0.0
+    for i in range(n):
+        largest = max(largest, abs(table[i, column]))
+        size = max(size, abs(table[i, n + 1]))
+    best = -1
+    for i in range(n):
+        if not table[i, column] > PIVOT * largest:
+            continue
+        if best < 0:
+            best = i
+            continue
+        # Ratios compared crosswise; below zero there is only rounding.
+        a = table[i, column]
+        b = table[best, column]
+        ahead = max(0.0, table[i, n + 1]) * b - max(0.0, table[best, n + 1]) * a
+        if abs(ahead) > TIE * size * (a + b):
+            if ahead < 0.0:
+                best = i
+        elif tableau.row_label[best] != 2 * n and (
+            tableau.row_label[i] == 2 * n or _is_before(tableau, n, column, i, best)
+        ):
+            best = i
+    return best
+
+
+@kernel
+def _is_before(tableau: Tableau, n: int, column: int, i: int, j: int) -> bool:
+    """Whether row i is lexicographically less than row j, each divided by its entry in `column`."""
+    table = tableau.table
+    a = table[i, column]
+    b = table[j, column]
+    for k in range(n):
+        place = tableau.where[k]
+        if place >= 0:
+            x = table[i, place]
+            y = table[j, place]
+        else:
+            x = 1.0 if place == -1 - i else 0.0
+            y = 1.0 if place == -1 - j else 0.0
+        ahead = x * b - y * a
+        if abs(ahead) > TIE * (a + b) * max(1.0, abs(x), abs(y)):
+            return ahead < 0.0
+    return False
+
+
+@kernel
+def _finish(tableau: Tableau, n: int) -> bool:
+    """Read the answer off the table, then solve its basis again from the original data."""
+    for i in range(n):
+        z = tableau.row_label[i] - n
+        if z >= 0:
+            tableau.active[z] = 1
+            tableau.answer[z] = max(0.0, tableau.table[i, n + 1])
+    if resolve(tableau, n):
+        return True
+    # A nearly singular basis: the table's own answer may still be the better one.
+    return _is_solved(tableau, tableau.answer, n)
+
+
+@kernel
+def resolve(tableau: Tableau, n: int) -> bool:
+    """Solve M z + q = 0 on the z that `active` names, by elimination; `answer` is set only if that solves it.
+
+    One step of iterative refinement follows. O(k^3) for k active unknowns.
+    """
+    order = tableau.order
+    table = tableau.table
+    k = 0
+    for i in range(n):
+        tableau.trial[i] = 0.0
+        if tableau.active[i] == 1:
+            tableau.column_label[k] = i
+            k += 1
+    for i in range(k):
+        order[i] = tableau.column_label[i]
+        for j in range(k):
+            table[i, j] = tableau.matrix[order[i], tableau.column_label[j]]
+    if not _factor(table, order, k):
+        return False
+    for _ in range(2):
+        for i in range(k):
+            table[i, n + 1] = -tableau.vector[order[i]]
+            for j in range(k):
+                z = tableau.column_label[j]
+                table[i, n + 1] -= tableau.matrix[order[i], z] * tableau.trial[z]
+        _substitute(table, k, n + 1)
+        for j in range(k):
+            tableau.trial[tableau.column_label[j]] += table[j, n + 1]
+    for i in range(n):
+        tableau.trial[i] = max(0.0, tableau.trial[i])
+    if not _is_solved(tableau, tableau.trial, n):
+        return False
+    for i in range(n):
+        tableau.answer[i] = tableau.trial[i]
+    return True
+
+
+@kernel
+def _factor(table: FloatArray, order: IntArray, k: int) -> bool:
+    """LU factors of the leading k by k block in place, rows exchanged as `order` tells; False if singular."""
+    for p in range(k):
+        best = p
+        for i in range(p + 1, k):
+            if abs(table[i, p]) > abs(table[best, p]):
+                best = i
+        if not abs(table[best, p]) > 0.0:
+            return False
+        if best != p:
+            order[p], order[best] = order[best], order[p]
+            for j in range(k):
+                table[p, j], table[best, j] = table[best, j], table[p, j]
+        for i in range(p + 1, k):
+            factor = table[i, p] / table[p, p]
+            table[i, p] = factor
+            if factor != 0.0:
+                for j in range(p + 1, k):
+                    table[i, j] -= factor * table[p, j]
+    return True
+
+
+@kernel
+def _substitute(table: FloatArray, k: int, column: int) -> None:
+    """Solve with the factors in place, for the right side in `column`."""
+    for i in range(k):
+        for j in range(i):
+            table[i, column] -= table[i, j] * table[j, column]
+    for i in range(k - 1, -1, -1):
+        for j in range(i + 1, k):
+            table[i, column] -= table[i, j] * table[j, column]
+        table[i, column] /= table[i, i]
+
+
+@kernel
+def _is_solved(tableau: Tableau, z: FloatArray, n: int) -> bool:
+    """Whether the natural map min(z, M z + q) vanishes within `ACCURACY`."""
+    size = 1.0
+    for i in range(n):
+        size = max(size, abs(tableau.vector[i]))
+    for i in range(n):
+        w = tableau.vector[i]
+        for j in range(n):
+            w += tableau.matrix[i, j] * z[j]
+        # Written so that NaN is no solution.
+        if not (math.isfinite(w + z[i]) and abs(min(z[i], w)) <= ACCURACY * size):
+            return False
+    return True
+
+
+# --- the step problem ------------------------------------------------------------------------------------
+
+
+@kernel
+def tableau_size(problem: Problem, sides_for_discs: int) -> int:
+    """Rows of the linear form of the present step; -1 where it has none."""
+    rows = 4 * problem.size[1]
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        if m == 0:
+            return -1
+        rows += m + 1
+    return int(rows)
+
+
+@kernel
+def _directions(problem: Problem, e: int, sides_for_discs: int) -> int:
+    """Directions that span the impulses of element e; 0 where they cannot."""
+    row = problem.element_row
+    if row[e, 2, 0] != 0.0 or row[e, 2, 1] != 0.0 or row[e, 2, 2] != 0.0:
+        return 0
+    if problem.element_sides[e] > 0:
+        return int(problem.element_sides[e])
+    if row[e, 1, 0] == 0.0 and row[e, 1, 1] == 0.0 and row[e, 1, 2] == 0.0:
+        return 2
+    return sides_for_discs
+
+
+@large_kernel
+def solve_linear_form(
+    problem: Problem, work: Workspace, tableau: Tableau, sides_for_discs: int, max_pivots: int
+) -> int:
+    """Solve a step whose friction is polygons and intervals; returns one of the codes above.
+
+    Parameters
+    ----------
+    problem : Problem
+        In: `velocity` holds the guess, from which blocks without inertia are pulled. Out: `velocity`,
+        `impulse` and `element_impulse`, where SOLVED or UNSETTLED is returned.
+    work : Workspace
+        `inverse`, `pull`, `centre` and `right` are used.
+    tableau : Tableau
+        With room for `tableau_size` rows.
+    sides_for_discs : int
+        Sides of the polygon that stands in for an exact disc, whose answer is then a starting point for
+        another solver; 0 refuses discs with NOT_LINEAR.
+    max_pivots : int
+        Of each call of `lemke`.
+
+    Source: Stewart & Trinkle (1996), condensed; Anitescu & Potra (1997), theorem 3.1.
+    """
+    n = tableau_size(problem, sides_for_discs)
+    if n < 0:
+        return NOT_LINEAR
+    if n > tableau.vector.size:
+        return NO_ROOM
+    _invert_blocks(problem, work)
+    _write_rows(problem, tableau, sides_for_discs)
+    _write_matrix(problem, work, tableau, n, sides_for_discs)
+    for attempt in range(MAX_PULLS):
+        _write_vector(problem, work, tableau, n)
+        # Between pulls only q changes, and soon the basis does not: try the last one first.
+        if attempt == 0 or not resolve(tableau, n):
+            code = lemke(tableau, n, max_pivots)
+            if code != SOLVED:
+                return code
+        _read_impulses(problem, tableau, sides_for_discs)
+        if _read_velocity(problem, work, tableau, n) <= SETTLED:
+            return SOLVED
+    return UNSETTLED
+
+
+@kernel
+def _invert_blocks(problem: Problem, work: Workspace) -> None:
+    """Proximal mass of every degree of freedom, and the inverse of every block that has it."""
+    n_free = problem.size[3]
+    d = problem.inertia
+    for o in range(problem.size[0]):
+        own = d[o, o % 3] if o < n_free else d[o, 0]
+        heavy = own > PULL * problem.stiffness[o]
+        work.pull[o] = 0.0 if heavy else PULL * problem.stiffness[o]
+        work.centre[o] = problem.velocity[o]
+    block = work.matrix
+    for o in range(0, n_free, 3):
+        for i in range(3):
+            for j in range(3):
+                block[i, j] = d[o + i, j]
+            block[i, i] += work.pull[o + i]
+        for i in range(3):
+            # Cofactors, in cyclic order so that no sign is needed.
+            p = (i + 1) % 3
+            q = (i + 2) % 3
+            for j in range(3):
+                a = (j + 1) % 3
+                b = (j + 2) % 3
+                work.inverse[o + j, i] = block[p, a] * block[q, b] - block[p, b] * block[q, a]
+        determinant = 0.0
+        for j in range(3):
+            determinant += block[0, j] * work.inverse[o + j, 0]
+        for i in range(3):
+            for j in range(3):
+                work.inverse[o + i, j] /= determinant
+    for o in range(n_free, problem.size[0]):
+        work.inverse[o, 0] = 1.0 / (d[o, 0] + work.pull[o])
+        work.inverse[o, 1] = 0.0
+        work.inverse[o, 2] = 0.0
+
+
+@kernel
+def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
+    """Lever, block and bias of every row: normal, two tangents, slip; or directions of an element, slip."""
+    for i in range(problem.size[1]):
+        r = 4 * i
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            for k in range(3 * side, 3 * side + 3):
+                tableau.lever[r, k] = problem.normal[i, k]
+                tableau.lever[r + 1, k] = problem.tangent[i, k]
+                tableau.lever[r + 2, k] = -problem.tangent[i, k]
+            for j in range(3):
+                tableau.block[r + j, side] = o
+            tableau.block[r + 3, side] = -1
+        tableau.bias[r] = problem.bias[i, 0]
+        tableau.bias[r + 1] = problem.bias[i, 1]
+        tableau.bias[r + 2] = -problem.bias[i, 1]
+        tableau.bias[r + 3] = 0.0
+    r = 4 * problem.size[1]
+    row = problem.element_row
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        for j in range(m):
+            c = math.cos(2.0 * math.pi * j / m)
+            s = math.sin(2.0 * math.pi * j / m)
+            for k in range(3):
+                tableau.lever[r, k] = c * row[e, 0, k] + s * row[e, 1, k]
+                tableau.lever[r, 3 + k] = 0.0
+            tableau.bias[r] = c * problem.element_bias[e, 0] + s * problem.element_bias[e, 1]
+            tableau.block[r, 0] = problem.element_dof[e]
+            tableau.block[r, 1] = -1
+            r += 1
+        tableau.bias[r] = problem.element_limit[e]
+        tableau.block[r, 0] = -1
+        tableau.block[r, 1] = -1
+        r += 1
+
+
+@kernel
+def _write_matrix(
+    problem: Problem, work: Workspace, tableau: Tableau, n: int, sides_for_discs: int
+) -> None:
+    """The matrix A, scaled from both sides so that each contact's and each element's block has size one.
+
+    Impulses are measured in 1 / sqrt(compliance) and slips in its inverse, so that the coupling entries
+    (one, minus one, friction) stay what they are.
+    """
+    for r in range(n):
+        for c in range(r, n):
+            tableau.matrix[r, c] = 0.0
+            tableau.matrix[c, r] = 0.0
+        _write_compliance(problem, work, tableau, n, r)
+    r = 0
+    for i in range(problem.size[1]):
+        _scale_group(tableau, r, 3)
+        for j in range(1, 3):
+            tableau.matrix[r + j, r + 3] = 1.0
+            tableau.matrix[r + 3, r + j] = -1.0
+        tableau.matrix[r + 3, r] = problem.friction[i]
+        r += 4
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        _scale_group(tableau, r, m)
+        for j in range(m):
+            tableau.matrix[r + j, r + m] = 1.0
+            tableau.matrix[r + m, r + j] = -1.0
+        r += m + 1
+    for r in range(n):
+        for c in range(n):
+            if tableau.block[r, 0] >= 0 and tableau.block[c, 0] >= 0:
+                tableau.matrix[r, c] *= tableau.scale[r] * tableau.scale[c]
+
+
+@kernel
+def _write_compliance(problem: Problem, work: Workspace, tableau: Tableau, n: int, r: int) -> None:
+    """Row r of W' D^-1 W: the velocity along every row that a unit impulse along row r gives."""
+    lever = tableau.lever
+    for side in range(2):
+        o = tableau.block[r, side]
+        if o < 0:
+            continue
+        s = 3 * side
+        x, y, z = _respond(problem, work, o, lever[r, s], lever[r, s + 1], lever[r, s + 2])
+        for c in range(n):
+            for other in range(2):
+                if tableau.block[c, other] == o:
+                    k = 3 * other
+                    tableau.matrix[r, c] += lever[c, k] * x + lever[c, k + 1] * y + lever[c, k + 2] * z
+
+
+@kernel
+def _respond(
+    problem: Problem, work: Workspace, o: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Velocity of block o under the impulse (x, y, z)."""
+    inverse = work.inverse
+    if o >= problem.size[3]:
+        return inverse[o, 0] * x, 0.0, 0.0
+    return (
+        inverse[o, 0] * x + inverse[o, 1] * y + inverse[o, 2] * z,
+        inverse[o + 1, 0] * x + inverse[o + 1, 1] * y + inverse[o + 1, 2] * z,
+        inverse[o + 2, 0] * x + inverse[o + 2, 1] * y + inverse[o + 2, 2] * z,
+    )
+
+
+@kernel
+def _scale_group(tableau: Tableau, start: int, m: int) -> None:
+    """One unit for the m impulses of a contact or element, from its largest compliance."""
+    largest = 0.0
+    for j in range(start, start + m):
+        largest = max(largest, tableau.matrix[j, j])
+    unit = 1.0 / math.sqrt(largest) if largest > 0.0 else 1.0
+    for j in range(start, start + m):
+        tableau.scale[j] = unit
+    tableau.scale[start + m] = 1.0 / unit
+
+
+@kernel
+def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> None:
+    """The vector b: velocities along every row without impulses, and the limits."""
+    n_free = problem.size[3]
+    v = problem.velocity
+    right = work.right
+    for o in range(problem.size[0]):
+        right[o] = problem.momentum[o] + work.pull[o] * work.centre[o]
+    for o in range(0, n_free, 3):
+        v[o], v[o + 1], v[o + 2] = _respond(
+            problem, work, o, right[o], right[o + 1], right[o + 2]
+        )
+    for o in range(n_free, problem.size[0]):
+        v[o] = work.inverse[o, 0] * right[o]
+    for r in range(n):
+        u = tableau.bias[r]
+        for side in range(2):
+            o = tableau.block[r, side]
+            if o >= 0:
+                for k in range(3):
+                    u += tableau.lever[r, 3 * side + k] * v[o + k]
+        tableau.vector[r] = tableau.scale[r] * u
+
+
+@kernel
+def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
+    """Impulses of contacts and elements from the answer."""
+    z = tableau.answer
+    for i in range(problem.size[1]):
+        r = 4 * i
+        problem.impulse[i, 0] = tableau.scale[r] * z[r]
+        problem.impulse[i, 1] = tableau.scale[r] * (z[r + 1] - z[r + 2])
+    r = 4 * problem.size[1]
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        for k in range(3):
+            problem.element_impulse[e, k] = 0.0
+        for j in range(m):
+            if z[r] != 0.0:
+                p = tableau.scale[r] * z[r]
+                problem.element_impulse[e, 0] += p * math.cos(2.0 * math.pi * j / m)
+                problem.element_impulse[e, 1] += p * math.sin(2.0 * math.pi * j / m)
+            r += 1
+        r += 1
+
+
+@kernel
+def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> float:
+    """Velocities from the answer; moves the proximal centres there and returns the largest pull left."""
+    n_free = problem.size[3]
+    v = problem.velocity
+    right = work.right
+    for r in range(n):
+        p = tableau.scale[r] * tableau.answer[r]
+        for side in range(2):
+            o = tableau.block[r, side]
+            if o >= 0 and p != 0.0:
+                for k in range(3):
+                    right[o + k] += p * tableau.lever[r, 3 * side + k]
+    for o in range(0, n_free, 3):
+        v[o], v[o + 1], v[o + 2] = _respond(
+            problem, work, o, right[o], right[o + 1], right[o + 2]
+        )
+    for o in range(n_free, problem.size[0]):
+        v[o] = work.inverse[o, 0] * right[o]
+    left = 0.0
+    for o in range(problem.size[0]):
+        left = max(left, work.pull[o] * abs(v[o] - work.centre[o]))
+        work.centre[o] = v[o]
+    return left

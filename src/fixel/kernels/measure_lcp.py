@@ -1,0 +1,50 @@
+"""Lemke's method for callers in Python."""
+
+from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.jit import entry
+from fixel.kernels.lemke import (
+    NOT_LINEAR,
+    allocate_tableau,
+    lemke,
+    solve_linear_form,
+    tableau_size,
+)
+from fixel.kernels.residual import residual
+
+
+@entry
+def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[FloatArray, int]:
+    """Solve 0 <= z _|_ M z + q >= 0.
+
+    Parameters
+    ----------
+    matrix : (n, n) float64
+    vector : (n,) float64
+    max_pivots : int
+
+    Returns
+    -------
+    (n,) float64, int
+        Answer (zeros where there is none), and one of the codes of `lemke`.
+    """
+    n = vector.size
+    tableau = allocate_tableau(n)
+    for i in range(n):
+        tableau.vector[i] = vector[i]
+        for j in range(n):
+            tableau.matrix[i, j] = matrix[i, j]
+    code = lemke(tableau, n, max_pivots)
+    return tableau.answer, code
+
+
+@entry
+def solve_problem(
+    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int
+) -> tuple[float, int]:
+    """`solve_linear_form` with a tableau of its own; returns the judge's residual and the code."""
+    n = tableau_size(problem, sides_for_discs)
+    if n < 0:
+        return residual(problem, work.right), NOT_LINEAR
+    tableau = allocate_tableau(n)
+    code = solve_linear_form(problem, work, tableau, sides_for_discs, max_pivots)
+    return residual(problem, work.right), code
