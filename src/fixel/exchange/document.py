@@ -1,0 +1,198 @@
+"""Reading YAML and JSON from files that may be hostile or merely careless.
+
+Values are built from the parser's events, so nothing in a file can name a type or repeat itself: no
+tags, no aliases, no duplicate keys, no more than `MAX_DEPTH` levels, `MAX_BYTES` in all. Plain
+scalars follow the core schema of YAML 1.2: `1e-3` is a number, `no` and `1:30` are text.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fixel.errors import InvalidInput
+
+# [bytes] Scene files have some kilobytes; a measured path of an hour at 100 Hz has about 10 MB.
+MAX_BYTES = 10_000_000
+# Scene files have about 7 levels. Much larger values let a file exhaust the stack further on.
+MAX_DEPTH = 40
+
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_WORDS: dict[str, Any] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+
+
+def read_document(path: Path) -> Any:
+    """What a YAML or JSON file says, as dicts, lists, text, numbers, booleans and None.
+
+    Raises
+    ------
+    InvalidInput
+        No such file, too large, not UTF-8, or not one well-formed document within the limits.
+    """
+    text = _text(path)
+    parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
+    return parse(text, str(path))
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """What one YAML document says; `where` names it in errors."""
+    try:
+        return _composed(yaml.parse(text, Loader=_LOADER), where)
+    except yaml.YAMLError as problem:
+        mark = getattr(problem, "problem_mark", None)
+        line = f"{where}, line {mark.line + 1}" if mark else where
+        found = getattr(problem, "problem", None) or str(problem)
+        raise InvalidInput(line, found=found, expected="well-formed YAML") from None
+
+
+def parse_json(text: str, where: str) -> Any:
+    """What a JSON text says; `where` names it in errors."""
+    try:
+        value = json.loads(text, object_pairs_hook=lambda pairs: _unique(pairs, where))
+    except json.JSONDecodeError as problem:
+        line = f"{where}, line {problem.lineno}"
+        raise InvalidInput(line, found=problem.msg, expected="well-formed JSON") from None
+    except RecursionError:
+        raise _too_deep(where) from None
+    except ValueError as problem:
+        if isinstance(problem, InvalidInput):
+            raise
+        raise InvalidInput(where, found=str(problem), expected="numbers that can be read") from None
+    _refuse_depth(value, where)
+    return value
+
+
+def plain_scalar(text: str) -> Any:
+    """The value of an unquoted scalar."""
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INTEGER.fullmatch(text):
+        return int(text) if len(text) < 300 else float(text)
+    if _BASED.fullmatch(text) and len(text) < 300:
+        return int(text, 0)
+    return float(text) if _FLOAT.fullmatch(text) else text
+
+
+def _text(path: Path) -> str:
+    where = str(path)
+    try:
+        if path.exists() and not path.is_file():
+            raise InvalidInput(where, found="a folder or a device", expected="a file")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1) if path.stat().st_size <= MAX_BYTES else None
+    except FileNotFoundError:
+        raise InvalidInput(where, found="no such file", expected="a YAML or JSON file") from None
+    except (OSError, ValueError) as problem:
+        if isinstance(problem, InvalidInput):
+            raise
+        raise InvalidInput(where, found=str(problem), expected="a file that can be read") from None
+    if data is None or len(data) > MAX_BYTES:
+        raise InvalidInput(
+            where,
+            found=f"more than {MAX_BYTES // 1_000_000} MB",
+            expected="a file of at most that size",
+            hint="thin out measured paths",
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        found = f"a byte that is no UTF-8 at position {problem.start}"
+        raise InvalidInput(where, found=found, expected="text in UTF-8") from None
+
+
+class _Open:
+    """A list or mapping whose end has not been seen."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+        self.key: str | None = None
+
+    def take(self, item: Any, event: Any, where: str) -> None:
+        if isinstance(self.value, list):
+            self.value.append(item)
+        elif self.key is not None:
+            self.value[self.key] = item
+            self.key = None
+        elif not isinstance(event, yaml.ScalarEvent):
+            raise _refused(event, where, "a list or mapping as a key", "text")
+        elif event.value in self.value:
+            raise _refused(event, where, f"the key {event.value!r} twice", "each key once")
+        else:
+            self.key = event.value
+
+
+def _composed(events: Iterator[Any], where: str) -> Any:
+    root = _Open([])
+    stack = [root]
+    for event in events:
+        if isinstance(event, yaml.AliasEvent):
+            hint = "write the value out"
+            raise _refused(event, where, f"the alias *{event.anchor}", "no aliases", hint)
+        if getattr(event, "tag", None) not in (None, "!") and not isinstance(
+            event, yaml.DocumentStartEvent
+        ):
+            raise _refused(event, where, f"the tag {event.tag}", "no tags")
+        if isinstance(event, yaml.ScalarEvent):
+            plain = event.implicit[0] and not event.style
+            stack[-1].take(plain_scalar(event.value) if plain else event.value, event, where)
+        elif isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
+            if len(stack) > MAX_DEPTH:
+                raise _too_deep(where)
+            inner = _Open({} if isinstance(event, yaml.MappingStartEvent) else [])
+            stack[-1].take(inner.value, event, where)
+            stack.append(inner)
+        elif isinstance(event, yaml.MappingEndEvent | yaml.SequenceEndEvent):
+            stack.pop()
+        elif isinstance(event, yaml.DocumentStartEvent) and root.value:
+            raise _refused(event, where, "a second document", "one document")
+    return root.value[0] if root.value else None
+
+
+def _refused(
+    event: Any, where: str, found: str, expected: str, hint: str | None = None
+) -> InvalidInput:
+    line = event.start_mark.line + 1
+    return InvalidInput(f"{where}, line {line}", found=found, expected=expected, hint=hint)
+
+
+def _too_deep(where: str) -> InvalidInput:
+    found = f"more than {MAX_DEPTH} levels of nesting"
+    return InvalidInput(where, found=found, expected="a scene, which has about seven")
+
+
+def _refuse_depth(value: Any, where: str) -> None:
+    level = [value]
+    for _ in range(MAX_DEPTH + 1):
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, dict | list)
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+        if not level:
+            return
+    raise _too_deep(where)
+
+
+def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
+    seen = dict(pairs)
+    if len(seen) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise InvalidInput(where, found=f"the key {twice!r} twice", expected="each key once")
+    return seen
