@@ -33,11 +33,12 @@ NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
 NO_ROOM: Final = 5  # the tableau has too few rows
 UNSETTLED: Final = 6  # the proximal iteration did not come to rest
 
-ACCURACY = 1e-10  # natural-map residual, relative to the largest |q| (at least 1), of every SOLVED answer
+ACCURACY = 1e-10  # natural-map residual of every SOLVED answer, relative to the row's |q| where that is above 1
 PIVOT = 1e-11  # of the largest entry of a column: below it an entry is no pivot
-TIE = 1e-13  # of the size of the numbers compared: ratios this close are tied, and broken lexicographically
+TIE = 1e-13  # of the numbers that went into a ratio: ratios this close are tied, and told apart lexicographically
 PULL = 1e-2  # of the stiffness: proximal mass; small settles sooner, smaller yet spoils the last digits
 MAX_PULLS = 100
+ATTEMPTS = 2
 SETTLED = 1e-12  # impulse left in the proximal pull
 
 
@@ -49,6 +50,8 @@ class Tableau(NamedTuple):
     answer: FloatArray  # (n,) z; out
     trial: FloatArray  # (n,)
     table: FloatArray  # (n, n + 2) columns of the variables out of the basis, then the right side
+    size: FloatArray  # (n,) largest number that went into a right side: its rounding is in proportion
+    cover: FloatArray  # (n,) covering vector, positive; in, ones to begin with
     where: IntArray  # (2 n + 1,) of w, z and the artificial variable: column, or -1 - row if in the basis
     row_label: IntArray  # (n,) variable in the basis
     column_label: IntArray  # (n + 1,) variable of each column
@@ -69,6 +72,8 @@ def allocate_tableau(n: int) -> Tableau:
         answer=np.zeros(n),
         trial=np.zeros(n),
         table=np.zeros((n, n + 2)),
+        size=np.zeros(n),
+        cover=np.ones(n),
         where=np.zeros(2 * n + 1, np.int64),
         row_label=np.zeros(n, np.int64),
         column_label=np.zeros(n + 1, np.int64),
@@ -108,7 +113,7 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
     for i in range(n):
         tableau.answer[i] = 0.0
         tableau.active[i] = 0
-    worst = _most_negative(tableau, n)
+    worst = _first_row(tableau, n)
     if worst < 0:
         return SOLVED if _is_solved(tableau, tableau.answer, n) else INACCURATE
     _fill_table(tableau, n)
@@ -129,13 +134,17 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 
 @kernel
-def _most_negative(tableau: Tableau, n: int) -> int:
-    """Row of the least q, the last of equals (lexicographically the least); -1 where none is negative."""
+def _first_row(tableau: Tableau, n: int) -> int:
+    """Row that the artificial variable must lift first, the last of equals (lexicographically the least).
+
+    -1 where no q is negative.
+    """
     row = -1
     least = 0.0
     for i in range(n):
-        if tableau.vector[i] < 0.0 and tableau.vector[i] <= least:
-            least = tableau.vector[i]
+        ratio = tableau.vector[i] / tableau.cover[i]
+        if ratio < 0.0 and ratio <= least:
+            least = ratio
             row = i
     return row
 
@@ -146,7 +155,8 @@ def _fill_table(tableau: Tableau, n: int) -> None:
     for i in range(n):
         for j in range(n):
             tableau.table[i, j] = -tableau.matrix[i, j]
-        tableau.table[i, n] = -1.0
+        tableau.table[i, n] = -tableau.cover[i]
+        tableau.size[i] = abs(tableau.vector[i])
         tableau.table[i, n + 1] = tableau.vector[i]
         tableau.row_label[i] = i
         tableau.column_label[i] = n + i
@@ -164,6 +174,7 @@ def _exchange(tableau: Tableau, n: int, row: int, column: int) -> None:
     table[row, column] = 1.0
     for j in range(n + 2):
         table[row, j] /= pivot
+    tableau.size[row] /= abs(pivot)
     for i in range(n):
         factor = table[i, column]
         if i == row or factor == 0.0:
@@ -171,6 +182,7 @@ def _exchange(tableau: Tableau, n: int, row: int, column: int) -> None:
         table[i, column] = 0.0
         for j in range(n + 2):
             table[i, j] -= factor * table[row, j]
+        tableau.size[i] = max(tableau.size[i], abs(factor) * tableau.size[row])
     entering = tableau.column_label[column]
     leaving = tableau.row_label[row]
     tableau.row_label[row] = entering
@@ -187,10 +199,8 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
     """
     table = tableau.table
     largest = 0.0
-    size = 0.0
     for i in range(n):
         largest = max(largest, abs(table[i, column]))
-        size = max(size, abs(table[i, n + 1]))
     best = -1
     for i in range(n):
         if not table[i, column] > PIVOT * largest:
@@ -202,7 +212,7 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
         a = table[i, column]
         b = table[best, column]
         ahead = max(0.0, table[i, n + 1]) * b - max(0.0, table[best, n + 1]) * a
-        if abs(ahead) > TIE * size * (a + b):
+        if abs(ahead) > TIE * (tableau.size[i] * b + tableau.size[best] * a):
             if ahead < 0.0:
                 best = i
         elif tableau.row_label[best] != 2 * n and (
@@ -214,20 +224,24 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
 
 @kernel
 def _is_before(tableau: Tableau, n: int, column: int, i: int, j: int) -> bool:
-    """Whether row i is lexicographically less than row j, each divided by its entry in `column`."""
+    """Whether row i is lexicographically less than row j, each divided by its entry in `column`.
+
+    Compared are the rows of B^-1, which are the columns of w: in the table, or unit columns.
+    """
     table = tableau.table
     a = table[i, column]
     b = table[j, column]
+    size = 0.0
+    for c in range(n + 1):
+        if tableau.column_label[c] < n:
+            size = max(size, abs(table[i, c]) * b, abs(table[j, c]) * a)
     for k in range(n):
         place = tableau.where[k]
         if place >= 0:
-            x = table[i, place]
-            y = table[j, place]
+            ahead = table[i, place] * b - table[j, place] * a
         else:
-            x = 1.0 if place == -1 - i else 0.0
-            y = 1.0 if place == -1 - j else 0.0
-        ahead = x * b - y * a
-        if abs(ahead) > TIE * (a + b) * max(1.0, abs(x), abs(y)):
+            ahead = (b if place == -1 - i else 0.0) - (a if place == -1 - j else 0.0)
+        if abs(ahead) > TIE * size:
             return ahead < 0.0
     return False
 
@@ -322,10 +336,8 @@ def _substitute(table: FloatArray, k: int, column: int) -> None:
 @kernel
 def _is_solved(tableau: Tableau, z: FloatArray, n: int) -> bool:
     """Whether the natural map min(z, M z + q) vanishes within `ACCURACY`."""
-    size = 1.0
     for i in range(n):
-        size = max(size, abs(tableau.vector[i]))
-    for i in range(n):
+        size = max(1.0, abs(tableau.vector[i]))
         w = tableau.vector[i]
         for j in range(n):
             w += tableau.matrix[i, j] * z[j]
@@ -398,13 +410,31 @@ def solve_linear_form(
         _write_vector(problem, work, tableau, n)
         # Between pulls only q changes, and soon the basis does not: try the last one first.
         if attempt == 0 or not resolve(tableau, n):
-            code = lemke(tableau, n, max_pivots)
+            code = _insist(tableau, n, max_pivots)
             if code != SOLVED:
                 return code
         _read_impulses(problem, tableau, sides_for_discs)
         if _read_velocity(problem, work, tableau, n) <= SETTLED:
             return SOLVED
     return UNSETTLED
+
+
+@kernel
+def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
+    """`lemke`, and where it fails once more with an uneven covering vector.
+
+    A step with a solution ends on a ray only by rounding, when ties between symmetric rows go wrong; an
+    uneven vector has other ties. A step without one (a seated grasp) ends on a ray both times.
+    """
+    code = SOLVED
+    for attempt in range(ATTEMPTS):
+        for i in range(n):
+            # Multiples of the golden ratio modulo one: spread evenly, no two alike.
+            tableau.cover[i] = 1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
+        code = lemke(tableau, n, max_pivots)
+        if code == SOLVED:
+            break
+    return code
 
 
 @kernel
