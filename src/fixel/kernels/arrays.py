@@ -120,7 +120,7 @@ class Method(NamedTuple):
     lead: float  # where rows are taken, in steps after the start: 0 Stewart-Trinkle, 0.5 Moreau's midpoint
     max_steps: int
     max_contacts: int
-    max_sweeps: int  # of the Gauss-Seidel solver
+    effort: int  # sweeps of Gauss-Seidel, pivots of Lemke
 
 
 class Pace(NamedTuple):
@@ -140,7 +140,7 @@ class Record(NamedTuple):
     pose: FloatArray  # (n_sample, n_moving, 3)
     twist: FloatArray  # (n_sample, n_moving, 3)
     drive: FloatArray  # (n_sample, n_driven, 2) force along the path, 1 where stalled
-    contact: FloatArray  # (n_row, 10) sample, first and second body, gap, normal, point, force: normal, tangential
+    contact: FloatArray  # (n_row, 11) sample, two bodies, gap, normal, point, normal and tangential force, step
     count: IntArray  # (4,) samples written, contact rows written, steps taken, steps that fell back
     total: FloatArray  # (2,) time reached, worst residual
 
@@ -169,7 +169,7 @@ class BatchRecord(NamedTuple):
     pose: FloatArray  # (n_rollout, n_sample, n_moving, 3)
     twist: FloatArray  # (n_rollout, n_sample, n_moving, 3)
     drive: FloatArray  # (n_rollout, n_sample, n_driven, 2)
-    contact: FloatArray  # (n_rollout, n_row, 10)
+    contact: FloatArray  # (n_rollout, n_row, 11)
     count: IntArray  # (n_rollout, 4)
     total: FloatArray  # (n_rollout, 2)
     status: IntArray  # (n_rollout,)

@@ -1,9 +1,7 @@
-"""Many rollouts in one call, spread over the threads; the same bits for any number of them."""
-
-from numba import prange
+"""Many rollouts in one call: each alone, so that the bits do not depend on who ran which."""
 
 from fixel.kernels.arrays import Batch, BatchRecord, Method, Model, Pace, Record
-from fixel.kernels.jit import allocating_kernel, entry, parallel_entry
+from fixel.kernels.jit import allocating_kernel, entry
 from fixel.kernels.rollout import rollout
 
 # Families: arrays whose rows begin together.
@@ -87,13 +85,15 @@ def _rollout(batch: Batch, method: Method, record: BatchRecord, every_step: bool
 
 
 @entry
-def roll_one(batch: Batch, method: Method, record: BatchRecord, every_step: bool, r: int) -> None:
-    """Simulate rollout r of a batch."""
-    _rollout(batch, method, record, every_step, r)
+def select_one(batch: Batch, r: int) -> Model:
+    """See `select`."""
+    return select(batch, r)
 
 
-@parallel_entry
-def roll_all(batch: Batch, method: Method, record: BatchRecord, every_step: bool) -> None:
-    """Simulate every rollout of a batch, in parallel."""
-    for r in prange(batch.begin.shape[0]):
+@entry
+def roll(
+    batch: Batch, method: Method, record: BatchRecord, every_step: bool, first: int, last: int
+) -> None:
+    """Simulate rollouts `first` to ``last - 1``. Holds no lock: threads may each take a range."""
+    for r in range(first, last):
         _rollout(batch, method, record, every_step, r)

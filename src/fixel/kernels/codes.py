@@ -32,6 +32,9 @@ STATUS_ADVICE: Final = (
     "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
 )
 
+# A motion model or solver of somebody else's, which only the plain Python loop can run.
+EXTERNAL: Final = -1
+
 # Which equations move the bodies.
 DYNAMIC: Final = 0
 QUASI_STATIC: Final = 1

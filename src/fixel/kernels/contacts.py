@@ -7,10 +7,8 @@ some body has moved half that reach (a Verlet list), so most steps look only at 
 import math
 
 from fixel.kernels.arrays import FloatArray, IntArray, Model, Problem, Workspace
-from fixel.kernels.gap import contact_pair
+from fixel.kernels.gap import FEATURES, contact_pair
 from fixel.kernels.jit import kernel
-
-FEATURES = 4096  # feature codes per pair of pieces, see gap.py
 
 
 @kernel

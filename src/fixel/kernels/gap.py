@@ -1,11 +1,17 @@
 """Signed gap, witness points and normals of one pair of convex pieces in world coordinates.
 
-A piece is a convex polygon, counter-clockwise, with a rounding radius; a disk is one vertex with a radius.
-The gap is the distance of the outlines, negative in overlap (then the least translation that parts them,
-found along edge normals). `contact_pair` writes one or two contacts: two where edges face each other.
+A piece is a strictly convex polygon, counter-clockwise (no straight corners), or a disk: one vertex with a
+radius. The gap is the distance of the outlines, negative in overlap (then the least translation that parts
+them). `contact_pair` writes one or two contacts: two where edges face each other.
+
+Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Whatever is nearest to
+a seam, or to a corner from beyond a seam, has the neighbouring piece in between, which gives the true
+contact; so those contacts are left out. docs/theory/contact.md has the argument.
 
 Source: separating axes and reference-edge clipping as in Gregorius, "Robust contact creation" (GDC 2015);
 the contacts themselves are exact vertex-edge pairs, so that their rows are the true gradients of the gap.
+That the nearest features lie on the edge of largest separation and the edge facing it: the separation along
+a direction is minus the support function of the Minkowski difference, and has one peak where positive.
 """
 
 import math
@@ -13,83 +19,17 @@ import math
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
 
-VERTEX_VERTEX = 512  # feature codes: 0..511 vertex of the second piece, 1024.. vertex of the first
-FIRST_VERTEX = 1024
+# Feature codes. The vertex of the second piece counts from 0, the vertex of the first from FIRST_VERTEX;
+# two corners are named by the second piece's, from VERTEX_VERTEX. Room for 2**18 vertices a piece.
+VERTEX_VERTEX = 1 << 18
+FIRST_VERTEX = 1 << 19
+FEATURES = 1 << 20
 
-
-@kernel
-def _nearest_on_polygon(
-    world: FloatArray, real: IntArray, start: int, end: int, px: float, py: float, margin: float
-) -> tuple[float, float, float]:
-    """Signed distance and outward normal from a convex polygon to a point.
-
-    Edges that are seams between pieces do not count as faces while the point is outside some real one.
-    Returns (margin, 0, 0) at once where the distance is at least `margin`.
-    """
-    best = -math.inf
-    edge = start
-    for i in range(start, end):
-        j = i + 1 if i + 1 < end else start
-        ex = world[j, 0] - world[i, 0]
-        ey = world[j, 1] - world[i, 1]
-        length = math.sqrt(ex * ex + ey * ey)
-        s = ((px - world[i, 0]) * ey - (py - world[i, 1]) * ex) / length
-        if s >= margin:
-            return margin, 0.0, 0.0
-        if s > best and (real[i] == 1 or s > 0.0):
-            best = s
-            edge = i
-    j = edge + 1 if edge + 1 < end else start
-    ex = world[j, 0] - world[edge, 0]
-    ey = world[j, 1] - world[edge, 1]
-    square = ex * ex + ey * ey
-    length = math.sqrt(square)
-    if best > 0.0:
-        u = ((px - world[edge, 0]) * ex + (py - world[edge, 1]) * ey) / square
-        corner = -1
-        if u < 0.0:
-            corner = edge
-        elif u > 1.0:
-            corner = j
-        if corner >= 0:
-            dx = px - world[corner, 0]
-            dy = py - world[corner, 1]
-            distance = math.sqrt(dx * dx + dy * dy)
-            return distance, dx / distance, dy / distance
-    return best, ey / length, -ex / length
-
-
-@kernel
-def _separating_edge(
-    world: FloatArray, real: IntArray, s1: int, e1: int, s2: int, e2: int, margin: float
-) -> tuple[float, int, int]:
-    """Edge of the first polygon from which the second is farthest: (separation, edge, nearest vertex)."""
-    best = -math.inf
-    edge = -1
-    support = s2
-    for i in range(s1, e1):
-        j = i + 1 if i + 1 < e1 else s1
-        ex = world[j, 0] - world[i, 0]
-        ey = world[j, 1] - world[i, 1]
-        length = math.sqrt(ex * ex + ey * ey)
-        nx = ey / length
-        ny = -ex / length
-        offset = nx * world[i, 0] + ny * world[i, 1]
-        least = math.inf
-        nearest = s2
-        for k in range(s2, e2):
-            s = nx * world[k, 0] + ny * world[k, 1]
-            if s < least:
-                least = s
-                nearest = k
-        least -= offset
-        if least >= margin:
-            return least, i, nearest
-        if least > best and (real[i] == 1 or least > 0.0):
-            best = least
-            edge = i
-            support = nearest
-    return best, edge, support
+# Length below which two corners are one point: their difference has no direction to speak of, and the edge
+# gives the normal. World coordinates are of order one, so this is some thousand roundings.
+COINCIDENT = 1e-12
+# Share of the reference edge below which the two ends of an overlap are one contact.
+NARROW = 1e-9
 
 
 @kernel
@@ -109,59 +49,162 @@ def contact_pair(
 ) -> int:
     """Write the contacts of one pair of pieces whose gap is below `margin`; returns how many (0, 1, 2).
 
-    Row ``at`` onward of `place` gets gap, normal x, y (from the second piece into the first) and the contact
-    point x, y (half way between the outlines); `key` gets the feature code.
+    Piece 1 owns ``world[s1:e1]`` and has radius `r1`, which only disks may have. Row ``at`` onward of
+    `place` gets gap, normal x, y (from the second piece into the first) and the contact point x, y (half way
+    between the outlines); `key` gets the feature code. The first contact written has the gap of the pair.
     """
+    if e1 - s1 > 1 and e2 - s2 > 1:
+        return _contact_polygons(world, real, s1, e1, s2, e2, margin, place, key, at)
+    # A disk: the distance from its centre to the other piece, less the radii.
+    most = margin + r1 + r2
+    px = world[s2, 0]
+    py = world[s2, 1]
     if e1 - s1 == 1 and e2 - s2 == 1:
-        dx = world[s1, 0] - world[s2, 0]
-        dy = world[s1, 1] - world[s2, 1]
-        distance = math.sqrt(dx * dx + dy * dy)
-        gap = distance - r1 - r2
-        if gap >= margin:
-            return 0
-        nx = dx / distance if distance > 0.0 else 1.0
-        ny = dy / distance if distance > 0.0 else 0.0
-        return _write(place, key, at, gap, nx, ny, world[s2, 0], world[s2, 1], r2, 0)
-    if e1 - s1 == 1:
+        d, nx, ny = _point_to_point(world[s1, 0] - px, world[s1, 1] - py)
+    elif e1 - s1 == 1:
         px = world[s1, 0]
         py = world[s1, 1]
-        d, nx, ny = _nearest_on_polygon(world, real, s2, e2, px, py, margin + r1 + r2)
-        gap = d - r1 - r2
-        if gap >= margin:
-            return 0
-        return _write(place, key, at, gap, nx, ny, px - nx * d, py - ny * d, r2, 0)
-    if e2 - s2 == 1:
-        px = world[s2, 0]
-        py = world[s2, 1]
-        d, nx, ny = _nearest_on_polygon(world, real, s1, e1, px, py, margin + r1 + r2)
-        gap = d - r1 - r2
-        if gap >= margin:
-            return 0
-        return _write(place, key, at, gap, -nx, -ny, px, py, r2, 0)
-    return _contact_polygons(world, real, s1, e1, s2, e2, margin, place, key, at)
+        d, nx, ny = _point_to_polygon(world, real, s2, e2, px, py, most)
+        px -= nx * d
+        py -= ny * d
+    else:
+        d, nx, ny = _point_to_polygon(world, real, s1, e1, px, py, most)
+        nx = -nx
+        ny = -ny
+    if d >= most:
+        return 0
+    gap = d - r1 - r2
+    _write(place, key, at, gap, nx, ny, px + nx * r2, py + ny * r2, 0)
+    return 1
 
 
 @kernel
 def _write(
-    place: FloatArray,
-    key: IntArray,
-    at: int,
-    gap: float,
-    nx: float,
-    ny: float,
-    px: float,
-    py: float,
-    beyond: float,
-    code: int,
-) -> int:
-    """One contact: the point lies half the gap beyond the second outline, `beyond` from (px, py)."""
+    place: FloatArray, key: IntArray, at: int, gap: float, nx: float, ny: float, px: float, py: float, code: int
+) -> None:
+    """One contact, from the witness point (px, py) on the second outline."""
     place[at, 0] = gap
     place[at, 1] = nx
     place[at, 2] = ny
-    place[at, 3] = px + nx * (beyond + 0.5 * gap)
-    place[at, 4] = py + ny * (beyond + 0.5 * gap)
+    place[at, 3] = px + nx * 0.5 * gap
+    place[at, 4] = py + ny * 0.5 * gap
     key[at] = code
-    return 1
+
+
+@kernel
+def _point_to_point(dx: float, dy: float) -> tuple[float, float, float]:
+    """Length and direction of a vector; concentric disks part along x."""
+    distance = math.sqrt(dx * dx + dy * dy)
+    if distance < COINCIDENT:
+        return 0.0, 1.0, 0.0
+    return distance, dx / distance, dy / distance
+
+
+@kernel
+def _point_to_polygon(
+    world: FloatArray, real: IntArray, start: int, end: int, px: float, py: float, most: float
+) -> tuple[float, float, float]:
+    """Signed distance and outward normal from a convex polygon to a point.
+
+    (most, 0, 0) where the distance is at least `most`, or where the way leads through a seam.
+    """
+    best = -math.inf  # over all edges
+    edge = start
+    inside = -math.inf  # over those on the outline: a point inside leaves through one of them
+    way_out = -1
+    before = end - 1
+    for i in range(start, end):
+        # The edge from `before` to i.
+        ex = world[i, 0] - world[before, 0]
+        ey = world[i, 1] - world[before, 1]
+        length = math.sqrt(ex * ex + ey * ey)
+        s = ((px - world[before, 0]) * ey - (py - world[before, 1]) * ex) / length
+        if s >= most:
+            return most, 0.0, 0.0
+        if s > best:
+            best = s
+            edge = before
+        if s > inside and real[before] == 1:
+            inside = s
+            way_out = before
+        before = i
+    if best <= 0.0:
+        best = inside
+        edge = way_out
+    if edge < 0 or real[edge] == 0:
+        return most, 0.0, 0.0
+    after = edge + 1 if edge + 1 < end else start
+    ex = world[after, 0] - world[edge, 0]
+    ey = world[after, 1] - world[edge, 1]
+    square = ex * ex + ey * ey
+    length = math.sqrt(square)
+    if best > 0.0:
+        along = (px - world[edge, 0]) * ex + (py - world[edge, 1]) * ey
+        if along < 0.0 or along > square:
+            corner = edge if along < 0.0 else after
+            dx = px - world[corner, 0]
+            dy = py - world[corner, 1]
+            distance = math.sqrt(dx * dx + dy * dy)
+            if distance >= most or _beyond_seam(world, real, start, end, corner, px, py):
+                return most, 0.0, 0.0
+            if distance > COINCIDENT:
+                return distance, dx / distance, dy / distance
+    return best, ey / length, -ex / length
+
+
+@kernel
+def _beyond_seam(
+    world: FloatArray, real: IntArray, start: int, end: int, corner: int, px: float, py: float
+) -> bool:
+    """Whether a point that sees a corner of a piece sees it past a seam that ends there.
+
+    Both pieces at a seam compute the same number here, but for the sign, so never do both give way.
+    """
+    x = world[corner, 0]
+    y = world[corner, 1]
+    before = corner - 1 if corner > start else end - 1
+    after = corner + 1 if corner + 1 < end else start
+    if real[before] == 0 and (px - x) * (world[before, 1] - y) - (py - y) * (world[before, 0] - x) < 0.0:
+        return True
+    return real[corner] == 0 and (
+        (px - x) * (world[after, 1] - y) - (py - y) * (world[after, 0] - x) > 0.0
+    )
+
+
+@kernel
+def separating_edge(
+    world: FloatArray, s1: int, e1: int, s2: int, e2: int, margin: float
+) -> tuple[float, int, int]:
+    """Edge of the first polygon from which the second is farthest: (separation, edge, nearest vertex).
+
+    Returns the first edge found where the separation reaches `margin`.
+    """
+    best = -math.inf
+    edge = s1
+    support = s2
+    before = e1 - 1
+    for i in range(s1, e1):
+        # The edge from `before` to i.
+        x = world[before, 0]
+        y = world[before, 1]
+        ex = world[i, 0] - x
+        ey = world[i, 1] - y
+        least = math.inf
+        nearest = s2
+        for k in range(s2, e2):
+            s = (world[k, 0] - x) * ey - (world[k, 1] - y) * ex
+            if s < least:
+                least = s
+                nearest = k
+        least /= math.sqrt(ex * ex + ey * ey)
+        if least > best:
+            best = least
+            edge = before
+            support = nearest
+            if least >= margin:
+                break
+        before = i
+    return best, edge, support
 
 
 @kernel
@@ -178,20 +221,21 @@ def _contact_polygons(
     at: int,
 ) -> int:
     """Contacts of two convex polygons: clip the facing edge of one against the separating edge of the other."""
-    sep1, edge1, support1 = _separating_edge(world, real, s1, e1, s2, e2, margin)
+    sep1, edge1, support1 = separating_edge(world, s1, e1, s2, e2, margin)
     if sep1 >= margin:
         return 0
-    sep2, edge2, support2 = _separating_edge(world, real, s2, e2, s1, e1, margin)
+    sep2, edge2, support2 = separating_edge(world, s2, e2, s1, e1, margin)
     if sep2 >= margin:
         return 0
-    if edge1 < 0 and edge2 < 0:
-        return 0
-    # The reference edge belongs to the polygon that separates better; ties go to the second.
-    on_first = sep1 > sep2
+    # The reference edge belongs to the polygon that separates better; ties go to the second, unless a seam.
+    on_first = sep1 > sep2 or (sep1 == sep2 and real[edge2] == 0)
     if on_first:
-        rs, re, ins, ine, edge, support = s1, e1, s2, e2, edge1, support1
+        sep, rs, re, fs, fe, edge, support = sep1, s1, e1, s2, e2, edge1, support1
     else:
-        rs, re, ins, ine, edge, support = s2, e2, s1, e1, edge2, support2
+        sep, rs, re, fs, fe, edge, support = sep2, s2, e2, s1, e1, edge2, support2
+    if real[edge] == 0:
+        # All that is near is behind a seam: the piece on its other side has the contacts.
+        return 0
     flip = -1.0 if on_first else 1.0
     x0 = world[edge, 0]
     y0 = world[edge, 1]
@@ -203,116 +247,99 @@ def _contact_polygons(
     ty /= length
     nx = ty
     ny = -tx
-    # The facing edge: of the two at the support vertex, the one that leans more against the normal.
-    before = support - 1 if support > ins else ine - 1
-    behind = support + 1 if support + 1 < ine else ins
-    ax = world[support, 0] - world[before, 0]
-    ay = world[support, 1] - world[before, 1]
-    bx = world[behind, 0] - world[support, 0]
-    by = world[behind, 1] - world[support, 1]
-    lean_a = (ay * nx - ax * ny) / math.sqrt(ax * ax + ay * ay)
-    lean_b = (by * nx - bx * ny) / math.sqrt(bx * bx + by * by)
-    if lean_a < lean_b:
-        i1, i2 = before, support
-    else:
-        i1, i2 = support, behind
+    i1, i2 = _facing_edge(world, fs, fe, support, nx, ny)
     # Along the reference edge the facing edge runs backwards, from c1 down to c2.
     c1 = (world[i1, 0] - x0) * tx + (world[i1, 1] - y0) * ty
     c2 = (world[i2, 0] - x0) * tx + (world[i2, 1] - y0) * ty
-    if c2 > length or c1 < 0.0:
-        # They pass each other by: corner against corner, unless the pieces overlap.
-        if max(sep1, sep2) > 0.0:
-            return _contact_corners(world, s1, e1, s2, e2, margin, place, key, at)
-        gap = (world[support, 0] - x0) * nx + (world[support, 1] - y0) * ny
-        return _write(
-            place, key, at, gap, flip * nx, flip * ny,
-            world[support, 0] - (nx * gap if not on_first else 0.0),
-            world[support, 1] - (ny * gap if not on_first else 0.0),
-            0.0, _vertex_code(support, s1, s2, not on_first),
-        )  # fmt: skip
-    ix = world[i2, 0] - world[i1, 0]
-    iy = world[i2, 1] - world[i1, 1]
-    il = math.sqrt(ix * ix + iy * iy)
-    mx = iy / il
-    my = -ix / il
+    overlap = min(c1, length) - max(c2, 0.0)
     n = 0
-    for end in range(2):
-        # Upper end of the overlap: vertex i1, or the reference edge's far corner; lower end: i2 or its near one.
-        if end == 0:
-            use_facing = c1 <= length
-            vertex = i1 if use_facing else after
+    for end in range(2 if overlap > NARROW * length else 1):
+        # The end at the support vertex comes first: it has the nearest features.
+        upper = (support == i1) == (end == 0)
+        if overlap < 0.0:
+            upper = c2 > length
+        on_facing = overlap >= 0.0 and (c1 <= length if upper else c2 >= 0.0)
+        ox = nx
+        oy = ny
+        vertex = i1 if upper else i2
+        other = -1  # the second corner of a corner-corner contact
+        if on_facing:
+            gap = (world[vertex, 0] - x0) * nx + (world[vertex, 1] - y0) * ny
         else:
-            use_facing = c2 >= 0.0
-            vertex = i2 if use_facing else edge
-        vx = world[vertex, 0]
-        vy = world[vertex, 1]
-        if use_facing:
-            gap = (vx - x0) * nx + (vy - y0) * ny
-            ox, oy = nx, ny
-        else:
-            gap = (vx - world[i1, 0]) * mx + (vy - world[i1, 1]) * my
-            ox, oy = -mx, -my
+            vertex = after if upper else edge
+            gap, ox, oy, other = _corner_to_edge(world, vertex, i1, i2)
+            if other < 0:
+                if real[i1] == 0:
+                    continue
+            elif end == 1:
+                continue
+            elif sep <= 0.0 or gap <= COINCIDENT:
+                # Only rounding put the foot outside: the support vertex is on the reference edge.
+                on_facing = True
+                vertex = support
+                other = -1
+                gap, ox, oy = sep, nx, ny
+            elif _beyond_seam(world, real, rs, re, vertex, world[other, 0], world[other, 1]) or (
+                _beyond_seam(world, real, fs, fe, other, world[vertex, 0], world[vertex, 1])
+            ):
+                return 0
         if gap >= margin:
             continue
-        vertex_on_first = use_facing != on_first
-        px = vx
-        py = vy
-        if vertex_on_first:
-            # The foot of the first piece's vertex on the second outline.
-            px -= flip * ox * gap
-            py -= flip * oy * gap
-        n += _write(
-            place, key, at + n, gap, flip * ox, flip * oy, px, py, 0.0,
-            _vertex_code(vertex, s1, s2, vertex_on_first),
-        )  # fmt: skip
+        ox *= flip
+        oy *= flip
+        if other >= 0:
+            # Corner against corner, named by the second piece's.
+            vertex = other if on_first else vertex
+            code = VERTEX_VERTEX + vertex - s2
+            back = 0.0
+        elif on_facing == on_first:
+            code = vertex - s2
+            back = 0.0
+        else:
+            # The first piece's vertex: its foot is the witness on the second outline.
+            code = FIRST_VERTEX + vertex - s1
+            back = gap
+        _write(
+            place, key, at + n, gap, ox, oy, world[vertex, 0] - ox * back, world[vertex, 1] - oy * back, code
+        )
+        n += 1
     return n
 
 
 @kernel
-def _vertex_code(vertex: int, s1: int, s2: int, on_first: bool) -> int:
-    return FIRST_VERTEX + vertex - s1 if on_first else vertex - s2
+def _corner_to_edge(
+    world: FloatArray, corner: int, i1: int, i2: int
+) -> tuple[float, float, float, int]:
+    """From a corner to the edge i1 to i2, or to its nearer end: (gap, direction x, y, that end or -1)."""
+    dx = world[corner, 0] - world[i1, 0]
+    dy = world[corner, 1] - world[i1, 1]
+    ex = world[i2, 0] - world[i1, 0]
+    ey = world[i2, 1] - world[i1, 1]
+    along = dx * ex + dy * ey
+    square = ex * ex + ey * ey
+    if 0.0 <= along <= square:
+        length = math.sqrt(square)
+        return (dx * ey - dy * ex) / length, -ey / length, ex / length, -1
+    other = i1 if along < 0.0 else i2
+    dx = world[other, 0] - world[corner, 0]
+    dy = world[other, 1] - world[corner, 1]
+    distance = math.sqrt(dx * dx + dy * dy)
+    return distance, dx / distance, dy / distance, other
 
 
 @kernel
-def _contact_corners(
-    world: FloatArray,
-    s1: int,
-    e1: int,
-    s2: int,
-    e2: int,
-    margin: float,
-    place: FloatArray,
-    key: IntArray,
-    at: int,
-) -> int:
-    """The one contact of two polygons that are apart and whose edges do not face each other."""
-    best = margin
-    bx = 0.0
-    by = 0.0
-    px = 0.0
-    py = 0.0
-    code = -1
-    for side in range(2):
-        vs, ve, ps, pe = (s1, e1, s2, e2) if side == 0 else (s2, e2, s1, e1)
-        for i in range(vs, ve):
-            for j in range(ps, pe):
-                k = j + 1 if j + 1 < pe else ps
-                ex = world[k, 0] - world[j, 0]
-                ey = world[k, 1] - world[j, 1]
-                dx = world[i, 0] - world[j, 0]
-                dy = world[i, 1] - world[j, 1]
-                u = min(1.0, max(0.0, (dx * ex + dy * ey) / (ex * ex + ey * ey)))
-                dx -= u * ex
-                dy -= u * ey
-                distance = math.sqrt(dx * dx + dy * dy)
-                if distance < best:
-                    best = distance
-                    sign = 1.0 if side == 0 else -1.0
-                    bx = sign * dx
-                    by = sign * dy
-                    px = world[i, 0] - dx if side == 0 else world[i, 0]
-                    py = world[i, 1] - dy if side == 0 else world[i, 1]
-                    code = VERTEX_VERTEX + _vertex_code(i, s1, s2, side == 0)
-    if code < 0 or best <= 0.0:
-        return 0
-    return _write(place, key, at, best, bx / best, by / best, px, py, 0.0, code)
+def _facing_edge(
+    world: FloatArray, start: int, end: int, support: int, nx: float, ny: float
+) -> tuple[int, int]:
+    """Vertices of the edge at the support vertex, of its two, that leans more against the normal."""
+    before = support - 1 if support > start else end - 1
+    after = support + 1 if support + 1 < end else start
+    ax = world[support, 0] - world[before, 0]
+    ay = world[support, 1] - world[before, 1]
+    bx = world[after, 0] - world[support, 0]
+    by = world[after, 1] - world[support, 1]
+    lean_a = (ay * nx - ax * ny) / math.sqrt(ax * ax + ay * ay)
+    lean_b = (by * nx - bx * ny) / math.sqrt(bx * bx + by * by)
+    if lean_a < lean_b:
+        return before, support
+    return support, after

@@ -74,10 +74,9 @@ def _cached(function: Function, **flags: Any) -> Function:
 
 
 def entry(function: Function) -> Function:
-    """Compile a function that Python calls, and keep its machine code on disk."""
-    return _cached(function)
+    """Compile a function that Python calls, and keep its machine code on disk.
 
-
-def parallel_entry(function: Function) -> Function:
-    """As `entry`, with `prange` loops spread over the threads."""
-    return _cached(function, parallel=True)
+    It releases Python's lock while it runs, so that plain threads can share the work of a batch: no
+    threading layer, nothing to break in a forked process, and Ctrl-C between ranges.
+    """
+    return _cached(function, nogil=True)

@@ -120,30 +120,33 @@ def rollout(
         Sample at each step's end (as far as there is room) in place of the times in `record.time`.
     """
     problem, work = allocate(model, method.max_contacts)
-    n_free = model.mass.size
+    wide = problem.momentum.size
     n_driven = model.force_limit.size
-    n_dof = problem.momentum.size - 2
-    state = State(
-        pose=start.copy(), velocity=np.zeros(n_dof + 2), path_time=np.zeros(n_driven)
-    )
-    for b in range(n_free):
+    state = State(start.copy(), np.zeros(wide), np.zeros(n_driven))
+    before = State(start.copy(), np.zeros(wide), np.zeros(n_driven))
+    rows = start.copy()
+    guess = np.zeros(wide)
+    begin(model, state, velocity, pace.step, problem, work)
+    return _run(model, state, before, guess, rows, problem, work, method, pace, record, every_step)
+
+
+@kernel
+def begin(
+    model: Model, state: State, velocity: FloatArray, step: float, problem: Problem, work: Workspace
+) -> None:
+    """Set what stays the same during a rollout, and the velocities at time zero."""
+    for b in range(model.mass.size):
         for k in range(3):
             state.velocity[3 * b + k] = velocity[b, k]
-    for d in range(n_driven):
+    for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
-            state.velocity[model.drive_dof[d]] = path_direction(model, d, 0.0, 1e-3 * pace.step)[3]
+            state.velocity[model.drive_dof[d]] = path_direction(model, d, 0.0, 1e-3 * step)[3]
     for i in range(model.piece_body.size):
         work.extent[i, 2] = model.piece_bound[i, 2]
     for e in range(model.element_body.size):
         problem.element_dof[e] = 3 * model.element_body[e]
         problem.element_sides[e] = model.sides if model.element_kind[e] == codes.POINT else 0
-    rows = start.copy()
-    place_bodies(model, rows, start.shape[0], work)
-    guess = np.zeros(n_dof + 2)
-    before = State(
-        pose=start.copy(), velocity=np.zeros(n_dof + 2), path_time=np.zeros(n_driven)
-    )
-    return _run(model, state, before, guess, rows, problem, work, method, pace, record, every_step)
+    place_bodies(model, state.pose, state.pose.shape[0], work)
 
 
 @kernel
@@ -167,7 +170,7 @@ def _run(
     worst = 0.0
     status = codes.CONVERGED
     taken = 0
-    sample = _sample(model, before, state, time, time, step, problem, record, 0, every_step, pace.duration)
+    sample = write_samples(model, before, state, time, time, step, problem, record, 0, every_step, pace.duration)
     while time < pace.duration * (1.0 - 1e-12):
         if taken == method.max_steps:
             status = codes.MAX_STEPS
@@ -190,7 +193,7 @@ def _run(
             if not ready:
                 status = codes.CONTACT_OVERFLOW
                 break
-            off, fell_back = solve(problem, work, guess, method.solver, method.max_sweeps)
+            off, fell_back = solve(problem, work, guess, method.solver, method.effort)
             last_step = trial
             record.count[3] += fell_back
             if not off <= TOLERANCE:
@@ -211,14 +214,14 @@ def _run(
             worst = max(worst, off)
             if method.adaptive == 0:
                 break
-            change = _largest_change(problem, guess)
+            change = largest_change(problem, guess)
             error = 0.5 * trial * change
             if error <= pace.tolerance or trial <= pace.smallest:
                 growth = min(GROWTH, CAUTION * math.sqrt(pace.tolerance / max(error, 1e-30)))
                 growth = max(growth, 0.5)
                 break
             if again == 0:
-                closing = _closing_time(problem, guess, trial, method.lead)
+                closing = closing_time(problem, guess, trial, method.lead)
                 if 0.02 * trial < closing < 0.98 * trial:
                     # A gap closes inside the step: end the step there.
                     trial = max(closing * (1.0 + 1e-6), pace.smallest)
@@ -244,7 +247,14 @@ def _run(
         taken += 1
         if method.adaptive == 1:
             step = min(trial * growth, pace.largest)
-        sample = _sample(
+        sample = write_samples(
+            model, before, state, time - trial, time, trial, problem, record, sample, every_step,
+            pace.duration,
+        )  # fmt: skip
+    if status != codes.CONVERGED and not every_step and 0 < taken and sample < record.time.size:
+        # Keep where it stopped as the last sample.
+        record.time[sample] = time
+        sample = write_samples(
             model, before, state, time - trial, time, trial, problem, record, sample, every_step,
             pace.duration,
         )  # fmt: skip
@@ -267,7 +277,7 @@ def _copy_state(source: State, target: State) -> None:
 
 
 @kernel
-def _largest_change(problem: Problem, guess: FloatArray) -> float:
+def largest_change(problem: Problem, guess: FloatArray) -> float:
     """Largest difference between the velocity found and the one guessed, over bodies and drives."""
     largest = 0.0
     v = problem.velocity
@@ -281,7 +291,7 @@ def _largest_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @kernel
-def _closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
+def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
     """When the first open gap that ends up loaded would close at the guessed velocity."""
     earliest = math.inf
     for i in range(problem.size[1]):
@@ -305,7 +315,7 @@ def _closing_time(problem: Problem, guess: FloatArray, step: float, lead: float)
 
 
 @kernel
-def _sample(
+def write_samples(
     model: Model,
     before: State,
     state: State,
@@ -422,4 +432,5 @@ def _sample_contacts(problem: Problem, record: Record, sample: int, step: float)
             record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
         record.contact[row, 8] = problem.impulse[i, 0] / step
         record.contact[row, 9] = problem.impulse[i, 1] / step
+        record.contact[row, 10] = step
         record.count[1] += 1

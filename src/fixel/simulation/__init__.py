@@ -1,1 +1,28 @@
-"""How it moves: motion models, steppers, solvers, and the loop that joins them."""
+"""How it moves: motion models, steppers, solvers, and the calls that put them together."""
+
+from fixel.simulation.batch import simulate_batch
+from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic
+from fixel.simulation.result import BatchResult, PusherTrace, Simulation
+from fixel.simulation.simulate import simulate
+from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
+from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint, StewartTrinkle
+
+__all__ = [
+    "AbstractMotionModel",
+    "AbstractSolver",
+    "AbstractStepper",
+    "Adaptive",
+    "BatchResult",
+    "Dynamic",
+    "FirstOrder",
+    "GaussSeidel",
+    "Lemke",
+    "Midpoint",
+    "Newton",
+    "PusherTrace",
+    "QuasiStatic",
+    "Simulation",
+    "StewartTrinkle",
+    "simulate",
+    "simulate_batch",
+]

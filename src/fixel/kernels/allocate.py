@@ -1,0 +1,66 @@
+"""Empty problems and workspaces: the only allocations of a rollout, made once before its first step."""
+
+import numpy as np
+
+from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.jit import allocating_kernel
+from fixel.kernels.linear import DENSE_LIMIT
+
+SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
+
+
+@allocating_kernel
+def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
+    """Problem with room for so many degrees of freedom, contacts and friction elements; none in use."""
+    wide = n_dof + SPARE
+    return Problem(
+        size=np.zeros(4, np.int64),
+        inertia=np.zeros((wide, 3)),
+        momentum=np.zeros(wide),
+        velocity=np.zeros(wide),
+        stiffness=np.zeros(wide),
+        contact_dof=np.zeros((n_contact, 2), np.int64),
+        contact_key=np.zeros(n_contact, np.int64),
+        contact_body=np.zeros((n_contact, 2), np.int64),
+        contact_place=np.zeros((n_contact, 5)),
+        normal=np.zeros((n_contact, 6)),
+        tangent=np.zeros((n_contact, 6)),
+        bias=np.zeros((n_contact, 2)),
+        friction=np.zeros(n_contact),
+        impulse=np.zeros((n_contact, 2)),
+        element_dof=np.zeros(n_element, np.int64),
+        element_sides=np.zeros(n_element, np.int64),
+        element_row=np.zeros((n_element, 3, 3)),
+        element_bias=np.zeros((n_element, 3)),
+        element_limit=np.zeros(n_element),
+        element_impulse=np.zeros((n_element, 3)),
+    )
+
+
+@allocating_kernel
+def empty_workspace(
+    n_dof: int, n_contact: int, n_element: int, n_vertex: int, n_piece: int, n_body: int, n_pair: int
+) -> Workspace:
+    """Scratch for a problem of these sizes in a scene of these sizes."""
+    wide = n_dof + SPARE
+    wide_upper = wide if n_dof > DENSE_LIMIT else 0
+    return Workspace(
+        matrix=np.zeros((wide, wide)),
+        matrix_upper=np.zeros((wide_upper, wide_upper)),
+        profile=np.zeros(wide, np.int64),
+        right=np.zeros(wide),
+        contact_change=np.zeros((n_contact, 4)),
+        element_change=np.zeros((n_element, 8)),
+        world=np.zeros((n_vertex, 2)),
+        old_key=np.zeros(n_contact, np.int64),
+        old_impulse=np.zeros((n_contact, 2)),
+        near=np.zeros((n_pair, 2), np.int64),
+        order=np.arange(n_piece),
+        extent=np.zeros((n_piece, 3)),
+        anchor=np.zeros((n_body, 3)),
+        reach=np.zeros(1),
+        inverse=np.zeros((wide, 3)),
+        pull=np.zeros(wide),
+        centre=np.zeros(wide),
+        near_count=np.full(1, -1, np.int64),
+    )

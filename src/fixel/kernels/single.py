@@ -1,0 +1,126 @@
+"""Entries for the plain Python loop: the parts of one step, callable one by one."""
+
+from fixel.kernels import rollout as _rollout
+from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
+from fixel.kernels.jit import entry
+from fixel.kernels.residual import residual
+from fixel.kernels.solve import locked, solve
+from fixel.kernels.step import move, prepare_bodies, prepare_contacts, prepare_rows
+
+
+@entry
+def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
+    """See `rollout.allocate`."""
+    return _rollout.allocate(model, max_contacts)
+
+
+@entry
+def begin(
+    model: Model, state: State, velocity: FloatArray, step: float, problem: Problem, work: Workspace
+) -> None:
+    """See `rollout.begin`."""
+    _rollout.begin(model, state, velocity, step, problem, work)
+
+
+@entry
+def contacts(
+    model: Model,
+    state: State,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    work: Workspace,
+    last_step: float,
+) -> bool:
+    """See `step.prepare_contacts`."""
+    return prepare_contacts(
+        model, state, time, step, lead, guess, pose, problem, work, last_step
+    )
+
+
+@entry
+def assemble(
+    model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
+) -> int:
+    """See `step.prepare_bodies`."""
+    return prepare_bodies(model, state, motion, step, pose, problem)
+
+
+@entry
+def rows(
+    model: Model,
+    state: State,
+    motion: int,
+    time: float,
+    step: float,
+    lead: float,
+    guess: FloatArray,
+    pose: FloatArray,
+    problem: Problem,
+    n_support: int,
+    last_step: float,
+) -> None:
+    """See `step.prepare_rows`."""
+    prepare_rows(
+        model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step
+    )
+
+
+@entry
+def solve_problem(
+    problem: Problem, work: Workspace, guess: FloatArray, solver: int, effort: int
+) -> tuple[float, int]:
+    """See `solve.solve`."""
+    return solve(problem, work, guess, solver, effort)
+
+
+@entry
+def judge(problem: Problem, left_over: FloatArray) -> float:
+    """See `residual.residual`."""
+    return residual(problem, left_over)
+
+
+@entry
+def has_no_solution(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
+    """See `solve.locked`."""
+    return locked(problem, work, guess)
+
+
+@entry
+def move_bodies(model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+    """See `step.move`."""
+    move(model, state, step, problem, glide)
+
+
+@entry
+def largest_change(problem: Problem, guess: FloatArray) -> float:
+    """See `rollout.largest_change`."""
+    return _rollout.largest_change(problem, guess)
+
+
+@entry
+def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
+    """See `rollout.closing_time`."""
+    return _rollout.closing_time(problem, guess, step, lead)
+
+
+@entry
+def sample(
+    model: Model,
+    before: State,
+    state: State,
+    from_time: float,
+    to_time: float,
+    step: float,
+    problem: Problem,
+    record: Record,
+    every_step: bool,
+    duration: float,
+) -> int:
+    """See `rollout.write_samples`."""
+    return _rollout.write_samples(
+        model, before, state, from_time, to_time, step, problem, record, 0, every_step, duration
+    )

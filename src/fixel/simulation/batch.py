@@ -1,0 +1,273 @@
+"""Simulate many scenes in one call, on all cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.kernels import batch as kernel
+from fixel.kernels.arrays import Batch, BatchRecord, FloatArray, Method
+from fixel.model import Parameters, Scene
+from fixel.simulation.motion import AbstractMotionModel, Dynamic
+from fixel.simulation.pack import Packed, Variation, stack
+from fixel.simulation.result import BatchResult
+from fixel.simulation.simulate import (
+    empty_record,
+    method_of,
+    one_variation,
+    pack_with,
+    positive_time,
+    refuse_method,
+    shape_poses,
+)
+from fixel.simulation.solver import AbstractSolver, Newton
+from fixel.simulation.stepper import AbstractStepper, Adaptive
+
+
+def simulate_batch(
+    scene: Scene | Sequence[Scene],
+    parameters: Mapping[str, ArrayLike] | Sequence[Parameters] | None = None,
+    *,
+    start: ArrayLike | None = None,
+    waypoints: ArrayLike | None = None,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    solver: AbstractSolver | None = None,
+    duration: float | None = None,
+    times: ArrayLike | None = None,
+    threads: int | None = None,
+    max_contacts: int = 4096,
+) -> BatchResult | list[BatchResult]:
+    """Simulate one scene in many variations, or many scenes.
+
+    Parameters
+    ----------
+    scene : Scene or sequence of Scene
+        One scene to vary, or scenes to simulate as they are.
+    parameters : mapping from name to (n,) array_like, or sequence of Parameters, optional
+        Parameter sets of the one scene.
+    start : (n, n_free, 3) or (n, 3) array_like, optional
+        Start poses of the free bodies [m, m, rad], each rollout its own. Not checked for overlap.
+    waypoints : (n, n_sample, 4) array_like, optional
+        Path of the one pusher in each rollout: time [s], x, y [m], theta [rad].
+    motion, stepper, solver : optional
+        `Dynamic()`, `Adaptive()` and `Newton()` where left out; built-in ones only.
+    duration : float, optional
+        [s]; the scene's where left out.
+    times : (n_sample,) array_like, optional
+        When to sample poses [s]; only at the end where left out.
+    threads : int, optional
+        All cores where left out. The results are the same bits for any number.
+    max_contacts : int
+        Room for contacts in one rollout.
+
+    Returns
+    -------
+    BatchResult, or a list of one BatchResult a scene
+
+    Raises
+    ------
+    InvalidInput
+        Arrays of different lengths, or a method and a scene that do not fit.
+    """
+    motion = motion or Dynamic()
+    stepper = stepper or Adaptive()
+    solver = solver or Newton()
+    _refuse_plugins(motion, stepper, solver)
+    method = method_of(motion, stepper, solver, max_contacts)
+    if not isinstance(scene, Scene):
+        if parameters is not None or start is not None or waypoints is not None:
+            raise InvalidInput(
+                "scene", found="several scenes with variations", expected="one scene to vary"
+            )
+        return _simulate_scenes(
+            scene, motion, stepper, solver, duration, times, threads, max_contacts
+        )
+    refuse_method(scene, solver)
+    variation, n = _variation(scene, parameters, start, waypoints)
+    seconds = positive_time("duration", scene.duration if duration is None else duration)
+    packed = pack_with(scene, motion, stepper, variation, n, seconds)
+    moments = _moments(times, seconds)
+    record = empty_record(packed, len(moments), 0, moments)
+    _roll(packed.batch, method, record, threads)
+    return _unpack(scene, packed, record, moments)
+
+
+def _refuse_plugins(
+    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
+) -> None:
+    for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
+        if not type(part).__module__.startswith("fixel.simulation."):
+            raise InvalidInput(
+                role,
+                found=f"the plug-in {type(part).__name__}",
+                expected="a built-in one: batches run in compiled code",
+                hint="call simulate for each rollout",
+            )
+
+
+def _variation(
+    scene: Scene,
+    parameters: Mapping[str, ArrayLike] | Sequence[Parameters] | None,
+    start: ArrayLike | None,
+    waypoints: ArrayLike | None,
+) -> tuple[Variation, int]:
+    values: dict[str, FloatArray] = {}
+    if isinstance(parameters, Mapping):
+        values = {k: np.atleast_1d(np.asarray(v, np.float64)) for k, v in parameters.items()}
+    elif parameters is not None:
+        names = set(parameters[0]) if parameters else set()
+        for k, own in enumerate(parameters):
+            if set(own) != names:
+                raise InvalidInput(
+                    f"parameters[{k}]",
+                    found=", ".join(sorted(own)),
+                    expected=f"the names of the first set: {', '.join(sorted(names))}",
+                )
+        values = {name: np.array([own[name] for own in parameters]) for name in sorted(names)}
+    for name, column in values.items():
+        # The names and ranges are those of Parameters; its own check speaks for the worst value.
+        worst = (
+            column[np.argmin(np.where(np.isfinite(column), column, -np.inf))] if column.size else 0
+        )
+        Parameters({name: float(worst)})
+    lengths = {f"parameters.{name}": len(v) for name, v in values.items()}
+    poses = path = None
+    if start is not None:
+        poses = np.asarray(start, np.float64)
+        poses = poses[:, None, :] if poses.ndim == 2 else poses
+        _refuse_shape("start", poses, (len(scene.bodies), 3))
+        lengths["start"] = len(poses)
+    if waypoints is not None:
+        path = np.asarray(waypoints, np.float64)
+        if len(scene.pushers) != 1:
+            raise InvalidInput(
+                "waypoints", found=f"{len(scene.pushers)} pushers", expected="a scene with one"
+            )
+        _refuse_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
+        if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
+            raise InvalidInput(
+                "waypoints", found="a time that does not grow", expected="times in increasing order"
+            )
+        lengths["waypoints"] = len(path)
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
+        raise InvalidInput("variations", found=found, expected="the same length for all")
+    return Variation(values, poses, path), next(iter(lengths.values()), 1)
+
+
+def _refuse_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
+    if array.shape[1:] != tail or not np.isfinite(array).all():
+        raise InvalidInput(
+            where,
+            found=f"shape {array.shape}" + ("" if np.isfinite(array).all() else ", not all finite"),
+            expected=f"finite numbers of shape (n, {', '.join(map(str, tail))})",
+        )
+
+
+def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
+    if times is None:
+        return np.array([duration])
+    moments = np.asarray(times, np.float64)
+    grows = moments.ndim == 1 and moments.size > 0 and bool(np.all(np.diff(moments) > 0.0))
+    if not grows or not 0.0 <= moments[0] <= moments[-1] <= duration * (1.0 + 1e-12):
+        raise InvalidInput(
+            "times", found=moments, expected=f"increasing times from 0 to {duration:g} s"
+        )
+    return moments
+
+
+def _roll(batch: Batch, method: Method, record: BatchRecord, threads: int | None) -> None:
+    """Share the rollouts among threads, in ranges small enough to end at the same time."""
+    n = len(record.status)
+    n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
+    n_threads = (n_threads or 1) if threads is None else threads
+    if n_threads < 1:
+        raise InvalidInput("threads", found=threads, expected="at least 1")
+    if n_threads == 1 or n < 2:
+        kernel.roll(batch, method, record, False, 0, n)
+        return
+    size = max(1, min(64, n // (4 * n_threads)))
+    with ThreadPoolExecutor(n_threads) as pool:
+        futures = [
+            pool.submit(kernel.roll, batch, method, record, False, k, min(n, k + size))
+            for k in range(0, n, size)
+        ]
+        try:
+            for future in futures:
+                future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _unpack(scene: Scene, packed: Packed, record: BatchRecord, times: FloatArray) -> BatchResult:
+    units = packed.units
+    _hold_last(record)
+    return BatchResult(
+        names=tuple(item.name for item in (*scene.bodies, *scene.pushers)),
+        status=record.status,
+        time=times,
+        pose=shape_poses(packed, record.pose),
+        stopped_at=record.total[:, 0] * units.time,
+        steps=record.count[:, 2].copy(),
+        fallbacks=record.count[:, 3].copy(),
+        max_residual=record.total[:, 1].copy(),
+        force=record.drive[:, -1, :, 0] * units.force,
+        stalled=record.drive[:, -1, :, 1] > 0.0,
+    )
+
+
+def _hold_last(record: BatchRecord) -> None:
+    """Rollouts that stopped early keep their last pose for the samples they did not reach."""
+    n_sample = record.time.shape[1]
+    for r in np.nonzero(record.count[:, 0] < n_sample)[0]:
+        written = record.count[r, 0]
+        last = written - 1
+        for array in (record.pose, record.drive):
+            array[r, written:] = array[r, last] if last >= 0 else 0.0
+
+
+def _simulate_scenes(
+    scenes: Sequence[Scene],
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    solver: AbstractSolver,
+    duration: float | None,
+    times: ArrayLike | None,
+    threads: int | None,
+    max_contacts: int,
+) -> list[BatchResult]:
+    """Many scenes in one parallel call; each result is a batch of one."""
+    method = method_of(motion, stepper, solver, max_contacts)
+    packed, moments = [], []
+    for scene in scenes:
+        refuse_method(scene, solver)
+        seconds = positive_time("duration", scene.duration if duration is None else duration)
+        packed.append(pack_with(scene, motion, stepper, one_variation(None), 1, seconds))
+        moments.append(_moments(times, seconds))
+    if not packed:
+        return []
+    batch = stack(packed)
+    whole = Packed(batch, packed[0].units, packed[0].com)
+    record = empty_record(whole, len(moments[0]), 0)
+    for r, part in enumerate(packed):
+        record.time[r] = moments[r] / part.units.time
+    _roll(batch, method, record, threads)
+    results = []
+    for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
+        n_driven = len(scene.pushers)
+        n_moving = len(scene.bodies) + n_driven
+        own = BatchRecord(*(array[r : r + 1] for array in record))
+        own = own._replace(
+            pose=own.pose[:, :, :n_moving],
+            drive=own.drive[:, :, :n_driven],
+            twist=own.twist[:, :, :n_moving],
+        )
+        results.append(_unpack(scene, part, own, moments[r]))
+    return results

@@ -1,0 +1,119 @@
+"""Motion models: which equations move the bodies.
+
+Each model is the same two functions: `assemble` writes a body's own rows of the step problem, `move` takes
+the step once it is solved. The built-in three also name the integer by which the compiled loop knows them.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+from fixel.kernels import codes, single
+from fixel.kernels.arrays import FloatArray, Model, Problem, State
+
+
+class AbstractMotionModel(abc.ABC):
+    """Writes the rows of the free bodies, and moves them."""
+
+    name: ClassVar[str]
+    kind: ClassVar[int] = codes.EXTERNAL
+
+    @abc.abstractmethod
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        """Write inertia, momentum and support friction of every free body.
+
+        Parameters
+        ----------
+        model, state
+            Scaled, see `fixel.kernels.arrays`.
+        step : float
+            Length of the step, scaled.
+        pose : (n_body, 3) float64
+            Configuration at which rows are taken.
+        problem : Problem
+            Receives `inertia`, `momentum` and the first `element_...` rows.
+
+        Returns
+        -------
+        int
+            Number of support friction elements written.
+        """
+
+    @abc.abstractmethod
+    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+        """Take the step: velocities become the problem's, poses follow."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dynamic(AbstractMotionModel):
+    """Newton's law with impulses: ``M (v' - v) = h f + impulses``.
+
+    Not the choice for slow pushing of very light parts, where inertia is a rounding error: `QuasiStatic`.
+
+    Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs. 2.13-2.14.
+    """
+
+    name: ClassVar[str] = "dynamic"
+    kind: ClassVar[int] = codes.DYNAMIC
+
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        return int(single.assemble(model, state, self.kind, step, pose, problem))
+
+    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+        single.move_bodies(model, state, step, problem, glide)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QuasiStatic(AbstractMotionModel):
+    """Balance of forces at every instant: ``0 = h f + impulses``. A body that nothing touches rests.
+
+    Speeds, masses and the friction of the plane drop out of the path (ASME 2006). Every free body needs
+    support friction.
+
+    Source: ASME 2006 paper, eqs. 1-2.
+    """
+
+    name: ClassVar[str] = "quasistatic"
+    kind: ClassVar[int] = codes.QUASI_STATIC
+
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        return int(single.assemble(model, state, self.kind, step, pose, problem))
+
+    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+        single.move_bodies(model, state, step, problem, False)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstOrder(AbstractMotionModel):
+    """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
+
+    The wrench is not bounded by the surface, so bodies never stick: smooth, and a good first guess, where
+    `QuasiStatic` is the law. Every free body needs support friction, whose ellipsoid gives the mobility.
+
+    Source: Halm & Posa (2019), eq. 3, with the ellipsoid of Howe & Cutkosky (1996).
+    """
+
+    name: ClassVar[str] = "first-order"
+    kind: ClassVar[int] = codes.FIRST_ORDER
+
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        return int(single.assemble(model, state, self.kind, step, pose, problem))
+
+    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+        single.move_bodies(model, state, step, problem, False)
+
+
+MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)

@@ -1,0 +1,186 @@
+"""The plain loop: one step at a time in Python, for plug-ins and as the reference of the compiled loop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fixel.kernels import batch as kernel
+from fixel.kernels import codes, single
+from fixel.kernels.arrays import (
+    BatchRecord,
+    FloatArray,
+    Method,
+    Model,
+    Problem,
+    Record,
+    State,
+    Workspace,
+)
+from fixel.kernels.solve import TOLERANCE
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.pack import Packed
+from fixel.simulation.solver import AbstractSolver
+from fixel.simulation.stepper import AbstractStepper, Attempt, Limits
+
+
+class _Loop:
+    """State of one plain rollout: what the seams share between calls."""
+
+    def __init__(
+        self,
+        packed: Packed,
+        motion: AbstractMotionModel,
+        solver: AbstractSolver,
+        max_contacts: int,
+    ) -> None:
+        batch = packed.batch
+        self.motion = motion
+        self.solver = solver
+        self.model: Model = kernel.select_one(batch, 0)
+        self.pose = np.array(batch.pose[: batch.count[0, kernel.BODY]])
+        self.problem: Problem
+        self.work: Workspace
+        self.problem, self.work = single.allocate(self.model, max_contacts)
+        wide = self.problem.momentum.size
+        n_driven = self.model.force_limit.size
+        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven))
+        self.last_step = 0.0
+        self.time = 0.0
+        self.fallbacks = 0
+        pace = batch.pace[0]
+        single.begin(
+            self.model, self.state, batch.velocity, float(pace[1]), self.problem, self.work
+        )
+
+    def attempt(self, step: float, lead: float, guess: FloatArray) -> Attempt:
+        """Try one step: contacts, the model's rows, the shared rows, the solver."""
+        model, state, problem, work = self.model, self.state, self.problem, self.work
+        ahead = lead * step
+        kind = self.motion.kind
+        if not single.contacts(
+            model, state, self.time, step, ahead, guess, self.pose, problem, work, self.last_step
+        ):
+            return Attempt(codes.CONTACT_OVERFLOW, math.inf)
+        n_support = self.motion.assemble(model, state, step, self.pose, problem)
+        single.rows(
+            model, state, kind, self.time, step, ahead, guess, self.pose, problem, n_support,
+            self.last_step,
+        )  # fmt: skip
+        residual, fell_back = self.solver.solve(problem, work, guess)
+        self.fallbacks += fell_back
+        solved = residual <= TOLERANCE
+        self.last_step = step if solved else 0.0
+        return Attempt(codes.CONVERGED if solved else codes.MAX_ITERATIONS, residual)
+
+
+def roll_plainly(
+    packed: Packed,
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    solver: AbstractSolver,
+    method: Method,
+    times: FloatArray | None,
+) -> BatchRecord:
+    """The record of one rollout, step by step; the same numbers as the compiled loop's."""
+    loop = _Loop(packed, motion, solver, method.max_contacts)
+    duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
+    samples = _Samples(loop, None if times is None else times / packed.units.time, duration)
+    step = min(step, duration)
+    status = codes.CONVERGED
+    worst = 0.0
+    steps = 0
+    while loop.time < duration * (1.0 - 1e-12):
+        if steps == method.max_steps:
+            status = codes.MAX_STEPS
+            break
+        limits = Limits(duration - loop.time, tolerance, smallest, largest)
+        advance = stepper.advance(
+            loop.attempt, loop.problem, loop.state.velocity.copy(), step, limits
+        )
+        if advance.status != codes.CONVERGED:
+            status = _reason(loop, advance.status, advance.residual)
+            break
+        worst = max(worst, advance.residual)
+        before = State(*(np.array(a) for a in loop.state))
+        taken = advance.step
+        glide = motion.kind == codes.DYNAMIC and stepper.adaptive
+        motion.move(loop.model, loop.state, advance.step, loop.problem, glide)
+        loop.time += advance.step
+        steps += 1
+        step = advance.next_step
+        samples.take(before, taken)
+    if status != codes.CONVERGED and steps and not samples.every_step:
+        samples.stop_at(loop.time)
+        samples.take(before, taken)
+    return samples.finish(status, steps, worst)
+
+
+def _reason(loop: _Loop, status: int, residual: float) -> int:
+    if status != codes.MAX_ITERATIONS:
+        return status
+    if math.isinf(residual):
+        return codes.NON_FINITE
+    locked = single.has_no_solution(loop.problem, loop.work, loop.state.velocity)
+    return codes.JAMMED if locked else codes.MAX_ITERATIONS
+
+
+class _Samples:
+    """Collects samples as the compiled loop does."""
+
+    def __init__(self, loop: _Loop, times: FloatArray | None, duration: float) -> None:
+        self.loop = loop
+        self.times = np.zeros(0) if times is None else times
+        self.every_step = times is None
+        self.duration = duration
+        self.n_driven = loop.model.force_limit.size
+        self.shape = (loop.model.mass.size + self.n_driven, 3)
+        self.rows: list[Record] = []
+        self.done = 0
+        self.take(loop.state, 0.0)
+
+    def take(self, before: State, step: float) -> None:
+        """Write the samples that fall into the step just taken."""
+        loop = self.loop
+        room = 1 if self.every_step else len(self.times) - self.done
+        n_row = max(1, loop.problem.contact_key.size) * max(room, 1)
+        record = Record(
+            np.zeros(room) if self.every_step else self.times[self.done :].copy(),
+            np.zeros((room, *self.shape)),
+            np.zeros((room, *self.shape)),
+            np.zeros((room, self.n_driven, 2)),
+            np.zeros((n_row, 11)),
+            np.zeros(4, np.int64),
+            np.zeros(2),
+        )
+        written = single.sample(
+            loop.model, before, loop.state, loop.time - step, loop.time, step, loop.problem, record,
+            self.every_step, self.duration,
+        )  # fmt: skip
+        if written:
+            contact = record.contact[: record.count[1]]
+            contact[:, 0] += self.done
+            self.rows.append(
+                Record(
+                    record.time[:written],
+                    record.pose[:written],
+                    record.twist[:written],
+                    record.drive[:written],
+                    contact,
+                    record.count,
+                    record.total,
+                )
+            )
+            self.done += written
+
+    def stop_at(self, time: float) -> None:
+        """Make `time` the last sample."""
+        self.times = np.append(self.times[: self.done], time)
+
+    def finish(self, status: int, steps: int, worst: float) -> BatchRecord:
+        """All samples, as a batch of one."""
+        joined = [np.concatenate([row[k] for row in self.rows])[None] for k in range(5)]
+        count = np.array([[self.done, joined[4].shape[1], steps, self.loop.fallbacks]], np.int64)
+        total = np.array([[self.loop.time, worst]])
+        return BatchRecord(*joined, count, total, np.array([status], np.int64))

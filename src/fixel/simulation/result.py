@@ -1,0 +1,194 @@
+"""What a simulation leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.kernels import codes
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import Parameters, Scene, Trajectory
+
+CONTACT_FIELDS = np.dtype(
+    [
+        ("time", np.float64),  # [s]
+        ("body", np.int64),  # index into `names`
+        ("other", np.int64),
+        ("gap", np.float64),  # [m]
+        ("normal", np.float64, (2,)),  # unit, from `other` into `body`
+        ("point", np.float64, (2,)),  # [m]
+        ("normal_force", np.float64),  # [N]
+        ("tangential_force", np.float64),  # [N], along the normal turned by +90 degrees
+        ("step", np.float64),  # [s] of the step; force times step is the impulse
+    ]
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PusherTrace:
+    """What one pusher did.
+
+    Attributes
+    ----------
+    travel : float
+        Length of the path it has covered [m].
+    force : (n_sample,) float64
+        What the bodies push back with, along its path [N].
+    stalled : (n_sample,) bool
+        Whether its drive was at its force limit and held by it.
+    """
+
+    travel: float
+    force: FloatArray
+    stalled: NDArray[np.bool_]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """The record of one simulation: what was simulated, how, and what came of it.
+
+    Attributes
+    ----------
+    status : str
+        ``converged``, or the first thing that went wrong (`fixel.kernels.codes.STATUS_NAMES`).
+    advice : str
+        What to do about it; empty when converged.
+    stopped_at : float or None
+        Where it went wrong [s]; everything up to there is kept.
+    time : (n_sample,) float64
+        [s]
+    pose, twist : mapping from name to (n_sample, 3) float64
+        Of every body's shape frame, and of its centre of mass [m, m, rad; m/s, m/s, rad/s].
+    contacts : (n_contact,) structured, see CONTACT_FIELDS
+        Every contact that touches, sample by sample.
+    max_residual : float
+        Worst natural-map residual of any step, in the scene's scaled units.
+    """
+
+    scene: Scene
+    parameters: Parameters | None
+    method: Mapping[str, Any]
+    status: str
+    stopped_at: float | None
+    duration: float
+    time: FloatArray
+    pose: Mapping[str, FloatArray]
+    twist: Mapping[str, FloatArray]
+    contacts: NDArray[np.void]
+    pushers: Mapping[str, PusherTrace]
+    steps: int
+    fallbacks: int
+    max_residual: float
+    wall_time_s: float
+    version: str = field(default="")
+
+    @property
+    def advice(self) -> str:
+        return codes.STATUS_ADVICE[codes.STATUS_NAMES.index(self.status)]
+
+    @property
+    def converged(self) -> bool:
+        return self.status == codes.STATUS_NAMES[codes.CONVERGED]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All bodies: free, then pushers, then fixels; contacts count them so."""
+        scene = self.scene
+        return tuple(item.name for item in (*scene.bodies, *scene.pushers, *scene.fixels))
+
+    @property
+    def final(self) -> dict[str, FloatArray]:
+        """Last pose of every free and driven body."""
+        return {name: poses[-1] for name, poses in self.pose.items()}
+
+    @property
+    def touching(self) -> list[tuple[str, str]]:
+        """Pairs that touch at the end."""
+        last = self.contacts[self.contacts["time"] == self.time[-1]]
+        pairs = sorted({(int(c["body"]), int(c["other"])) for c in last})
+        names = self.names
+        return [(names[a], names[b]) for a, b in pairs]
+
+    def trajectory(self, name: str) -> Trajectory:
+        """Pose of one body against time."""
+        return Trajectory(time=self.time, pose=self.pose[name])
+
+    def summary(self) -> dict[str, Any]:
+        """The answer of `fixel simulate --json`, as plain numbers (scene.md)."""
+        answer: dict[str, Any] = {"status": self.status}
+        if self.stopped_at is not None:
+            answer["stopped_at"] = self.stopped_at
+            answer["advice"] = self.advice
+        answer |= {
+            "duration": self.duration,
+            "steps": self.steps,
+            "max_residual": self.max_residual,
+            "wall_time_s": self.wall_time_s,
+            "final": {name: pose.tolist() for name, pose in self.final.items()},
+            "pushers": {
+                name: {
+                    "travel": trace.travel,
+                    "force": float(trace.force[-1]),
+                    "stalled": bool(trace.stalled[-1]),
+                }
+                for name, trace in self.pushers.items()
+            },
+            "touching": [list(pair) for pair in self.touching],
+            "fallbacks": self.fallbacks,
+            "method": dict(self.method),
+        }
+        return answer
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchResult:
+    """What many rollouts leave behind.
+
+    Attributes
+    ----------
+    status : (n,) int64
+        Index into `fixel.kernels.codes.STATUS_NAMES`; 0 is converged.
+    time : (n_sample,) float64
+        When poses were sampled [s]; the last is the end.
+    pose : (n, n_sample, n_moving, 3) float64
+        Of free bodies, then pushers; shape frames [m, m, rad]. A rollout that stopped early keeps its last
+        pose to the end.
+    stopped_at : (n,) float64
+        Time reached [s].
+    steps, fallbacks : (n,) int64
+    max_residual : (n,) float64
+    force : (n, n_driven) float64
+        On each pusher along its path at the end [N].
+    stalled : (n, n_driven) bool
+    """
+
+    names: tuple[str, ...]
+    status: IntArray
+    time: FloatArray
+    pose: FloatArray
+    stopped_at: FloatArray
+    steps: IntArray
+    fallbacks: IntArray
+    max_residual: FloatArray
+    force: FloatArray
+    stalled: NDArray[np.bool_]
+
+    @property
+    def final(self) -> FloatArray:
+        """(n, n_moving, 3) poses at the end."""
+        return self.pose[:, -1]
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        return self.status == codes.CONVERGED
+
+    def pose_of(self, name: str) -> FloatArray:
+        """(n, n_sample, 3) poses of one body."""
+        return self.pose[:, :, self.names.index(name)]

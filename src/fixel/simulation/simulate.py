@@ -1,0 +1,338 @@
+"""Simulate one scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time as clock
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fixel.errors import InvalidInput, SolveFailed
+from fixel.kernels import batch as kernel
+from fixel.kernels import codes
+from fixel.kernels.arrays import BatchRecord, FloatArray, Method
+from fixel.model import Parameters, Scene
+from fixel.simulation.motion import AbstractMotionModel, Dynamic
+from fixel.simulation.pack import Packed, Variation, pack
+from fixel.simulation.plain import roll_plainly
+from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
+from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
+from fixel.simulation.stepper import AbstractStepper, Adaptive
+
+MAX_STEPS = 1_000_000
+MAX_SAMPLES = 200_000
+CONTACTS_PER_BODY = 8  # rows a sample is given in the contact table, per moving body
+
+
+def simulate(
+    scene: Scene,
+    parameters: Parameters | None = None,
+    *,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    solver: AbstractSolver | None = None,
+    duration: float | None = None,
+    output_interval: float | None = None,
+    max_contacts: int = 4096,
+    plain: bool = False,
+    throw: bool = False,
+) -> Simulation:
+    """Simulate one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    parameters : Parameters, optional
+        Values that replace the scene's own.
+    motion, stepper, solver : optional
+        `Dynamic()`, `Adaptive()` and `Newton()` where left out.
+    duration : float, optional
+        [s]; the scene's where left out.
+    output_interval : float, optional
+        Time between samples [s]; a sample at the end of every step where left out.
+    max_contacts : int
+        Room for contacts; more of them end the rollout with the status ``contact_overflow``.
+    plain : bool
+        Walk the steps in Python, one part at a time; always done for plug-ins.
+    throw : bool
+        Raise `SolveFailed` in place of returning a simulation that stopped early.
+
+    Returns
+    -------
+    Simulation
+        With a status: a failure is a value, and what was computed until there is kept.
+
+    Raises
+    ------
+    InvalidInput
+        A method and a scene that do not fit.
+    SolveFailed
+        Only with `throw`.
+    """
+    motion = motion or Dynamic()
+    stepper = stepper or Adaptive()
+    solver = solver or Newton()
+    duration = positive_time("duration", scene.duration if duration is None else duration)
+    refuse_method(scene, solver)
+    packed = pack_with(scene, motion, stepper, one_variation(parameters), 1, duration)
+    method = method_of(motion, stepper, solver, max_contacts)
+    external = codes.EXTERNAL in (motion.kind, solver.kind) or _is_external(stepper)
+    times = None if output_interval is None else sample_times(duration, output_interval)
+    seconds = clock.perf_counter()
+    if plain or external:
+        record = roll_plainly(packed, motion, stepper, solver, method, times)
+    else:
+        record = _roll_compiled(packed, stepper, method, duration, times)
+    seconds = clock.perf_counter() - seconds
+    simulation = _unpack(
+        scene, parameters, packed, record, duration, seconds, motion, stepper, solver
+    )
+    if throw and not simulation.converged:
+        raise SolveFailed(
+            f"{simulation.status} at {simulation.stopped_at:.6g} s. {simulation.advice}"
+        )
+    return simulation
+
+
+def positive_time(where: str, value: float) -> float:
+    """A positive, finite time, or a refusal."""
+    if not 0.0 < value < math.inf:
+        raise InvalidInput(where, found=value, expected="a positive time [s]")
+    return float(value)
+
+
+def one_variation(parameters: Parameters | None) -> Variation:
+    """The variation of a single rollout."""
+    values = {} if parameters is None else dict(parameters)
+    return Variation({k: np.array([v]) for k, v in values.items()}, None, None)
+
+
+def refuse_method(scene: Scene, solver: AbstractSolver) -> None:
+    """Refuse a solver that has no answer to the scene's friction."""
+    if isinstance(solver, Lemke) and not scene.support_directions:
+        raise InvalidInput(
+            "solver",
+            found="Lemke on exact friction discs",
+            expected="the linear form",
+            hint="set support_directions to 4 or more (16 in the thesis), or choose Newton",
+        )
+
+
+def pack_with(
+    scene: Scene,
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    variation: Variation,
+    n: int,
+    duration: float,
+) -> Packed:
+    """Pack a scene for a stepper's own step and tolerance."""
+    adaptive = isinstance(stepper, Adaptive)
+    return pack(
+        scene,
+        motion.kind,
+        variation,
+        n,
+        step=stepper.first_step,
+        tolerance=stepper.tolerance if adaptive else None,
+        largest=stepper.largest_step if adaptive else math.inf,
+        duration=duration,
+    )
+
+
+def method_of(
+    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
+) -> Method:
+    """The method as the kernels understand it."""
+    effort = 0
+    if isinstance(solver, GaussSeidel):
+        effort = solver.max_sweeps
+    elif isinstance(solver, Lemke):
+        effort = solver.max_pivots
+    return Method(
+        motion=motion.kind,
+        solver=solver.kind,
+        adaptive=int(stepper.adaptive),
+        lead=float(stepper.lead),
+        max_steps=MAX_STEPS,
+        max_contacts=max_contacts,
+        effort=effort,
+    )
+
+
+def _is_external(stepper: AbstractStepper) -> bool:
+    return not type(stepper).__module__.startswith("fixel.simulation.")
+
+
+def empty_record(
+    packed: Packed, n_sample: int, n_row: int, times: FloatArray | None = None
+) -> BatchRecord:
+    """Room for `n_sample` samples of every rollout, at `times` [s] where given."""
+    count = packed.batch.count
+    n = len(count)
+    n_driven = int(count[:, kernel.DRIVEN].max(initial=0))
+    n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
+    moment = np.zeros((n, n_sample))
+    if times is not None:
+        moment[:] = times / packed.units.time
+    return BatchRecord(
+        time=moment,
+        pose=np.zeros((n, n_sample, n_moving, 3)),
+        twist=np.zeros((n, n_sample, n_moving, 3)),
+        drive=np.zeros((n, n_sample, n_driven, 2)),
+        contact=np.zeros((n, n_row, 11)),
+        count=np.zeros((n, 4), np.int64),
+        total=np.zeros((n, 2)),
+        status=np.zeros(n, np.int64),
+    )
+
+
+def sample_times(duration: float, interval: float) -> FloatArray:
+    """0, interval, 2 interval, ... and the end."""
+    positive_time("output_interval", interval)
+    n = math.floor(duration / interval * (1.0 + 1e-12))
+    if n + 2 > MAX_SAMPLES:
+        raise InvalidInput(
+            "output_interval",
+            found=f"{n} samples",
+            expected=f"at most {MAX_SAMPLES}",
+            hint=f"make it at least {duration / MAX_SAMPLES:.3g} s",
+        )
+    times = interval * np.arange(n + 1)
+    if times[-1] < duration * (1.0 - 1e-9):
+        times = np.append(times, duration)
+    times[-1] = min(times[-1], duration)
+    return times
+
+
+def _roll_compiled(
+    packed: Packed,
+    stepper: AbstractStepper,
+    method: Method,
+    duration: float,
+    times: FloatArray | None,
+) -> BatchRecord:
+    n_moving = int(packed.batch.count[0, kernel.FREE] + packed.batch.count[0, kernel.DRIVEN])
+    per_sample = CONTACTS_PER_BODY * n_moving
+    if times is not None:
+        record = empty_record(packed, len(times), per_sample * len(times), times)
+        kernel.roll(packed.batch, method, record, False, 0, 1)
+        return record
+    if stepper.first_step is not None:
+        n_sample = math.ceil(duration / stepper.first_step * (1.0 + 1e-9)) + 2
+    else:
+        # How many steps an adaptive stepper takes is known once it has taken them.
+        probe = empty_record(packed, 0, 0)
+        kernel.roll(packed.batch, method, probe, False, 0, 1)
+        n_sample = int(probe.count[0, 2]) + 1
+    if n_sample > MAX_SAMPLES:
+        raise InvalidInput(
+            "output_interval",
+            found=f"none, with {n_sample} steps",
+            expected=f"at most {MAX_SAMPLES} samples",
+            hint=f"give an output_interval of {duration / 1000:.3g} s, say",
+        )
+    record = empty_record(packed, n_sample, per_sample * n_sample)
+    kernel.roll(packed.batch, method, record, True, 0, 1)
+    return record
+
+
+class _Scales(NamedTuple):
+    pose: FloatArray
+    twist: FloatArray
+
+
+def _scales(packed: Packed) -> _Scales:
+    units = packed.units
+    pose = np.array([units.length, units.length, 1.0])
+    return _Scales(pose, pose / units.time)
+
+
+def shape_poses(packed: Packed, pose: FloatArray) -> FloatArray:
+    """Poses (..., n_moving, 3) of shape frames, SI, from scaled poses of centres of mass."""
+    out = pose * _scales(packed).pose
+    n_free = len(packed.com)
+    c, s = np.cos(out[..., :n_free, 2]), np.sin(out[..., :n_free, 2])
+    x, y = packed.com[:, 0], packed.com[:, 1]
+    out[..., :n_free, 0] -= c * x - s * y
+    out[..., :n_free, 1] -= s * x + c * y
+    return np.asarray(out)
+
+
+def _unpack(
+    scene: Scene,
+    parameters: Parameters | None,
+    packed: Packed,
+    record: BatchRecord,
+    duration: float,
+    seconds: float,
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    solver: AbstractSolver,
+) -> Simulation:
+    units = packed.units
+    n_sample, n_contact, steps, fallbacks = (int(k) for k in record.count[0])
+    time = record.time[0, :n_sample] * units.time
+    poses = shape_poses(packed, record.pose[0, :n_sample])
+    twists = record.twist[0, :n_sample] * _scales(packed).twist
+    moving = [item.name for item in (*scene.bodies, *scene.pushers)]
+    reached = float(record.total[0, 0]) * units.time
+    status = int(record.status[0])
+    pushers = {}
+    for k, pusher in enumerate(scene.pushers):
+        path = poses[:, len(scene.bodies) + k, :2]
+        pushers[pusher.name] = PusherTrace(
+            travel=float(np.hypot(*np.diff(path, axis=0).T).sum()),
+            force=record.drive[0, :n_sample, k, 0] * units.force,
+            stalled=record.drive[0, :n_sample, k, 1] > 0.0,
+        )
+    return Simulation(
+        scene=scene,
+        parameters=parameters,
+        method=_described(motion, stepper, solver),
+        status=codes.STATUS_NAMES[status],
+        stopped_at=None if status == codes.CONVERGED else reached,
+        duration=duration if status == codes.CONVERGED else reached,
+        time=time,
+        pose={name: poses[:, k] for k, name in enumerate(moving)},
+        twist={name: twists[:, k] for k, name in enumerate(moving)},
+        contacts=_contact_table(packed, record.contact[0, :n_contact], time),
+        pushers=pushers,
+        steps=steps,
+        fallbacks=fallbacks,
+        max_residual=float(record.total[0, 1]),
+        wall_time_s=seconds,
+        version=version("fixel"),
+    )
+
+
+def _contact_table(packed: Packed, rows: FloatArray, time: FloatArray) -> np.ndarray[Any, Any]:
+    units = packed.units
+    table = np.zeros(len(rows), CONTACT_FIELDS)
+    if len(rows):
+        table["time"] = time[rows[:, 0].astype(np.int64)]
+    table["body"] = rows[:, 1]
+    table["other"] = rows[:, 2]
+    table["gap"] = rows[:, 3] * units.length
+    table["normal"] = rows[:, 4:6]
+    table["point"] = rows[:, 6:8] * units.length
+    table["normal_force"] = rows[:, 8] * units.force
+    table["tangential_force"] = rows[:, 9] * units.force
+    table["step"] = rows[:, 10] * units.time
+    return table
+
+
+def _described(
+    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
+) -> dict[str, Any]:
+    """Names and options of the method, enough to run it again."""
+    described: dict[str, Any] = {}
+    for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
+        described[role] = getattr(part, "name", type(part).__name__)
+        if dataclasses.is_dataclass(part):
+            own = ((f.name, getattr(part, f.name)) for f in dataclasses.fields(part))
+            described |= {f"{role}.{name}": value for name, value in own}
+    return described

@@ -1,0 +1,211 @@
+"""Steppers: how time is cut into steps."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels import codes, single
+from fixel.kernels.arrays import FloatArray, Problem
+from fixel.kernels.rollout import CAUTION, GROWTH, SHRINK
+from fixel.kernels.solve import TOLERANCE
+
+
+class Attempt(NamedTuple):
+    """What came of one try at a step."""
+
+    status: int  # codes.CONVERGED, CONTACT_OVERFLOW or MAX_ITERATIONS
+    residual: float
+
+
+class Advance(NamedTuple):
+    """A step that a stepper settled on, or why it could not."""
+
+    status: int
+    step: float
+    next_step: float
+    residual: float
+
+
+# Tries the step (length, lead, guessed velocity) and leaves the solution in the problem.
+Try = Callable[[float, float, FloatArray], Attempt]
+
+
+class AbstractStepper(abc.ABC):
+    """Chooses the next step and where its rows are taken."""
+
+    name: ClassVar[str]
+    adaptive: ClassVar[bool] = False
+    lead: ClassVar[float] = 0.0
+    order: ClassVar[int]
+
+    @property
+    @abc.abstractmethod
+    def first_step(self) -> float | None:
+        """Length of the first step [s]; None for the stepper's own choice."""
+
+    @abc.abstractmethod
+    def advance(
+        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+    ) -> Advance:
+        """Find the next step, at most `limits.left` long, with its solution in `problem`.
+
+        All quantities scaled; `step` is the length proposed by the step before.
+        """
+
+
+class Limits(NamedTuple):
+    """Bounds on the next step, scaled."""
+
+    left: float  # time to the end
+    tolerance: float  # of position
+    smallest: float
+    largest: float
+
+
+def _fixed(attempt: Try, velocity: FloatArray, step: float, lead: float, limits: Limits) -> Advance:
+    trial = limits.left if limits.left < step * (1.0 + 1e-9) else step
+    status, residual = attempt(trial, lead, velocity)
+    return Advance(status, trial, step, residual)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StewartTrinkle(AbstractStepper):
+    """Fixed step, rows taken at the step's start. First order.
+
+    The scheme of the thesis and of most peers; choose it to reproduce them.
+
+    Source: Stewart & Trinkle (1996).
+    """
+
+    name: ClassVar[str] = "stewart-trinkle"
+    order: ClassVar[int] = 1
+    step: float = 0.01
+
+    def __post_init__(self) -> None:
+        _refuse_step("StewartTrinkle.step", self.step)
+
+    @property
+    def first_step(self) -> float | None:
+        return self.step
+
+    def advance(
+        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+    ) -> Advance:
+        return _fixed(attempt, velocity, step, self.lead, limits)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Midpoint(AbstractStepper):
+    """Fixed step, rows taken half a step ahead. Second order while nothing happens, first across events.
+
+    Source: Moreau (1988), section 9.
+    """
+
+    name: ClassVar[str] = "midpoint"
+    lead: ClassVar[float] = 0.5
+    order: ClassVar[int] = 2
+    step: float = 0.01
+
+    def __post_init__(self) -> None:
+        _refuse_step("Midpoint.step", self.step)
+
+    @property
+    def first_step(self) -> float | None:
+        return self.step
+
+    def advance(
+        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+    ) -> Advance:
+        return _fixed(attempt, velocity, step, self.lead, limits)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adaptive(AbstractStepper):
+    """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts change.
+
+    The error of a step is taken as half its length times the change of velocity over it, what a first-order
+    step would be wrong by; a gap that closes inside a step ends the step there. docs/theory/stepping.md.
+
+    Parameters
+    ----------
+    tolerance : float
+        Of position in one step [m]; angles count by the characteristic length. None: a thousandth of the
+        scene's characteristic length.
+    largest_step : float
+        In the time in which the fastest body moves by one characteristic length.
+    """
+
+    name: ClassVar[str] = "adaptive"
+    adaptive: ClassVar[bool] = True
+    lead: ClassVar[float] = 0.5
+    order: ClassVar[int] = 2
+    tolerance: float | None = None
+    largest_step: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.tolerance is not None and not 0.0 < self.tolerance < math.inf:
+            raise InvalidInput(
+                "Adaptive.tolerance", found=self.tolerance, expected="a positive length [m]"
+            )
+        if not 0.0 < self.largest_step <= 10.0:
+            raise InvalidInput(
+                "Adaptive.largest_step", found=self.largest_step, expected="a number from 0 to 10"
+            )
+
+    @property
+    def first_step(self) -> float | None:
+        return None
+
+    def advance(
+        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+    ) -> Advance:
+        """As the compiled loop in kernels/rollout.py, decision by decision."""
+        trial = min(step, limits.left)
+        if trial < limits.left < 1.5 * trial:
+            trial = 0.5 * limits.left
+        guess = velocity.copy()
+        renewed = 0
+        while True:
+            status, residual = attempt(trial, self.lead, guess)
+            if status == codes.CONTACT_OVERFLOW:
+                return Advance(status, trial, trial, residual)
+            if not residual <= TOLERANCE:
+                if trial > limits.smallest:
+                    trial, renewed, guess = 0.25 * trial, 0, velocity.copy()
+                    continue
+                return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
+            error = 0.5 * trial * float(single.largest_change(problem, guess))
+            if error <= limits.tolerance or trial <= limits.smallest:
+                growth = CAUTION * math.sqrt(limits.tolerance / max(error, 1e-30))
+                growth = max(0.5, min(GROWTH, growth))
+                return Advance(
+                    codes.CONVERGED, trial, min(trial * growth, limits.largest), residual
+                )
+            if renewed == 0:
+                closing = float(single.closing_time(problem, guess, trial, self.lead))
+                if 0.02 * trial < closing < 0.98 * trial:
+                    trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
+                    continue
+            if renewed < 2:
+                renewed, guess = 2, np.array(problem.velocity)
+                continue
+            shrink = max(SHRINK, CAUTION * math.sqrt(limits.tolerance / error))
+            trial, renewed, guess = max(limits.smallest, trial * shrink), 0, velocity.copy()
+
+
+def _refuse_step(where: str, step: float) -> None:
+    if not 0.0 < step < math.inf:
+        raise InvalidInput(where, found=step, expected="a positive time [s]")
+
+
+STEPPERS: tuple[type[AbstractStepper], ...] = (StewartTrinkle, Midpoint, Adaptive)
