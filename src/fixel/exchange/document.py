@@ -176,17 +176,16 @@ def _too_deep(where: str) -> InvalidInput:
 
 
 def _refuse_depth(value: Any, where: str) -> None:
-    level = [value]
-    for _ in range(MAX_DEPTH + 1):
+    level = [value] if isinstance(value, dict | list) else []
+    for _ in range(MAX_DEPTH):
         level = [
             inner
             for outer in level
-            if isinstance(outer, dict | list)
             for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(inner, dict | list)
         ]
-        if not level:
-            return
-    raise _too_deep(where)
+    if level:
+        raise _too_deep(where)
 
 
 def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
 
 def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) -> SceneFile:
     """The scene file whose content is already at hand as dicts and lists; see `load_scene`."""
-    changed = copy.deepcopy(raw)
+    changed = copy.deepcopy(raw) if overrides else raw
     for override in overrides:
         apply_override(changed, override)
     record = schema.scene_record(changed)

@@ -18,6 +18,9 @@ from fixel.model.fields import Comparable, FloatArray, frozen, positive, settle,
 # edge. Larger values eat detail of finely digitised outlines.
 COINCIDENT = 1e-12
 
+# [m] Sizes of shapes; far beyond these, squares and products leave the range of float64.
+SMALLEST, LARGEST = 1e-12, 1e12
+
 # Corners of the polygon that stands for a disk in drawings.
 DRAWN_CORNERS = 64
 
@@ -107,6 +110,7 @@ class Disk(Comparable):
 
     def __post_init__(self) -> None:
         settle(self, radius=positive(self.radius, "disk", "m"))
+        _refuse_size(self.radius, "disk")
 
     @property
     def area(self) -> float:
@@ -173,6 +177,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
             expected="at least 3 vertices",
         )
     size = float(np.ptp(vertices, axis=0).max())
+    _refuse_size(size, "polygon")
     scaled = (vertices - vertices.mean(axis=0)) / size
     if shapely.MultiPoint(scaled).convex_hull.area <= COINCIDENT:
         raise InvalidInput(
@@ -190,6 +195,16 @@ def _simple_outline(given: FloatArray) -> FloatArray:
             expected="a polygon with an inside",
         )
     return frozen(vertices if doubled > 0.0 else vertices[::-1])
+
+
+def _refuse_size(size: float, where: str) -> None:
+    if not SMALLEST <= size <= LARGEST:
+        raise InvalidInput(
+            where,
+            found=f"a size of {size:g} m",
+            expected=f"a size from {SMALLEST:g} to {LARGEST:g} m",
+            hint="lengths are in metres",
+        )
 
 
 def _without_repeats(vertices: FloatArray) -> FloatArray:

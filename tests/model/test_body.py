@@ -1,0 +1,189 @@
+"""Free bodies, pushers, fixels, plane: values left out, refusals."""
+
+import pickle
+from math import inf, pi
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Body,
+    Disk,
+    Fixel,
+    FrictionMap,
+    LineDrive,
+    PathDrive,
+    Plane,
+    Polygon,
+    Pusher,
+    Spring,
+    SupportPoints,
+    Tripod,
+)
+
+SQUARE = Polygon([[0, 0], [2, 0], [2, 2], [0, 2]])
+
+
+def body(**changes):
+    return Body(**{"name": "object", "shape": SQUARE, "mass": 3.0, "pose": (0, 0, 0), **changes})
+
+
+def pusher(**changes):
+    drive = LineDrive(direction=(1, 0), speed=0.1)
+    fields = {"name": "p", "shape": Disk(1.0), "pose": (0, 0, 0), "drive": drive, "friction": 0.2}
+    return Pusher(**{**fields, **changes})
+
+
+def test_inertia_and_centre_of_mass_left_out_are_those_of_uniform_density():
+    assert body().com == pytest.approx([1, 1])
+    assert body().moment_of_inertia == pytest.approx(3.0 * 4 / 6)
+
+
+def test_inertia_left_out_is_about_the_centroid_also_when_the_centre_of_mass_is_elsewhere():
+    assert body(centre_of_mass=(0.5, 1)).moment_of_inertia == pytest.approx(3.0 * 4 / 6)
+    assert body(centre_of_mass=(0.5, 1)).com == pytest.approx([0.5, 1])
+    assert body(inertia=7.0).moment_of_inertia == 7.0
+
+
+def test_bodies_are_compared_by_value_and_can_be_pickled():
+    one = body(support=Tripod(radius=1, friction=0.1), spring=Spring(stiffness=1, anchor=(0, 0)))
+    assert pickle.loads(pickle.dumps(one)) == one
+    assert len({one, body(), body()}) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"mass": -1.0}, "body 'object'.mass"),
+        ({"mass": 0}, "body 'object'.mass"),
+        ({"mass": float("nan")}, "body 'object'.mass"),
+        ({"mass": "1"}, "body 'object'.mass"),
+        ({"mass": 10**400}, "body 'object'.mass"),
+        ({"inertia": 0.0}, "body 'object'.inertia"),
+        ({"pose": (0, 0)}, "body 'object'.pose"),
+        ({"pose": (0, 0, inf)}, "body 'object'.pose"),
+        ({"velocity": (0, 0)}, "body 'object'.velocity"),
+        ({"force": None}, "body 'object'.force"),
+        ({"shape": "square"}, "body 'object'.shape"),
+        ({"support": 0.25}, "body 'object'.support"),
+        ({"spring": 1.0}, "body 'object'.spring"),
+        ({"name": ""}, "body.name"),
+        ({"name": 3}, "body.name"),
+        (
+            {"support": SupportPoints(points=[[0, 0], [1, 0], [0, 0.5]], friction=0.1)},
+            "body 'object'.support.points.at",
+        ),
+    ],
+)
+def test_a_body_that_cannot_be_is_refused(changes, where):
+    with pytest.raises(InvalidInput) as refusal:
+        body(**changes)
+    assert refusal.value.where == where
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"friction": -0.1}, "pusher 'p'.friction"),
+        ({"restitution": 1.1}, "pusher 'p'.restitution"),
+        ({"pose": None}, "pusher 'p'.pose"),
+        ({"drive": None}, "pusher 'p'.drive"),
+    ],
+)
+def test_a_pusher_that_cannot_be_is_refused(changes, where):
+    with pytest.raises(InvalidInput) as refusal:
+        pusher(**changes)
+    assert refusal.value.where == where
+
+
+def test_the_direction_of_a_drive_is_scaled_once():
+    drive = LineDrive(direction=(3, 4), speed=0.1)
+    assert drive.direction == pytest.approx([0.6, 0.8])
+    assert LineDrive(direction=drive.direction, speed=0.1) == drive
+    assert drive.travel == inf
+
+
+@pytest.mark.parametrize(
+    ("fields", "where"),
+    [
+        ({"direction": (0, 0), "speed": 1}, "drive.direction"),
+        ({"direction": (1, 0), "speed": -1}, "drive.speed"),
+        ({"direction": (1, 0), "speed": 1, "travel": -1}, "drive.travel"),
+        ({"direction": (1, 0), "speed": 1, "travel": float("nan")}, "drive.travel"),
+        ({"direction": (1, 0), "speed": 1, "force_limit": 0}, "drive.force_limit"),
+    ],
+)
+def test_a_line_that_cannot_be_driven_is_refused(fields, where):
+    with pytest.raises(InvalidInput) as refusal:
+        LineDrive(**fields)
+    assert refusal.value.where == where
+
+
+def test_a_path_says_where_the_pusher_starts():
+    drive = PathDrive(waypoints=[[-1, 0, 0, 0], [1, 2, 4, 1]])
+    assert pusher(drive=drive, pose=None).pose == pytest.approx([1, 2, 0.5])
+    assert pusher(drive=drive).pose == pytest.approx([1, 2, 0.5])
+    late = PathDrive(waypoints=[[1, 2, 4, 1], [2, 0, 0, 0]])
+    assert pusher(drive=late, pose=None).pose == pytest.approx([2, 4, 1])
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "where", "words"),
+    [
+        ([[0, 0, 0, 0], [2, 1, 0, 0], [1, 2, 0, 0]], "drive.waypoints[2]", "goes back in time"),
+        ([[0, 0, 0, 0], [0, 1, 0, 0]], "drive.waypoints[1]", "stands still in time"),
+        ([[0, 0, 0, 3.1], [1, 0, 0, -3.1]], "drive.waypoints[1]", "unwrap"),
+        ([[0, 0, 0, 0], [1, 0, float("nan"), 0]], "drive.waypoints[1]", "finite"),
+        ([], "drive.waypoints", "empty"),
+        ([[0, 0, 0]], "drive.waypoints", "4 numbers"),
+    ],
+)
+def test_a_path_that_cannot_be_driven_is_refused(waypoints, where, words):
+    with pytest.raises(InvalidInput, match=words) as refusal:
+        PathDrive(waypoints=waypoints)
+    assert refusal.value.where == where
+
+
+def test_half_a_turn_between_samples_is_fine():
+    PathDrive(waypoints=[[0, 0, 0, 0], [1, 0, 0, pi]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [({"friction": -0.1}, "fixel 'f'.friction"), ({"restitution": 2}, "fixel 'f'.restitution")],
+)
+def test_a_fixel_that_cannot_be_is_refused(changes, where):
+    fields = {"name": "f", "shape": Disk(1.0), "pose": (0, 0, 0), "friction": 0.2, **changes}
+    with pytest.raises(InvalidInput) as refusal:
+        Fixel(**fields)
+    assert refusal.value.where == where
+
+
+def test_a_friction_map_is_bilinear_and_constant_beyond_its_border():
+    grid = FrictionMap(origin=(1, 2), cell=(2, 1), factor=[[1, 2, 3], [3, 4, 5]])
+    at = grid.at([[1, 2], [2, 2], [1, 2.5], [3, 2.5], [-9, -9], [99, 99], [5, 3]])
+    np.testing.assert_allclose(at, [1, 1.5, 2, 3, 1, 5, 5])
+    one = FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[2.0]])
+    assert one.at((5, 5)) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("build", "where"),
+    [
+        (lambda: Plane(anisotropy=(1, 0)), "plane.anisotropy"),
+        (lambda: Plane(axis=inf), "plane.axis"),
+        (lambda: Plane(friction_map=[[1]]), "plane.friction_map"),
+        (lambda: FrictionMap(origin=(0, 0), cell=(0, 1), factor=[[1]]), "friction_map.cell"),
+        (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[]), "friction_map.factor"),
+        (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[]]), "friction_map.factor"),
+        (
+            lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[1, 1], [1, -1]]),
+            "friction_map.factor[1][1]",
+        ),
+    ],
+)
+def test_a_plane_that_cannot_be_is_refused(build, where):
+    with pytest.raises(InvalidInput) as refusal:
+        build()
+    assert refusal.value.where == where

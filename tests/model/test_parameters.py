@@ -1,0 +1,52 @@
+"""Parameters: known names, sane values, an immutable mapping."""
+
+import pickle
+
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import KNOWN_PARAMETERS, Body, Disk, Ellipsoid, Parameters, Scene
+
+
+def test_parameters_are_an_immutable_mapping():
+    made = Parameters({"mu_support": 0.25}, mu_fixel=0.2)
+    assert dict(made) == {"mu_support": 0.25, "mu_fixel": 0.2}
+    assert made == Parameters(mu_fixel=0.2, mu_support=0.25)
+    assert hash(made) == hash(Parameters(mu_fixel=0.2, mu_support=0.25))
+    assert made | {"mu_fixel": 0.3} == Parameters(mu_support=0.25, mu_fixel=0.3)
+    assert pickle.loads(pickle.dumps(made)) == made
+    assert repr(made) == "Parameters(mu_support=0.25, mu_fixel=0.2)"
+    with pytest.raises(TypeError):
+        made["mu_support"] = 1.0
+
+
+def test_every_parameter_has_a_unit_and_a_meaning():
+    assert set(KNOWN_PARAMETERS) == {"mu_support", "mu_fixel", "mu_pusher", "tripod_radius"}
+    assert all(info.unit and info.meaning for info in KNOWN_PARAMETERS.values())
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones():
+    with pytest.raises(InvalidInput, match=r"mu_pusher.*did you mean 'mu_support'"):
+        Parameters(mu_suport=0.2)
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf"), "0.2", True, None])
+def test_a_value_that_cannot_be_is_refused(value):
+    with pytest.raises(InvalidInput, match="mu_fixel"):
+        Parameters(mu_fixel=value)
+
+
+def test_a_tripod_has_a_size():
+    with pytest.raises(InvalidInput, match="tripod_radius"):
+        Parameters(tripod_radius=0.0)
+
+
+def test_an_ellipsoid_has_no_coefficient_to_change():
+    support = Ellipsoid(force=1.0, torque=0.1)
+    body = Body(name="a", shape=Disk(1.0), mass=1.0, pose=(0, 0, 0), support=support)
+    scene = Scene(bodies=[body], duration=1.0)
+    Parameters(mu_fixel=0.2).check(scene)
+    with pytest.raises(InvalidInput, match="ellipsoidal"):
+        Parameters(mu_support=0.2).check(scene)
+    with pytest.raises(InvalidInput, match="no tripod"):
+        Parameters(tripod_radius=0.2).check(scene)

@@ -1,0 +1,137 @@
+"""Supports: loads from statics, quadrature, refusals."""
+
+from math import asinh, pi, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Disk,
+    Ellipsoid,
+    NoSupport,
+    Polygon,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+    support_points,
+)
+
+SQUARE = Polygon([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+ELL = Polygon([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
+TRIANGLE = [[-1.0, -1.0], [2.0, -1.0], [0.0, 2.0]]
+
+
+def balance(support, shape, com, mass=2.0, gravity=10.0):
+    points, loads, _ = support_points(support, shape, com, mass, gravity)
+    return loads.sum() / (mass * gravity), loads @ points / (mass * gravity)
+
+
+def test_a_tripod_stands_about_the_centre_of_mass():
+    points, loads, friction = support_points(
+        Tripod(radius=0.5, friction=0.2, angle=pi / 2), SQUARE, (0.3, 0.1), 3.0, 10.0
+    )
+    assert points[0] == pytest.approx([0.0, 0.5])
+    assert loads == pytest.approx([10.0] * 3)
+    assert friction == pytest.approx([0.2] * 3)
+    assert points.sum(axis=0) == pytest.approx([0, 0], abs=1e-15)
+
+
+@given(st.floats(-0.9, 1.5), st.floats(-0.9, 1.5))
+def test_three_points_carry_what_statics_says(x, y):
+    assume(3 * y <= 6 - 4.5 * x and 3 * x - y >= -2)
+    total, lever = balance(SupportPoints(points=TRIANGLE, friction=0.3), SQUARE, (x, y))
+    assert total == pytest.approx(1.0)
+    assert lever == pytest.approx([0, 0], abs=1e-12)
+
+
+def test_a_centre_of_mass_outside_the_triangle_is_refused_with_its_weights():
+    with pytest.raises(InvalidInput, match=r"outside the support triangle .*weights .*-0\.\d") as e:
+        support_points(SupportPoints(points=TRIANGLE, friction=0.3), SQUARE, (-1, 1), 1.0, 9.81)
+    assert e.value.where == "support.points.at"
+
+
+def test_three_points_on_a_line_are_refused():
+    support = SupportPoints(points=[[0, 0], [1, 0], [2, 0]], friction=0.3)
+    with pytest.raises(InvalidInput, match="on one line"):
+        support_points(support, SQUARE, (0, 0), 1.0, 9.81)
+
+
+def test_more_points_carry_equal_loads_or_those_given():
+    four = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+    equal = SupportPoints(points=four, friction=0.3)
+    assert support_points(equal, SQUARE, (0, 0), 4.0, 10.0)[1] == pytest.approx([10] * 4)
+    given_loads = SupportPoints(points=four, friction=[0.1, 0.2, 0.3, 0.4], loads=[1, 2, 3, 4])
+    _, loads, friction = support_points(given_loads, SQUARE, (0, 0), 4.0, 10.0)
+    assert loads.tolist() == [1, 2, 3, 4]
+    assert friction.tolist() == [0.1, 0.2, 0.3, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("build", "where"),
+    [
+        (lambda: Tripod(radius=0.0, friction=0.1), "tripod.radius"),
+        (lambda: Tripod(radius=0.1, friction=-0.1), "tripod.friction"),
+        (lambda: Tripod(radius=0.1, friction=0.1, angle=float("nan")), "tripod.angle"),
+        (lambda: SupportPoints(points=[[0, 0, 0]], friction=0.1), "points.at"),
+        (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2]), "points.friction"),
+        (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2, -1]), "points.friction[2]"),
+        (lambda: SupportPoints(points=TRIANGLE, friction=0.1, loads=[1, 1, 1]), "points.loads"),
+        (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[0.0]), "points.loads"),
+        (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[-1.0]), "points.loads[0]"),
+        (lambda: UniformPressure(friction=0.1, n_points=2), "uniform.n_points"),
+        (lambda: UniformPressure(friction=0.1, n_points=3.5), "uniform.n_points"),
+        (lambda: UniformPressure(friction=-0.1), "uniform.friction"),
+        (lambda: Ellipsoid(force=0.0, torque=1.0), "ellipsoid.force"),
+        (lambda: Ellipsoid(force=1.0, torque=-1.0), "ellipsoid.torque"),
+        (lambda: Ellipsoid(force=1.0, torque=1.0, centre=(0, 0, 0)), "ellipsoid.centre"),
+    ],
+)
+def test_a_support_that_cannot_be_is_refused(build, where):
+    with pytest.raises(InvalidInput) as refusal:
+        build()
+    assert refusal.value.where == where
+
+
+def test_the_lever_of_even_pressure_under_a_disk():
+    points, loads, _ = support_points(UniformPressure(friction=0.1), Disk(3.0), (0, 0), 1.0, 1.0)
+    assert loads @ np.hypot(*points.T) == pytest.approx(2.0, rel=1e-3)
+    assert loads.min() > 0
+    assert 50 <= len(loads) <= 80
+
+
+def test_the_lever_of_even_pressure_under_a_square():
+    """Mean distance from the centre of a square of side 2 a: a (sqrt 2 + asinh 1) / 3."""
+    exact = (sqrt(2) + asinh(1)) / 3
+    errors = []
+    for n_points in (64, 256, 1024):
+        support = UniformPressure(friction=0.1, n_points=n_points)
+        points, loads, _ = support_points(support, SQUARE, (0, 0), 1.0, 1.0)
+        errors.append(abs(loads @ np.hypot(*points.T) - exact) / exact)
+        assert len(loads) == n_points
+    assert errors[0] < 0.012
+    assert errors[2] < errors[0] / 12  # the centroid rule is of order two in the cell size
+
+
+@pytest.mark.parametrize("shape", [SQUARE, ELL, Disk(1.3)])
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.1, -0.05)])
+def test_tilted_pressure_balances_the_weight(shape, offset):
+    com = shape.centroid + offset
+    total, lever = balance(UniformPressure(friction=0.1), shape, com)
+    assert total == pytest.approx(1.0, abs=1e-14)
+    assert lever == pytest.approx([0, 0], abs=1e-14)
+
+
+def test_a_tilt_with_negative_pressure_is_refused():
+    with pytest.raises(InvalidInput, match="negative at one end"):
+        support_points(UniformPressure(friction=0.1), SQUARE, (0.8, 0.0), 1.0, 1.0)
+
+
+def test_no_support_has_no_points_and_an_ellipsoid_none_to_give():
+    points, loads, friction = support_points(NoSupport(), SQUARE, (0, 0), 1.0, 1.0)
+    assert points.shape == (0, 2)
+    assert loads.shape == friction.shape == (0,)
+    with pytest.raises(InvalidInput, match="Ellipsoid"):
+        support_points(Ellipsoid(force=1, torque=1), SQUARE, (0, 0), 1.0, 1.0)
