@@ -1,7 +1,8 @@
 """Contacts of a whole configuration: which pieces are near, and where they meet.
 
-Sweep and prune along x gives the pairs whose bounding circles come within a reach; the list is kept until
-some body has moved half that reach (a Verlet list), so most steps look only at the few pairs that matter.
+Sweep and prune along x gives the pairs whose bounding circles come within a reach; the list is kept
+until some body has moved half that reach (a Verlet list), so most steps look only at the few pairs
+that matter.
 """
 
 import math
@@ -13,7 +14,7 @@ from fixel.kernels.jit import kernel
 
 @kernel
 def place_body(model: Model, pose: FloatArray, body: int, first: int, work: Workspace) -> int:
-    """Put the vertices of one body into the world; its pieces start at `first`. Returns the next piece."""
+    """Put one body, whose pieces start at `first`, into the world; returns the next piece."""
     c = math.cos(pose[body, 2])
     s = math.sin(pose[body, 2])
     x = pose[body, 0]
@@ -62,7 +63,7 @@ def moved(model: Model, pose: FloatArray, anchor: FloatArray, n_moving: int) -> 
 def find_near_pairs(
     model: Model, pose: FloatArray, n_free: int, n_moving: int, reach: float, work: Workspace
 ) -> int:
-    """List the pairs of pieces within `reach`, at least one of them on a free body; returns their number.
+    """List the pairs of pieces within `reach`, one of them or both on free bodies; how many.
 
     Pairs come out sorted by (first piece, second piece). -1 where the list is too short.
     """
@@ -117,7 +118,7 @@ def find_near_pairs(
 def find_contacts(
     model: Model, n_near: int, margin: float, problem: Problem, work: Workspace
 ) -> int:
-    """Write key, bodies and place of every contact with a gap below `margin`; -1 if there is no room."""
+    """Write key, bodies and place of every contact with a gap below `margin`; -1 for no room."""
     n = 0
     n_piece = model.piece_body.size
     for k in range(n_near):
@@ -154,7 +155,12 @@ def find_contacts(
 
 @kernel
 def warm_start(
-    problem: Problem, n_contact: int, old_key: IntArray, old_impulse: FloatArray, n_old: int, ratio: float
+    problem: Problem,
+    n_contact: int,
+    old_key: IntArray,
+    old_impulse: FloatArray,
+    n_old: int,
+    ratio: float,
 ) -> None:
     """Give every contact the impulse its features had in the step before, times `ratio`.
 

@@ -1,17 +1,19 @@
 """Signed gap, witness points and normals of one pair of convex pieces in world coordinates.
 
-A piece is a strictly convex polygon, counter-clockwise (no straight corners), or a disk: one vertex with a
-radius. The gap is the distance of the outlines, negative in overlap (then the least translation that parts
-them). `contact_pair` writes one or two contacts: two where edges face each other.
+A piece is a strictly convex polygon, counter-clockwise (no straight corners), or a disk: one vertex
+with a radius. The gap is the distance of the outlines, negative in overlap (then the least
+translation that parts them). `contact_pair` writes one or two contacts: two where edges face each
+other.
 
-Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Whatever is nearest to
-a seam, or to a corner from beyond a seam, has the neighbouring piece in between, which gives the true
-contact; so those contacts are left out. docs/theory/contact.md has the argument.
+Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Whatever is
+nearest to a seam, or to a corner from beyond a seam that ends there, has the neighbouring piece in
+between, which gives the true contact; so those contacts are left out.
 
-Source: separating axes and reference-edge clipping as in Gregorius, "Robust contact creation" (GDC 2015);
-the contacts themselves are exact vertex-edge pairs, so that their rows are the true gradients of the gap.
-That the nearest features lie on the edge of largest separation and the edge facing it: the separation along
-a direction is minus the support function of the Minkowski difference, and has one peak where positive.
+Source: separating axes and reference-edge clipping as in Gregorius, "Robust contact creation" (GDC
+2015); the contacts themselves are exact vertex-edge pairs, so that their rows are the true
+gradients of the gap. The nearest features lie on the edge of largest separation and the edge that
+faces it: the separation along a direction is minus the support function of the Minkowski
+difference, which, where positive, has a single peak, at the direction of the nearest points.
 """
 
 import math
@@ -19,14 +21,15 @@ import math
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
 
-# Feature codes. The vertex of the second piece counts from 0, the vertex of the first from FIRST_VERTEX;
-# two corners are named by the second piece's, from VERTEX_VERTEX. Room for 2**18 vertices a piece.
+# Feature codes. The vertex of the second piece counts from 0, the vertex of the first from
+# FIRST_VERTEX; two corners are named by the second piece's, from VERTEX_VERTEX. Room for 2**18
+# vertices a piece.
 VERTEX_VERTEX = 1 << 18
 FIRST_VERTEX = 1 << 19
 FEATURES = 1 << 20
 
-# Length below which two corners are one point: their difference has no direction to speak of, and the edge
-# gives the normal. World coordinates are of order one, so this is some thousand roundings.
+# Length below which two corners are one point: their difference has no direction to speak of, and
+# the edge gives the normal. World coordinates are of order one, so this is some thousand roundings.
 COINCIDENT = 1e-12
 # Share of the reference edge below which the two ends of an overlap are one contact.
 NARROW = 1e-9
@@ -47,11 +50,12 @@ def contact_pair(
     key: IntArray,
     at: int,
 ) -> int:
-    """Write the contacts of one pair of pieces whose gap is below `margin`; returns how many (0, 1, 2).
+    """Write the contacts of one pair of pieces with gaps below `margin`; returns how many, 0 to 2.
 
-    Piece 1 owns ``world[s1:e1]`` and has radius `r1`, which only disks may have. Row ``at`` onward of
-    `place` gets gap, normal x, y (from the second piece into the first) and the contact point x, y (half way
-    between the outlines); `key` gets the feature code. The first contact written has the gap of the pair.
+    Piece 1 owns ``world[s1:e1]`` and has radius `r1`, which only disks may have. Row ``at`` onward
+    of `place` gets gap, normal x, y (from the second piece into the first) and the contact point
+    x, y (half way between the outlines); `key` gets the feature code. In overlap the first contact
+    written has the gap of the pair, else the smaller of both.
     """
     if e1 - s1 > 1 and e2 - s2 > 1:
         return _contact_polygons(world, real, s1, e1, s2, e2, margin, place, key, at)
@@ -80,7 +84,15 @@ def contact_pair(
 
 @kernel
 def _write(
-    place: FloatArray, key: IntArray, at: int, gap: float, nx: float, ny: float, px: float, py: float, code: int
+    place: FloatArray,
+    key: IntArray,
+    at: int,
+    gap: float,
+    nx: float,
+    ny: float,
+    px: float,
+    py: float,
+    code: int,
 ) -> None:
     """One contact, from the witness point (px, py) on the second outline."""
     place[at, 0] = gap
@@ -164,18 +176,20 @@ def _beyond_seam(
     y = world[corner, 1]
     before = corner - 1 if corner > start else end - 1
     after = corner + 1 if corner + 1 < end else start
-    if real[before] == 0 and (px - x) * (world[before, 1] - y) - (py - y) * (world[before, 0] - x) < 0.0:
+    if (
+        real[before] == 0
+        and (px - x) * (world[before, 1] - y) - (py - y) * (world[before, 0] - x) < 0.0
+    ):
         return True
-    return real[corner] == 0 and (
-        (px - x) * (world[after, 1] - y) - (py - y) * (world[after, 0] - x) > 0.0
-    )
+    side = (px - x) * (world[after, 1] - y) - (py - y) * (world[after, 0] - x)
+    return bool(real[corner] == 0 and side > 0.0)
 
 
 @kernel
 def separating_edge(
     world: FloatArray, s1: int, e1: int, s2: int, e2: int, margin: float
 ) -> tuple[float, int, int]:
-    """Edge of the first polygon from which the second is farthest: (separation, edge, nearest vertex).
+    """Edge of the first polygon that is farthest from the second: separation, edge, nearest vertex.
 
     Returns the first edge found where the separation reaches `margin`.
     """
@@ -220,14 +234,15 @@ def _contact_polygons(
     key: IntArray,
     at: int,
 ) -> int:
-    """Contacts of two convex polygons: clip the facing edge of one against the separating edge of the other."""
+    """Contacts of two polygons: of the edge that separates best and the one that faces it."""
     sep1, edge1, support1 = separating_edge(world, s1, e1, s2, e2, margin)
     if sep1 >= margin:
         return 0
     sep2, edge2, support2 = separating_edge(world, s2, e2, s1, e1, margin)
     if sep2 >= margin:
         return 0
-    # The reference edge belongs to the polygon that separates better; ties go to the second, unless a seam.
+    # The reference edge belongs to the polygon that separates better; ties go to the second, unless
+    # that is a seam.
     on_first = sep1 > sep2 or (sep1 == sep2 and real[edge2] == 0)
     if on_first:
         sep, rs, re, fs, fe, edge, support = sep1, s1, e1, s2, e2, edge1, support1
@@ -300,7 +315,15 @@ def _contact_polygons(
             code = FIRST_VERTEX + vertex - s1
             back = gap
         _write(
-            place, key, at + n, gap, ox, oy, world[vertex, 0] - ox * back, world[vertex, 1] - oy * back, code
+            place,
+            key,
+            at + n,
+            gap,
+            ox,
+            oy,
+            world[vertex, 0] - ox * back,
+            world[vertex, 1] - oy * back,
+            code,
         )
         n += 1
     return n
@@ -310,7 +333,7 @@ def _contact_polygons(
 def _corner_to_edge(
     world: FloatArray, corner: int, i1: int, i2: int
 ) -> tuple[float, float, float, int]:
-    """From a corner to the edge i1 to i2, or to its nearer end: (gap, direction x, y, that end or -1)."""
+    """From a corner to the edge i1 to i2, or to its nearer end: gap, direction, that end or -1."""
     dx = world[corner, 0] - world[i1, 0]
     dy = world[corner, 1] - world[i1, 1]
     ex = world[i2, 0] - world[i1, 0]
@@ -331,7 +354,7 @@ def _corner_to_edge(
 def _facing_edge(
     world: FloatArray, start: int, end: int, support: int, nx: float, ny: float
 ) -> tuple[int, int]:
-    """Vertices of the edge at the support vertex, of its two, that leans more against the normal."""
+    """The edge at the support vertex, of its two, that leans more against the normal."""
     before = support - 1 if support > start else end - 1
     after = support + 1 if support + 1 < end else start
     ax = world[support, 0] - world[before, 0]

@@ -1,0 +1,181 @@
+"""Distances for Python: gaps of many pairs of shapes, contacts of many pairs of convex pieces.
+
+A simulation never comes here; it finds its contacts with `contacts.find_contacts`.
+"""
+
+import math
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.kernels.gap import COINCIDENT, contact_pair
+from fixel.kernels.jit import entry, kernel
+
+
+@entry
+def measure_gaps(
+    vertex: FloatArray,
+    edge_real: IntArray,
+    piece_start: IntArray,
+    piece_radius: FloatArray,
+    shape_start: IntArray,
+    first: IntArray,
+    second: IntArray,
+    first_pose: FloatArray,
+    second_pose: FloatArray,
+) -> FloatArray:
+    """Gap, normal and contact point of many pairs of shapes.
+
+    Parameters
+    ----------
+    vertex, edge_real, piece_start, piece_radius
+        Convex pieces in their shapes' frames, as in `arrays.Model`.
+    shape_start : (n_shape + 1,) int64
+        Shape i owns the pieces from ``shape_start[i]`` to ``shape_start[i + 1]``.
+    first, second : (n,) int64
+        The shapes of each pair.
+    first_pose, second_pose : (n, 3) float64
+        Their poses.
+
+    Returns
+    -------
+    (n, 5) float64
+        Gap, normal x, y (from the second shape into the first), and the point x, y half way between
+        the witnesses.
+
+    Notes
+    -----
+    Of shapes that overlap and are not convex, the deepest contact of their pieces.
+    """
+    n = first.size
+    found = np.empty((n, 5))
+    world = np.empty((2 * vertex.shape[0], 2))
+    # A shape may be paired with itself, so each side of a pair has its own half of the scratch.
+    half = vertex.shape[0]
+    real = np.concatenate((edge_real, edge_real))
+    whole = np.ones_like(real)
+    place = np.empty((2, 5))
+    key = np.empty(2, np.int64)
+    for i in range(n):
+        a = first[i]
+        b = second[i]
+        _place_shape(vertex, piece_start, shape_start, a, first_pose[i], world, 0)
+        _place_shape(vertex, piece_start, shape_start, b, second_pose[i], world, half)
+        found[i, 0] = math.inf
+        _nearest_pieces(
+            world, real, piece_start, piece_radius, shape_start, a, b, half, place, key, found[i]
+        )
+        if (
+            found[i, 0] > 0.0
+            and shape_start[a + 1] - shape_start[a] + shape_start[b + 1] - shape_start[b] > 2
+        ):
+            # No contact on the outline overlaps. Does one shape lie within the other, on a seam?
+            gap = found[i, 0]
+            found[i, 0] = -COINCIDENT
+            _nearest_pieces(
+                world,
+                whole,
+                piece_start,
+                piece_radius,
+                shape_start,
+                a,
+                b,
+                half,
+                place,
+                key,
+                found[i],
+            )
+            if found[i, 0] == -COINCIDENT:
+                found[i, 0] = gap
+    return found
+
+
+@kernel
+def _place_shape(
+    vertex: FloatArray,
+    piece_start: IntArray,
+    shape_start: IntArray,
+    shape: int,
+    pose: FloatArray,
+    world: FloatArray,
+    offset: int,
+) -> None:
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(piece_start[shape_start[shape]], piece_start[shape_start[shape + 1]]):
+        world[offset + i, 0] = pose[0] + c * vertex[i, 0] - s * vertex[i, 1]
+        world[offset + i, 1] = pose[1] + s * vertex[i, 0] + c * vertex[i, 1]
+
+
+@kernel
+def _nearest_pieces(
+    world: FloatArray,
+    real: IntArray,
+    piece_start: IntArray,
+    piece_radius: FloatArray,
+    shape_start: IntArray,
+    a: int,
+    b: int,
+    half: int,
+    place: FloatArray,
+    key: IntArray,
+    found: FloatArray,
+) -> None:
+    """Write into `found` the least contact of two shapes, if below the gap that stands there."""
+    for p in range(shape_start[a], shape_start[a + 1]):
+        for q in range(shape_start[b], shape_start[b + 1]):
+            n = contact_pair(
+                world,
+                real,
+                piece_start[p],
+                piece_start[p + 1],
+                piece_radius[p],
+                half + piece_start[q],
+                half + piece_start[q + 1],
+                piece_radius[q],
+                found[0],
+                place,
+                key,
+                0,
+            )
+            if n > 0:
+                for k in range(5):
+                    found[k] = place[0, k]
+
+
+@entry
+def measure_contacts(
+    world: FloatArray, real: IntArray, start: IntArray, radius: FloatArray, margin: float
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Contacts of many pairs of convex pieces that stand in the world already.
+
+    Parameters
+    ----------
+    world : (n_vertex, 2) float64
+    real : (n_vertex,) int64
+        1 where the edge from this vertex is no seam.
+    start : (n, 3) int64
+        Pair i is ``world[start[i, 0]:start[i, 1]]`` and ``world[start[i, 1]:start[i, 2]]``.
+    radius : (n, 2) float64
+        Radius of disks, zero for polygons.
+    margin : float
+        Contacts with a gap below it are written.
+
+    Returns
+    -------
+    count : (n,) int64
+    place : (n, 2, 5) float64
+        As `arrays.Problem.contact_place`; NaN where there are fewer than two contacts.
+    key : (n, 2) int64
+        Feature codes, -1 where there are none.
+    """
+    n = start.shape[0]
+    count = np.empty(n, np.int64)
+    place = np.full((n, 2, 5), math.nan)
+    key = np.full((n, 2), -1)
+    for i in range(n):
+        s, m, e = start[i]
+        count[i] = contact_pair(
+            world, real, s, m, radius[i, 0], m, e, radius[i, 1], margin, place[i], key[i], 0
+        )
+    return count, place, key

@@ -1,0 +1,166 @@
+"""Distance between two shapes, for Python; the compiled loop uses the same kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.kernels.measure import measure_gaps
+from fixel.model.decomposition import Piece
+from fixel.model.shape import Disk, Polygon, Shape
+
+# Sine of the turn below which a corner is straight. Smaller ones let the edges on both sides of the
+# corner tie by rounding, larger ones move the outline.
+STRAIGHT = 1e-11
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """How far apart two shapes are, and where.
+
+    Attributes
+    ----------
+    distance : float
+        Signed distance of the outlines [m]. Negative in overlap: of convex shapes the least
+        translation that parts them, of others the deepest overlap of their convex pieces.
+    normal : (2,) float64
+        Unit vector from the second shape into the first, world axes [-]: the direction in which the
+        first moves away.
+    witness_a, witness_b : (2,) float64
+        Nearest points of the outlines [m]; ``witness_a - witness_b`` is `distance` times `normal`.
+    """
+
+    distance: float
+    normal: FloatArray
+    witness_a: FloatArray
+    witness_b: FloatArray
+
+
+class PackedShapes(NamedTuple):
+    """Convex pieces of several shapes, end to end, as `kernels.measure` reads them."""
+
+    vertex: FloatArray  # (n_vertex, 2) in the shapes' frames
+    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex lies on the outline
+    piece_start: IntArray  # (n_piece + 1,)
+    piece_radius: FloatArray  # (n_piece,) of disks, else zero
+    shape_start: IntArray  # (n_shape + 1,)
+
+
+def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) -> Gap:
+    """Signed distance between two shapes.
+
+    Parameters
+    ----------
+    shape_a, shape_b : Polygon or Disk
+    pose_a, pose_b : (3,) array_like
+        Poses of the shapes' frames in the world [m, m, rad].
+
+    Returns
+    -------
+    Gap
+        Exact to rounding, relative to the size of the shapes and their distance.
+
+    Raises
+    ------
+    InvalidInput
+        Something that is no shape, or a pose that is not three finite numbers.
+
+    Examples
+    --------
+    >>> from fixel.model.shape import Disk
+    >>> gap(Disk(0.5), (2.0, 0.0, 0.0), Disk(1.0), (0.0, 0.0, 0.0)).distance
+    0.5
+    """
+    first = _is_pose(pose_a, "pose_a")
+    second = _is_pose(pose_b, "pose_b")
+    packed = pack_shapes((_is_shape(shape_a, "shape_a"), _is_shape(shape_b, "shape_b")))
+    # Sizes of order one about the second shape: the kernels' tolerances are meant for that.
+    size = float(max(np.abs(packed.vertex).max(), packed.piece_radius.max()))
+    scaled = packed._replace(vertex=packed.vertex / size, piece_radius=packed.piece_radius / size)
+    origin = second[:2]
+    apart = np.array([[*(first[:2] - origin) / size, first[2]]])
+    about = np.array([[0.0, 0.0, second[2]]])
+    found = measure_gaps(*scaled, np.array([0]), np.array([1]), apart, about)[0]
+    distance, normal = size * float(found[0]), found[1:3].copy()
+    middle = origin + size * found[3:]
+    half = 0.5 * distance * normal
+    return Gap(distance, normal, middle + half, middle - half)
+
+
+def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
+    """The convex pieces of shapes, end to end; a disk is one vertex with a radius."""
+    shapes = tuple(shapes)
+    pieces = [contact_pieces(shape) for shape in shapes]
+    all_pieces = [piece for of_shape in pieces for piece in of_shape]
+    radii = [shape.radius if isinstance(shape, Disk) else 0.0 for shape in shapes]
+    counts = [len(of_shape) for of_shape in pieces]
+    return PackedShapes(
+        vertex=np.concatenate([corners for corners, _ in all_pieces]),
+        edge_real=np.concatenate([real for _, real in all_pieces]).astype(np.int64),
+        piece_start=_offsets([len(corners) for corners, _ in all_pieces]),
+        piece_radius=np.repeat(radii, counts),
+        shape_start=_offsets(counts),
+    )
+
+
+def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
+    """The pieces of a shape as the contact kernels want them.
+
+    Parameters
+    ----------
+    shape : Polygon or Disk
+
+    Returns
+    -------
+    tuple of ((k, 2) float64, (k,) bool)
+        Strictly convex, counter-clockwise [m], and whether the edge from vertex k to k + 1 takes
+        contacts. A disk is its centre alone.
+
+    Notes
+    -----
+    Where an edge of the outline goes on straight as a seam between pieces (in an L, under the
+    upright), both become one edge that takes contacts: only what is deep in the neighbouring piece
+    meets the part that was a seam, while two edges on one line would take turns, by rounding, at
+    being the nearest.
+    """
+    if isinstance(shape, Disk):
+        return ((np.zeros((1, 2)), np.ones(1, dtype=np.bool_)),)
+    return tuple(_without_straight_corners(*piece) for piece in shape.pieces)
+
+
+def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]) -> Piece:
+    before = corners - np.roll(corners, 1, axis=0)
+    after = np.roll(corners, -1, axis=0) - corners
+    turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    kept = np.flatnonzero(turn > STRAIGHT * np.hypot(*before.T) * np.hypot(*after.T))
+    if len(kept) < 3:  # a sliver without a corner to speak of
+        return corners, on_outline
+    # A kept corner's new edge is made of all the old ones up to the next kept corner.
+    starts = np.roll(on_outline, -kept[0])
+    return corners[kept], np.logical_or.reduceat(starts, kept - kept[0])
+
+
+def _offsets(lengths: list[int]) -> IntArray:
+    return np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+
+
+def _is_shape(value: object, where: str) -> Shape:
+    if not isinstance(value, Polygon | Disk):
+        raise InvalidInput(where, found=type(value).__name__, expected="a Polygon or a Disk")
+    return value
+
+
+def _is_pose(value: ArrayLike, where: str) -> FloatArray:
+    pose = np.asarray(value, dtype=np.float64)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise InvalidInput(
+            where, found=value, expected="three finite numbers: x [m], y [m], angle [rad]"
+        )
+    return pose
