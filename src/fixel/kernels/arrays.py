@@ -1,14 +1,14 @@
 """The NamedTuples that cross the border between Python and the kernels.
 
-`Model` is constant during a rollout, `State` is what moves, `Problem` is the mixed complementarity problem
-of one step, `Workspace` is scratch. All arrays are C-ordered float64 or int64, in scaled units (length,
-mass and time measured in the scene's own characteristic values). Something absent is an array of length
-zero, never None.
+`Model` is constant during a rollout, `State` is what moves, `Problem` is the mixed
+complementarity problem of one step, `Workspace` is scratch. All arrays are C-ordered float64 or
+int64, in scaled units (length, mass and time measured in the scene's own characteristic values).
+Something absent is an array of length zero, never None.
 
-Bodies are numbered free first, then driven, then fixed. Degrees of freedom are numbered three for each
-free body (vx, vy, omega at its centre of mass), then one for each driven body (its speed along its path).
-Arrays indexed by degree of freedom carry two spare entries at the end, so that every block may be read and
-written three wide.
+Bodies are numbered free first, then driven, then fixed. Degrees of freedom are numbered three for
+each free body (vx, vy, omega at its centre of mass), then one for each driven body (its speed
+along its path). Arrays indexed by degree of freedom carry two spare entries at the end, so that
+every block may be read and written three wide.
 """
 
 from typing import NamedTuple
@@ -44,7 +44,9 @@ class Model(NamedTuple):
     path_start: IntArray  # (n_driven + 1,) pusher k owns path[path_start[k]:path_start[k + 1]]
     path: FloatArray  # (n_sample, 4) time, x, y, theta
     force_limit: FloatArray  # (n_driven,) of the drive; inf for a rigid drive
-    drive_dof: IntArray  # (n_driven,) degree of freedom of a force-limited drive; -1 for a rigid one
+    drive_dof: (
+        IntArray  # (n_driven,) degree of freedom of a force-limited drive; -1 for a rigid one
+    )
     plane: FloatArray  # (3,) friction factors along the plane's axes, angle of the first axis
     map_frame: FloatArray  # (4,) friction map: origin x, y, cell x, y
     map_factor: FloatArray  # (n_row, n_column) friction map; (0, 0) where there is none
@@ -62,8 +64,8 @@ class State(NamedTuple):
 class Problem(NamedTuple):
     """The mixed complementarity problem of one step; docs/theory/contact.md gives the equations.
 
-    inertia v - momentum = sum of normal, tangent and element rows times their impulses,
-    0 <= p_n _|_ normal v + normal_bias >= 0, Coulomb on the tangents, maximum dissipation on the elements.
+    inertia v - momentum = sum of normal, tangent and element rows times their impulses, 0 <= p_n
+    _|_ normal v + normal_bias >= 0, Coulomb on the tangents, maximum dissipation on the elements.
     """
 
     size: IntArray  # (4,) n_dof, n_contact, n_element in use, n_dof of the free bodies
@@ -71,7 +73,9 @@ class Problem(NamedTuple):
     momentum: FloatArray  # (n_dof + 2,)
     velocity: FloatArray  # (n_dof + 2,) unknown; holds the guess, then the answer
     stiffness: FloatArray  # (n_dof + 2,) impulse per velocity that the block typically needs
-    contact_dof: IntArray  # (n_contact, 2) first degree of freedom of the two bodies, -1 where prescribed
+    contact_dof: (
+        IntArray  # (n_contact, 2) first degree of freedom of the two bodies, -1 where prescribed
+    )
     contact_key: IntArray  # (n_contact,) names the pair of features, the same from step to step
     contact_body: IntArray  # (n_contact, 2)
     contact_place: FloatArray  # (n_contact, 5) gap, normal x, y (into the first body), point x, y
@@ -115,12 +119,12 @@ class Method(NamedTuple):
     """How to step: the same for every rollout of a batch."""
 
     motion: int  # codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER
-    solver: int  # codes.NEWTON, GAUSS_SEIDEL or LEMKE
+    solver: int  # codes.NEWTON or GAUSS_SEIDEL
     adaptive: int  # 1 where the stepper chooses its own step
-    lead: float  # where rows are taken, in steps after the start: 0 Stewart-Trinkle, 0.5 Moreau's midpoint
+    lead: float  # where rows are taken, in steps after the start: 0, or 0.5 for the midpoint
     max_steps: int
     max_contacts: int
-    effort: int  # sweeps of Gauss-Seidel, pivots of Lemke
+    effort: int  # most sweeps of Gauss-Seidel
 
 
 class Pace(NamedTuple):
@@ -140,7 +144,7 @@ class Record(NamedTuple):
     pose: FloatArray  # (n_sample, n_moving, 3)
     twist: FloatArray  # (n_sample, n_moving, 3)
     drive: FloatArray  # (n_sample, n_driven, 2) force along the path, 1 where stalled
-    contact: FloatArray  # (n_row, 11) sample, two bodies, gap, normal, point, normal and tangential force, step
+    contact: FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
     count: IntArray  # (4,) samples written, contact rows written, steps taken, steps that fell back
     total: FloatArray  # (2,) time reached, worst residual
 
@@ -148,13 +152,16 @@ class Record(NamedTuple):
 class Batch(NamedTuple):
     """Many rollouts: the arrays of their models end to end, and where each rollout's rows begin.
 
-    Rollouts may share rows (one shape, many parameters). Indices stored in the rows (`piece_body`,
-    `piece_start`, `path_start`, `element_body`, `drive_dof`) count from each rollout's own first row.
+    Rollouts may share rows (one shape, many parameters). Indices stored in the rows
+    (`piece_body`, `piece_start`, `path_start`, `element_body`, `drive_dof`) count from each
+    rollout's own first row.
     """
 
     begin: IntArray  # (n_rollout, N_FAMILY) first row of each family, see batch.py
     count: IntArray  # (n_rollout, N_FAMILY) rows of each family
-    model: Model  # friction, restitution and map_factor flattened; plane, map_frame: a row a rollout
+    model: (
+        Model  # friction, restitution and map_factor flattened; plane, map_frame: a row a rollout
+    )
     map_shape: IntArray  # (n_rollout, 2)
     sides: IntArray  # (n_rollout,)
     pose: FloatArray  # (body rows, 3) at time zero

@@ -1,8 +1,8 @@
 """Writes the mixed complementarity problem of one step, for each of the three motion models.
 
-The rows are taken at a configuration reached `lead` after the step's start by the predicted velocities
-(lead 0: at the start, Stewart & Trinkle 1996; half a step: the midpoint, Moreau 1988), and the gaps are
-carried to the step's end by their linear part, so both are one formula:
+The rows are taken at a configuration reached `lead` after the step's start by the predicted
+velocities (lead 0: at the start, Stewart & Trinkle 1996; half a step: the midpoint, Moreau 1988),
+and the gaps are carried to the step's end by their linear part, so both are one formula:
 
     u_n = n . (relative velocity over the step) + bias >= 0,
     bias = (gap_at_rows - n . (relative motion still to come from there at the predicted velocity)
@@ -35,7 +35,8 @@ def assemble_bodies(
         ft = model.wrench[b, 2]
         k = model.spring[b, 0]
         if k > 0.0:
-            # Taken implicitly: the spring's pull at the step's end, so that stiff springs stay stable.
+            # Taken implicitly: the spring's pull at the step's end, so that stiff springs stay
+            # stable.
             fx -= k * (state.pose[b, 0] - model.spring[b, 1])
             fy -= k * (state.pose[b, 1] - model.spring[b, 2])
         problem.momentum[o] = step * fx
@@ -84,7 +85,8 @@ def _rotate_drag(model: Model, b: int, step: float, angle: float, problem: Probl
 
 @kernel
 def plane_factor(model: Model, x: float, y: float) -> float:
-    """The friction map at a point of the plane, bilinear between its nodes and level beyond its border."""
+    """The friction map at a point of the plane, bilinear between its nodes and level beyond its
+    border."""
     n_row, n_column = model.map_factor.shape
     if n_row == 0:
         return 1.0
@@ -103,10 +105,14 @@ def plane_factor(model: Model, x: float, y: float) -> float:
 
 
 @kernel
-def assemble_elements(model: Model, motion: int, step: float, pose: FloatArray, problem: Problem) -> int:
-    """Rows and limits of every support friction element; returns their number (none in first order).
+def assemble_elements(
+    model: Model, motion: int, step: float, pose: FloatArray, problem: Problem
+) -> int:
+    """Rows and limits of every support friction element; returns their number (none in first
+    order).
 
-    Anisotropic friction is an ellipse of impulses; rows scaled by its half-axes turn it into a disc.
+    Anisotropic friction is an ellipse of impulses; rows scaled by its half-axes turn it into a
+    disc.
     """
     if motion == codes.FIRST_ORDER:
         return 0
@@ -154,7 +160,8 @@ def assemble_elements(model: Model, motion: int, step: float, pose: FloatArray, 
 
 @kernel
 def set_stiffness(problem: Problem, n_element: int) -> None:
-    """Impulse per unit velocity that each block typically needs: its inertia and its friction limits."""
+    """Impulse per unit velocity that each block typically needs: its inertia and its friction
+    limits."""
     n_free_dof = problem.size[3]
     n_dof = problem.size[0]
     largest = 0.0
@@ -182,7 +189,8 @@ def assemble_contact(
     drive_y: float,
     drive_turn: float,
 ) -> None:
-    """Rows of contact i. A driven second body moves along (drive_x, drive_y, drive_turn) at unit speed."""
+    """Rows of contact i. A driven second body moves along (drive_x, drive_y, drive_turn) at unit
+    speed."""
     a = problem.contact_body[i, 0]
     b = problem.contact_body[i, 1]
     nx = problem.contact_place[i, 1]

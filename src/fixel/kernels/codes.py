@@ -25,10 +25,12 @@ STATUS_ADVICE: Final = (
     "",
     "A rigid drive pushes against bodies that cannot move. Give the pusher a force_limit "
     "(the thesis's actuator stalls at 34.3 N), or shorten its travel.",
-    "No solver of the chain met the tolerance in this step. Make the step smaller, or choose another solver.",
+    "No solver of the chain met the tolerance in this step. "
+    "Make the step smaller, or choose another solver.",
     "A number overflowed. Check masses, sizes and speeds for a wrong unit.",
     "More contacts than the rollout was given room for. Raise max_contacts.",
-    "The stepper could not meet its tolerance at the smallest step. Loosen the tolerance, or use a fixed step.",
+    "The stepper could not meet its tolerance at the smallest step. "
+    "Loosen the tolerance, or use a fixed step.",
     "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
 )
 
@@ -43,7 +45,6 @@ FIRST_ORDER: Final = 2
 # Which solver solves the step's problem.
 NEWTON: Final = 0
 GAUSS_SEIDEL: Final = 1
-LEMKE: Final = 2
 
 # How a body rests on the plane, element by element.
 POINT: Final = 0

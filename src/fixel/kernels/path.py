@@ -8,7 +8,8 @@ from fixel.kernels.jit import kernel
 
 @kernel
 def path_pose(model: Model, driven: int, time: float) -> tuple[float, float, float]:
-    """Pose of a pusher at a time of its own clock: linear between samples, at rest beyond both ends."""
+    """Pose of a pusher at a time of its own clock: linear between samples, at rest beyond both
+    ends."""
     first = model.path_start[driven]
     last = model.path_start[driven + 1] - 1
     path = model.path
@@ -36,7 +37,8 @@ def path_pose(model: Model, driven: int, time: float) -> tuple[float, float, flo
 def path_direction(
     model: Model, driven: int, time: float, step: float
 ) -> tuple[float, float, float, float]:
-    """Unit direction (x, y, turn) and commanded speed of a pusher over the next `step` of its clock.
+    """Unit direction (x, y, turn) and commanded speed of a pusher over the next `step` of its
+    clock.
 
     Beyond the end of the path the command is to hold: speed zero along the direction it came from.
     """

@@ -170,7 +170,9 @@ def _run(
     worst = 0.0
     status = codes.CONVERGED
     taken = 0
-    sample = write_samples(model, before, state, time, time, step, problem, record, 0, every_step, pace.duration)
+    sample = write_samples(
+        model, before, state, time, time, step, problem, record, 0, every_step, pace.duration
+    )
     while time < pace.duration * (1.0 - 1e-12):
         if taken == method.max_steps:
             status = codes.MAX_STEPS
@@ -179,7 +181,7 @@ def _run(
         trial = min(step, left)
         if method.adaptive == 1 and trial < left < 1.5 * trial:
             trial = 0.5 * left
-        elif left < trial * (1.0 + 1e-9):
+        elif trial > left * (1.0 - 1e-9):
             trial = left
         for i in range(n_dof):
             guess[i] = state.velocity[i]
@@ -187,8 +189,8 @@ def _run(
         growth = 1.0
         while True:
             ready = prepare_step(
-                model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem, work,
-                last_step,
+                model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem,
+                work, last_step,
             )  # fmt: skip
             if not ready:
                 status = codes.CONTACT_OVERFLOW

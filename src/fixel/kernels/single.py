@@ -3,6 +3,7 @@
 from fixel.kernels import rollout as _rollout
 from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
 from fixel.kernels.jit import entry
+from fixel.kernels.lemke import allocate_tableau, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
 from fixel.kernels.solve import locked, solve
 from fixel.kernels.step import move, prepare_bodies, prepare_contacts, prepare_rows
@@ -16,7 +17,12 @@ def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
 
 @entry
 def begin(
-    model: Model, state: State, velocity: FloatArray, step: float, problem: Problem, work: Workspace
+    model: Model,
+    state: State,
+    velocity: FloatArray,
+    step: float,
+    problem: Problem,
+    work: Workspace,
 ) -> None:
     """See `rollout.begin`."""
     _rollout.begin(model, state, velocity, step, problem, work)
@@ -36,9 +42,7 @@ def contacts(
     last_step: float,
 ) -> bool:
     """See `step.prepare_contacts`."""
-    return prepare_contacts(
-        model, state, time, step, lead, guess, pose, problem, work, last_step
-    )
+    return prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, last_step)
 
 
 @entry
@@ -64,9 +68,7 @@ def rows(
     last_step: float,
 ) -> None:
     """See `step.prepare_rows`."""
-    prepare_rows(
-        model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step
-    )
+    prepare_rows(model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step)
 
 
 @entry
@@ -75,6 +77,14 @@ def solve_problem(
 ) -> tuple[float, int]:
     """See `solve.solve`."""
     return solve(problem, work, guess, solver, effort)
+
+
+@entry
+def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> float:
+    """Solve a step of the linear form by `lemke.solve_linear_form`; returns the judge's residual."""
+    tableau = allocate_tableau(max(0, tableau_size(problem, 0)))
+    solve_linear_form(problem, work, tableau, 0, max_pivots)
+    return residual(problem, work.right)
 
 
 @entry

@@ -1,4 +1,5 @@
-"""One step: find the contacts, write the problem, solve it; and, apart from that, move the bodies."""
+"""One step: find the contacts, write the problem, solve it; and, apart from that, move the
+bodies."""
 
 import math
 
@@ -21,7 +22,8 @@ REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
 def place_rows(
     model: Model, state: State, time: float, lead: float, velocity: FloatArray, pose: FloatArray
 ) -> None:
-    """Write into `pose` the configuration at which a step's rows are taken, `lead` after its start."""
+    """Write into `pose` the configuration at which a step's rows are taken, `lead` after its
+    start."""
     n_free = model.mass.size
     n_driven = model.force_limit.size
     for b in range(n_free):
@@ -59,15 +61,13 @@ def prepare_step(
     """Write the problem of the step from `time` to ``time + step``; False where contacts overflow.
 
     `guess` is the velocity expected over the step; rows are taken `lead` after its start, at the
-    configuration left in `pose`. `last_step` is the step whose impulses the problem still holds, zero for
-    none.
+    configuration left in `pose`. `last_step` is the step whose impulses the problem still holds,
+    zero for none.
     """
     if not prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, last_step):
         return False
     n_support = prepare_bodies(model, state, motion, step, pose, problem)
-    prepare_rows(
-        model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step
-    )
+    prepare_rows(model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step)
     return True
 
 
@@ -84,7 +84,8 @@ def prepare_contacts(
     work: Workspace,
     last_step: float,
 ) -> bool:
-    """First part: where the bodies meet, with the impulses they met with before; False on overflow."""
+    """First part: where the bodies meet, with the impulses they met with before; False on
+    overflow."""
     n_free = model.mass.size
     n_moving = n_free + model.force_limit.size
     place_rows(model, state, time, lead, guess, pose)
@@ -93,9 +94,7 @@ def prepare_contacts(
     travelled = moved(model, pose, work.anchor, n_moving)
     if work.near_count[0] < 0 or margin + 2.0 * travelled > work.reach[0]:
         work.reach[0] = max(REACH, 2.0 * margin)
-        work.near_count[0] = find_near_pairs(
-            model, pose, n_free, n_moving, work.reach[0], work
-        )
+        work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
     n_old = problem.size[1]
@@ -161,7 +160,8 @@ def prepare_rows(
 def _prepare_drive(
     model: Model, state: State, d: int, step: float, problem: Problem, e: int, dof: int
 ) -> None:
-    """A force-limited drive is friction in one dimension: it holds its commanded speed up to its limit."""
+    """A force-limited drive is friction in one dimension: it holds its commanded speed up to its
+    limit."""
     problem.element_dof[e] = dof
     problem.element_sides[e] = 0
     problem.element_row[e, 0, 0] = 1.0
@@ -173,7 +173,8 @@ def _prepare_drive(
 
 @kernel
 def _margin(model: Model, state: State, time: float, step: float, guess: FloatArray) -> float:
-    """Gap below which a contact may close within the step: three times the fastest motion in sight."""
+    """Gap below which a contact may close within the step: three times the fastest motion in
+    sight."""
     fastest = 0.0
     for b in range(model.mass.size):
         for v in (state.velocity, guess):
@@ -243,7 +244,8 @@ def _prepare_contact(
     if bounce > 0.0 and motion == codes.DYNAMIC and before < 0.0:
         gap_before = problem.contact_place[i, 0] - lead * ahead
         if gap_before + step * before < 0.0:
-            # Newton's law of impact in place of the gap: leave with `bounce` times the speed of approach.
+            # Newton's law of impact in place of the gap: leave with `bounce` times the speed of
+            # approach.
             bias_n += bounce * before - gap_before / step
     problem.bias[i, 0] = bias_n
     problem.bias[i, 1] = bias_t
@@ -253,8 +255,8 @@ def _prepare_contact(
 def move(model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
     """Take the step: the velocity becomes the problem's, the poses follow it.
 
-    With `glide`, a body without any contact follows the mean of the velocities before and after, which is
-    exact for a body that slides to rest under constant friction.
+    With `glide`, a body without any contact follows the mean of the velocities before and after,
+    which is exact for a body that slides to rest under constant friction.
     """
     n_free = model.mass.size
     v = problem.velocity

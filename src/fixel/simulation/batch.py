@@ -18,6 +18,7 @@ from fixel.simulation.pack import Packed, Variation, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     empty_record,
+    is_compiled,
     method_of,
     one_variation,
     pack_with,
@@ -102,11 +103,11 @@ def _refuse_plugins(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> None:
     for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
-        if not type(part).__module__.startswith("fixel.simulation."):
+        if not is_compiled(part):
             raise InvalidInput(
                 role,
-                found=f"the plug-in {type(part).__name__}",
-                expected="a built-in one: batches run in compiled code",
+                found=type(part).__name__,
+                expected="one that the compiled loop knows: batches run in it alone",
                 hint="call simulate for each rollout",
             )
 
@@ -210,7 +211,7 @@ def _unpack(scene: Scene, packed: Packed, record: BatchRecord, times: FloatArray
     units = packed.units
     _hold_last(record)
     return BatchResult(
-        names=tuple(item.name for item in (*scene.bodies, *scene.pushers)),
+        names=scene.names[: len(scene.bodies) + len(scene.pushers)],
         status=record.status,
         time=times,
         pose=shape_poses(packed, record.pose),
@@ -263,7 +264,7 @@ def _simulate_scenes(
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
         n_driven = len(scene.pushers)
         n_moving = len(scene.bodies) + n_driven
-        own = BatchRecord(*(array[r : r + 1] for array in record))
+        own = BatchRecord._make(array[r : r + 1] for array in record)
         own = own._replace(
             pose=own.pose[:, :, :n_moving],
             drive=own.drive[:, :, :n_driven],

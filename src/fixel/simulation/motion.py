@@ -1,7 +1,8 @@
 """Motion models: which equations move the bodies.
 
-Each model is the same two functions: `assemble` writes a body's own rows of the step problem, `move` takes
-the step once it is solved. The built-in three also name the integer by which the compiled loop knows them.
+Each model is the same two functions: `assemble` writes a body's own rows of the step problem,
+`move` takes the step once it is solved. The built-in three also name the integer by which the
+compiled loop knows them.
 """
 
 from __future__ import annotations
@@ -53,9 +54,11 @@ class AbstractMotionModel(abc.ABC):
 class Dynamic(AbstractMotionModel):
     """Newton's law with impulses: ``M (v' - v) = h f + impulses``.
 
-    Not the choice for slow pushing of very light parts, where inertia is a rounding error: `QuasiStatic`.
+    Not the choice for slow pushing of very light parts, where inertia is a rounding error:
+    `QuasiStatic`.
 
-    Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs. 2.13-2.14.
+    Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs.
+    2.13-2.14.
     """
 
     name: ClassVar[str] = "dynamic"
@@ -73,10 +76,11 @@ class Dynamic(AbstractMotionModel):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuasiStatic(AbstractMotionModel):
-    """Balance of forces at every instant: ``0 = h f + impulses``. A body that nothing touches rests.
+    """Balance of forces at every instant: ``0 = h f + impulses``. A body that nothing touches
+    rests.
 
-    Speeds, masses and the friction of the plane drop out of the path (ASME 2006). Every free body needs
-    support friction.
+    Speeds, masses and the friction of the plane drop out of the path (ASME 2006). Every free body
+    needs support friction.
 
     Source: ASME 2006 paper, eqs. 1-2.
     """
@@ -98,8 +102,9 @@ class QuasiStatic(AbstractMotionModel):
 class FirstOrder(AbstractMotionModel):
     """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
 
-    The wrench is not bounded by the surface, so bodies never stick: smooth, and a good first guess, where
-    `QuasiStatic` is the law. Every free body needs support friction, whose ellipsoid gives the mobility.
+    The wrench is not bounded by the surface, so bodies never stick: smooth, and a good first
+    guess, where `QuasiStatic` is the law. Every free body needs support friction, whose ellipsoid
+    gives the mobility.
 
     Source: Halm & Posa (2019), eq. 3, with the ellipsoid of Howe & Cutkosky (1996).
     """

@@ -1,7 +1,7 @@
 """Scenes and parameters as arrays for the kernels. The only place that casts and scales.
 
-Every scene gets units of its own: its characteristic length, speed and mass. A part of 1.6 mm and a block of
-107 mm then give the kernels the same numbers.
+Every scene gets units of its own: its characteristic length, speed and mass. A part of 1.6 mm and
+a block of 107 mm then give the kernels the same numbers.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from fixel.model import (
     Body,
     Disk,
     Ellipsoid,
+    Fixel,
     LineDrive,
     NoSupport,
     Pusher,
@@ -29,13 +30,14 @@ from fixel.model import (
     support_points,
 )
 
-# A part of the time in which the fastest body moves by one characteristic length; friction impulses over
-# such a step are of the order of one in scaled units.
+# A part of the time in which the fastest body moves by one characteristic length; friction
+# impulses over such a step are of the order of one in scaled units.
 TYPICAL_STEP = 0.01
 
 
 class Units(NamedTuple):
-    """Characteristic values of one scene [m, s, kg]; everything in the kernels is a multiple of them."""
+    """Characteristic values of one scene [m, s, kg]; everything in the kernels is a multiple of
+    them."""
 
     length: float
     time: float
@@ -55,7 +57,8 @@ class Units(NamedTuple):
 
 
 def characteristic_units(scene: Scene) -> Units:
-    """Units of a scene: radius of gyration, fastest prescribed or initial motion, mass or friction."""
+    """Units of a scene: radius of gyration, fastest prescribed or initial motion, mass or
+    friction."""
     bodies = scene.bodies
     length = float(np.median([math.sqrt(b.moment_of_inertia / b.mass) for b in bodies]))
     speed = max(
@@ -142,12 +145,16 @@ class Pieces(NamedTuple):
     edge_real: IntArray
 
 
+def _items(scene: Scene) -> list[Body | Pusher | Fixel]:
+    """All bodies in the order of the kernels."""
+    return [*scene.bodies, *scene.pushers, *scene.fixels]
+
+
 def _pieces(scene: Scene) -> Pieces:
     body_of, start, bound, radius = [], [0], [], []
     vertex: list[FloatArray] = []
     real: list[NDArray[np.bool_]] = []
-    every = [*scene.bodies, *scene.pushers, *scene.fixels]
-    for k, item in enumerate(every):
+    for k, item in enumerate(_items(scene)):
         shift = item.com if isinstance(item, Body) else np.zeros(2)
         if isinstance(item.shape, Disk):
             parts = [(np.zeros((1, 2)), np.ones(1, bool))]
@@ -176,7 +183,7 @@ def _pieces(scene: Scene) -> Pieces:
 
 
 def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    names = [item.name for item in (*scene.bodies, *scene.pushers, *scene.fixels)]
+    names = scene.names
     n = len(names)
     friction = np.zeros((n, n))
     restitution = np.zeros((n, n))
@@ -195,7 +202,8 @@ def pusher_path(pusher: Pusher, duration: float) -> FloatArray:
     start = np.array([0.0, *pusher.pose])
     if drive.speed == 0.0 or drive.travel == 0.0:
         return start[None, :]
-    # A force-limited pusher may lag and need more of its line than the duration alone would ask for.
+    # A force-limited pusher may lag and need more of its line than the duration alone would ask
+    # for.
     seconds = min(drive.travel / drive.speed, max(duration, 1e-9))
     end = start.copy()
     end[0] = seconds
@@ -208,8 +216,9 @@ def _drag(
 ) -> FloatArray:
     """First-order model: wrench per twist of every body, from the ellipsoid that its supports span.
 
-    At the characteristic speed the ellipsoid is reached: D = diag(f, f, tau^2 / f) / speed at the centre of
-    friction, moved to the centre of mass. Shapes: limit (..., n), point (..., n, 2) -> (..., n_free, 3, 3).
+    At the characteristic speed the ellipsoid is reached: D = diag(f, f, tau^2 / f) / speed at the
+    centre of friction, moved to the centre of mass. Shapes: limit (..., n), point (..., n, 2) ->
+    (..., n_free, 3, 3).
     """
     lead = limit.shape[:-1]
     drag = np.zeros((*lead, n_free, 3, 3))
@@ -293,9 +302,9 @@ def pack(
     refuse_motion(scene, motion_kind)
     units = characteristic_units(scene)
     length, force = units.length, units.force
-    bodies, pushers, fixels = scene.bodies, scene.pushers, scene.fixels
+    bodies, pushers = scene.bodies, scene.pushers
     n_free, n_driven = len(bodies), len(pushers)
-    n_body = n_free + n_driven + len(fixels)
+    n_body = len(scene.names)
     elements = _elements(scene)
     pieces = _pieces(scene)
     friction, restitution = _pair_tables(scene)
@@ -366,7 +375,7 @@ def pack(
     place(families.PATH, int(path_start[-1]), variation.path is not None)
 
     pose = np.zeros((n_body, 3))
-    for k, item in enumerate((*bodies, *pushers, *fixels)):
+    for k, item in enumerate(_items(scene)):
         pose[k] = item.pose
     if variation.start is not None:
         pose = np.array(np.broadcast_to(pose, (n, n_body, 3)))
@@ -488,6 +497,6 @@ def stack(packed: Sequence[Packed]) -> Batch:
     return Batch(
         np.concatenate(begin),
         np.concatenate([p.batch.count for p in packed]),
-        Model(*joined),
+        Model._make(joined),
         *(np.concatenate([getattr(p.batch, field) for p in packed]) for field in Batch._fields[3:]),
     )

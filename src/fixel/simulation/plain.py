@@ -1,4 +1,5 @@
-"""The plain loop: one step at a time in Python, for plug-ins and as the reference of the compiled loop."""
+"""The plain loop: one step at a time in Python, for plug-ins and as the reference of the compiled
+loop."""
 
 from __future__ import annotations
 
@@ -183,4 +184,4 @@ class _Samples:
         joined = [np.concatenate([row[k] for row in self.rows])[None] for k in range(5)]
         count = np.array([[self.done, joined[4].shape[1], steps, self.loop.fallbacks]], np.int64)
         total = np.array([[self.loop.time, worst]])
-        return BatchRecord(*joined, count, total, np.array([status], np.int64))
+        return BatchRecord._make([*joined, count, total, np.array([status], np.int64)])

@@ -99,8 +99,7 @@ class Simulation:
     @property
     def names(self) -> tuple[str, ...]:
         """All bodies: free, then pushers, then fixels; contacts count them so."""
-        scene = self.scene
-        return tuple(item.name for item in (*scene.bodies, *scene.pushers, *scene.fixels))
+        return self.scene.names
 
     @property
     def final(self) -> dict[str, FloatArray]:
@@ -158,8 +157,8 @@ class BatchResult:
     time : (n_sample,) float64
         When poses were sampled [s]; the last is the end.
     pose : (n, n_sample, n_moving, 3) float64
-        Of free bodies, then pushers; shape frames [m, m, rad]. A rollout that stopped early keeps its last
-        pose to the end.
+        Of free bodies, then pushers; shape frames [m, m, rad]. A rollout that stopped early keeps
+        its last pose to the end.
     stopped_at : (n,) float64
         Time reached [s].
     steps, fallbacks : (n,) int64
@@ -187,7 +186,7 @@ class BatchResult:
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        return self.status == codes.CONVERGED
+        return np.equal(self.status, codes.CONVERGED)
 
     def pose_of(self, name: str) -> FloatArray:
         """(n, n_sample, 3) poses of one body."""

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels import batch as kernel
@@ -20,7 +21,7 @@ from fixel.simulation.pack import Packed, Variation, pack
 from fixel.simulation.plain import roll_plainly
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
-from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 
 MAX_STEPS = 1_000_000
 MAX_SAMPLES = 200_000
@@ -79,10 +80,10 @@ def simulate(
     refuse_method(scene, solver)
     packed = pack_with(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
-    external = codes.EXTERNAL in (motion.kind, solver.kind) or _is_external(stepper)
+    compiled = all(is_compiled(part) for part in (motion, stepper, solver))
     times = None if output_interval is None else sample_times(duration, output_interval)
     seconds = clock.perf_counter()
-    if plain or external:
+    if plain or not compiled:
         record = roll_plainly(packed, motion, stepper, solver, method, times)
     else:
         record = _roll_compiled(packed, stepper, method, duration, times)
@@ -130,15 +131,15 @@ def pack_with(
     duration: float,
 ) -> Packed:
     """Pack a scene for a stepper's own step and tolerance."""
-    adaptive = isinstance(stepper, Adaptive)
+    own = stepper if isinstance(stepper, Adaptive) else None
     return pack(
         scene,
         motion.kind,
         variation,
         n,
         step=stepper.first_step,
-        tolerance=stepper.tolerance if adaptive else None,
-        largest=stepper.largest_step if adaptive else math.inf,
+        tolerance=own.tolerance if own else None,
+        largest=own.largest_step if own else math.inf,
         duration=duration,
     )
 
@@ -147,11 +148,7 @@ def method_of(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
 ) -> Method:
     """The method as the kernels understand it."""
-    effort = 0
-    if isinstance(solver, GaussSeidel):
-        effort = solver.max_sweeps
-    elif isinstance(solver, Lemke):
-        effort = solver.max_pivots
+    effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
     return Method(
         motion=motion.kind,
         solver=solver.kind,
@@ -163,8 +160,11 @@ def method_of(
     )
 
 
-def _is_external(stepper: AbstractStepper) -> bool:
-    return not type(stepper).__module__.startswith("fixel.simulation.")
+def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) -> bool:
+    """Whether the compiled loop knows this part of a method; a plug-in runs in the plain loop."""
+    if isinstance(part, AbstractStepper):
+        return type(part) in STEPPERS
+    return part.kind != codes.EXTERNAL
 
 
 def empty_record(
@@ -205,7 +205,7 @@ def sample_times(duration: float, interval: float) -> FloatArray:
     if times[-1] < duration * (1.0 - 1e-9):
         times = np.append(times, duration)
     times[-1] = min(times[-1], duration)
-    return times
+    return np.asarray(times, np.float64)
 
 
 def _roll_compiled(
@@ -278,7 +278,7 @@ def _unpack(
     time = record.time[0, :n_sample] * units.time
     poses = shape_poses(packed, record.pose[0, :n_sample])
     twists = record.twist[0, :n_sample] * _scales(packed).twist
-    moving = [item.name for item in (*scene.bodies, *scene.pushers)]
+    moving = scene.names[: poses.shape[1]]
     reached = float(record.total[0, 0]) * units.time
     status = int(record.status[0])
     pushers = {}
@@ -309,7 +309,7 @@ def _unpack(
     )
 
 
-def _contact_table(packed: Packed, rows: FloatArray, time: FloatArray) -> np.ndarray[Any, Any]:
+def _contact_table(packed: Packed, rows: FloatArray, time: FloatArray) -> NDArray[np.void]:
     units = packed.units
     table = np.zeros(len(rows), CONTACT_FIELDS)
     if len(rows):
@@ -330,7 +330,8 @@ def _described(
 ) -> dict[str, Any]:
     """Names and options of the method, enough to run it again."""
     described: dict[str, Any] = {}
-    for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
+    parts: dict[str, Any] = {"motion": motion, "stepper": stepper, "solver": solver}
+    for role, part in parts.items():
         described[role] = getattr(part, "name", type(part).__name__)
         if dataclasses.is_dataclass(part):
             own = ((f.name, getattr(part, f.name)) for f in dataclasses.fields(part))

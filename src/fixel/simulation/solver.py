@@ -9,6 +9,7 @@ from typing import ClassVar, final
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.solve import TOLERANCE
 
 
 class AbstractSolver(abc.ABC):
@@ -40,7 +41,8 @@ class AbstractSolver(abc.ABC):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Newton(AbstractSolver):
-    """Semismooth Newton from the last step's impulses; damped Newton and Gauss-Seidel where it fails.
+    """Semismooth Newton from the last step's impulses; damped Newton and Gauss-Seidel where it
+    fails.
 
     The default: two or three small linear systems a step. Exact friction discs and polygons alike.
 
@@ -57,9 +59,11 @@ class Newton(AbstractSolver):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussSeidel(AbstractSolver):
-    """Projected Gauss-Seidel until the residual is met; the Newton chain takes over where it is not.
+    """Projected Gauss-Seidel until the residual is met; the Newton chain takes over where it is
+    not.
 
-    A cross-check, and the simplest thing that can work. Slow where bodies jam or masses differ much.
+    A cross-check, and the simplest thing that can work. Slow where bodies jam or masses differ
+    much.
 
     Source: Jourdan, Alart & Jean (1998).
     """
@@ -83,14 +87,13 @@ class GaussSeidel(AbstractSolver):
 class Lemke(AbstractSolver):
     """Lexicographic Lemke on the linear form: the reference, for `support_directions` of 4 or more.
 
-    Pivots to the answer without a guess, so it never depends on the step before; a hundred times slower
-    than `Newton`.
+    Pivots to the answer without a guess, so it never depends on the step before. A hundred times
+    slower than `Newton`, which takes over the steps where it ends on a ray; runs in the plain loop.
 
-    Source: Cottle, Pang & Stone (1992), section 4.4; the linear form is the thesis's eqs. 2.13-2.14.
+    Source: Cottle, Pang & Stone (1992), section 4.4; the linear form is the thesis's eqs. 2.13-14.
     """
 
     name: ClassVar[str] = "lemke"
-    kind: ClassVar[int] = codes.LEMKE
     max_pivots: int = 2_000
 
     def __post_init__(self) -> None:
@@ -98,7 +101,11 @@ class Lemke(AbstractSolver):
             raise InvalidInput("Lemke.max_pivots", found=self.max_pivots, expected="at least 1")
 
     def solve(self, problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
-        return single.solve_problem(problem, work, guess, self.kind, self.max_pivots)
+        residual = float(single.solve_by_pivoting(problem, work, self.max_pivots))
+        if residual <= TOLERANCE:
+            return residual, 0
+        residual, _ = single.solve_problem(problem, work, guess, codes.NEWTON, 0)
+        return residual, 1
 
 
 SOLVERS: tuple[type[AbstractSolver], ...] = (Newton, GaussSeidel, Lemke)

@@ -105,7 +105,8 @@ class StewartTrinkle(AbstractStepper):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Midpoint(AbstractStepper):
-    """Fixed step, rows taken half a step ahead. Second order while nothing happens, first across events.
+    """Fixed step, rows taken half a step ahead. Second order while nothing happens, first across
+    events.
 
     Source: Moreau (1988), section 9.
     """
@@ -131,16 +132,18 @@ class Midpoint(AbstractStepper):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adaptive(AbstractStepper):
-    """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts change.
+    """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts
+    change.
 
-    The error of a step is taken as half its length times the change of velocity over it, what a first-order
-    step would be wrong by; a gap that closes inside a step ends the step there. docs/theory/stepping.md.
+    The error of a step is taken as half its length times the change of velocity over it, what a
+    first-order step would be wrong by; a gap that closes inside a step ends the step there.
+    docs/theory/stepping.md.
 
     Parameters
     ----------
     tolerance : float
-        Of position in one step [m]; angles count by the characteristic length. None: a thousandth of the
-        scene's characteristic length.
+        Of position in one step [m]; angles count by the characteristic length. None: a thousandth
+        of the scene's characteristic length.
     largest_step : float
         In the time in which the fastest body moves by one characteristic length.
     """
