@@ -1,0 +1,323 @@
+"""Scenes with a name: tests, benchmarks and examples all build them here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import (
+    Body,
+    Disk,
+    Fixel,
+    LineDrive,
+    PairFriction,
+    Polygon,
+    Pusher,
+    Scene,
+    Shape,
+    Support,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+)
+
+FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch pegs of the thesis, appendix C.3
+FINGER_RADIUS: Final = 0.005  # [m] of `free_push`
+STALL_FORCE: Final = 34.3  # [N] of the thesis's actuator, section 1.3.3
+
+
+def row(*numbers: float) -> FloatArray:
+    """Numbers as an array, for what is documented as array_like but typed as an array."""
+    return np.array(numbers, np.float64)
+
+
+def box(width: float, height: float) -> Polygon:
+    """A rectangle about the origin of its frame [m]."""
+    x, y = 0.5 * width, 0.5 * height
+    return Polygon(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]))
+
+
+Layout = Literal["slip", "seated"]
+
+_PEGS: Final[dict[str, tuple[tuple[float, float], ...]]] = {
+    "slip": ((0.266, -0.067), (0.280, -0.008), (0.267, 0.070)),
+    "seated": ((0.200, -0.060), (0.240, 0.000), (0.200, 0.060)),
+}
+_START: Final[dict[str, tuple[float, float, float]]] = {
+    "slip": (0.095, -0.011, pi / 8),
+    "seated": (0.090, 0.000, pi / 8),
+}
+
+
+def grasp(
+    layout: Layout = "seated",
+    force_limit: float | None = STALL_FORCE,
+    support_directions: int | None = None,
+) -> Scene:
+    """A square pushed by a flat head against three pegs.
+
+    Sizes, masses, speed, reach and stall force are the testbed's of the thesis (RPI 2011, sections
+    1.3 and 5.1). Its peg coordinates are not printed; these are ours.
+
+    Parameters
+    ----------
+    layout : str
+        ``"seated"``: the square comes to rest between head and pegs, and the drive stalls.
+        ``"slip"``: the pegs stand where the square meets them late, or slides off.
+    force_limit : float or None
+        At which the drive stalls [N]; None for a rigid drive, which jams in a seated grasp.
+    support_directions : int or None
+        None: exact friction discs; 16 as in the thesis's own runs.
+    """
+    square = Body(
+        name="object",
+        shape=box(0.1075, 0.1075),
+        mass=0.15,
+        pose=row(*_START[layout]),
+        support=Tripod(radius=0.04, friction=0.25, angle=pi / 2),
+    )
+    head = Pusher(
+        name="actuator",
+        shape=box(0.029, 0.029),
+        pose=row(0.0, 0.0, 0.0),
+        drive=LineDrive(
+            direction=row(1.0, 0.0), speed=0.0135, travel=0.15, force_limit=force_limit
+        ),
+        friction=0.25,
+    )
+    pegs = tuple(
+        Fixel(name=f"fixel-{k}", shape=Disk(FIXEL_RADIUS), pose=row(x, y, 0.0), friction=0.2)
+        for k, (x, y) in enumerate(_PEGS[layout], 1)
+    )
+    return Scene(
+        bodies=(square,),
+        pushers=(head,),
+        fixels=pegs,
+        duration=11.0,
+        support_directions=support_directions,
+    )
+
+
+PART_WIDTH: Final = 842e-6  # [m], along the body's x axis
+PART_LENGTH: Final = 1621e-6  # [m], along the body's y axis
+# [kg], beryllium copper of 8250 kg/m^3, 1.5 mil thick.
+PART_MASS: Final = 8250.0 * PART_WIDTH * PART_LENGTH * 38.1e-6
+PROBE_SIDE: Final = 25e-6  # [m]
+PROBE_TRAVEL: Final = 700e-6  # [m]
+
+# Where the probe meets the side, as parts of that side from its midpoint: points C, B, D, A, E of
+# the long side, then G, F, H of the short one. The paper numbers only test 1 (point C) for sure.
+_MICRO_OFFSETS: Final = (0.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.5, -0.5)
+
+Estimate = Literal["p1", "p2"]
+
+_ESTIMATES: Final[dict[str, tuple[tuple[tuple[float, float], ...], float, float]]] = {
+    # Support points [um] with the decimal point put back, friction of probe and of plane.
+    "p1": (((411.3, -563.3), (-409.1, 605.9), (-273.2, -102.1)), 0.666, 0.757),
+    "p2": (((-412.4, 794.0), (-217.8, 774.5), (278.8, -538.8)), 0.536, 0.013),
+}
+
+
+def micro_push(
+    test: int = 1, estimate: Estimate = "p1", mu_support: float | None = None, speed: float = 1e-4
+) -> Scene:
+    """One of the eight pushes of a 1.6 mm part by a probe, under parameters the paper estimated.
+
+    Source: the ASME 2006 paper on meso-scale manipulation, figures 4 and 5, table 1. Support points
+    are read in a body frame whose y axis runs along the long side: only then do all of them lie in
+    the part. Pushes go along +x; the long side stands upright in tests 1-5, the short one in tests
+    6-8. Meant for `QuasiStatic` motion, as in the paper, so speed and mass do not matter.
+
+    Parameters
+    ----------
+    test : int
+        1 to 8. Half a side off the midpoint is read as a probe flush with the corner.
+    estimate : str
+        ``"p1"`` or ``"p2"``, the columns of table 1.
+    mu_support : float, optional
+        In place of the estimated friction of the plane.
+    speed : float
+        Of the probe [m/s]; not legible in the paper.
+    """
+    if test not in range(1, 9):
+        raise InvalidInput("test", found=test, expected="a test from 1 to 8")
+    points, mu_probe, mu_plane = _ESTIMATES[estimate]
+    upright = test <= 5
+    side, depth = (PART_LENGTH, PART_WIDTH) if upright else (PART_WIDTH, PART_LENGTH)
+    reach = 0.5 * (side - PROBE_SIDE)
+    offset = float(np.clip(_MICRO_OFFSETS[test - 1] * side, -reach, reach))
+    part = Body(
+        name="part",
+        shape=box(PART_WIDTH, PART_LENGTH),
+        mass=PART_MASS,
+        pose=row(0.0, 0.0, 0.0 if upright else 0.5 * pi),
+        support=SupportPoints(
+            points=1e-6 * np.array(points),
+            friction=mu_plane if mu_support is None else mu_support,
+        ),
+    )
+    probe = Pusher(
+        name="probe",
+        shape=box(PROBE_SIDE, PROBE_SIDE),
+        pose=row(-0.5 * (depth + PROBE_SIDE), offset, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=speed, travel=PROBE_TRAVEL),
+        friction=mu_probe,
+    )
+    return Scene(bodies=(part,), pushers=(probe,), duration=PROBE_TRAVEL / speed)
+
+
+def sliding_block(
+    speed: float = 0.5, friction: float = 0.25, heading: float = 0.0, duration: float = 1.0
+) -> Scene:
+    """A square block that slides and stops after ``speed^2 / (2 friction g)``, all alone."""
+    block = Body(
+        name="block",
+        shape=box(0.1, 0.1),
+        mass=0.4,
+        pose=row(0.0, 0.0, 0.0),
+        velocity=row(speed * np.cos(heading), speed * np.sin(heading), 0.0),
+        support=Tripod(radius=0.03, friction=friction),
+    )
+    return Scene(bodies=(block,), duration=duration)
+
+
+def spinning_disk(
+    spin: float = 10.0,
+    speed: float = 0.0,
+    friction: float = 0.25,
+    n_points: int = 256,
+    duration: float = 1.0,
+) -> Scene:
+    """A disk of radius 50 mm on even pressure that spins, and slides if asked, until it rests.
+
+    Without sliding it stops after ``3 R spin / (4 friction g)``.
+    """
+    disk = Body(
+        name="disk",
+        shape=Disk(0.05),
+        mass=0.3,
+        pose=row(0.0, 0.0, 0.0),
+        velocity=row(speed, 0.0, spin),
+        support=UniformPressure(friction=friction, n_points=n_points),
+    )
+    return Scene(bodies=(disk,), duration=duration)
+
+
+def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
+    """`n` blocks and disks in rows of three, on tripods, swept by a wide plate along +x.
+
+    Ours: made for many bodies in contact at once. Every third one is a disk.
+    """
+    if n < 1:
+        raise InvalidInput("n", found=n, expected="at least 1")
+    pitch = 0.055
+    bodies = tuple(
+        Body(
+            name=f"body-{k + 1}",
+            shape=Disk(0.02) if k % 3 == 2 else box(0.04, 0.03),
+            mass=0.05,
+            # A little out of line, so that nothing hangs on a tie.
+            pose=row(0.03 + pitch * (k // 3), pitch * (k % 3 - 1) + 0.002 * (k // 3 % 2), 0.07 * k),
+            support=Tripod(radius=0.012, friction=0.3, angle=0.4 * k),
+        )
+        for k in range(n)
+    )
+    plate = Pusher(
+        name="plate",
+        shape=box(0.01, 0.22),
+        pose=row(-0.005, 0.0, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=speed),
+        friction=0.3,
+    )
+    return Scene(
+        bodies=bodies,
+        pushers=(plate,),
+        contact_friction=(PairFriction(pair=("body-*", "body-*"), friction=0.3),),
+        duration=duration,
+    )
+
+
+def moved(scene: Scene, shift: tuple[float, float], turn: float) -> Scene:
+    """The scene turned about the origin [rad], then shifted [m]; only for drives along lines."""
+    c, s = np.cos(turn), np.sin(turn)
+    spin = np.array([[c, -s], [s, c]])
+
+    def pose(old: FloatArray) -> FloatArray:
+        return np.append(spin @ old[:2] + shift, old[2] + turn)
+
+    bodies = tuple(
+        replace(
+            b,
+            pose=pose(b.pose),
+            velocity=np.append(spin @ b.velocity[:2], b.velocity[2]),
+            force=np.append(spin @ b.force[:2], b.force[2]),
+        )
+        for b in scene.bodies
+    )
+    pushers = tuple(
+        replace(p, pose=pose(p.pose), drive=replace(p.drive, direction=spin @ p.drive.direction))
+        for p in scene.pushers
+        if isinstance(p.drive, LineDrive)
+    )
+    fixels = tuple(replace(f, pose=pose(f.pose)) for f in scene.fixels)
+    return replace(scene, bodies=bodies, pushers=pushers, fixels=fixels)
+
+
+def free_push(
+    support: Support,
+    shape: Shape | None = None,
+    friction: float = 0.0,
+    speed: float = 0.01,
+    step: float = 1e-4,
+    support_directions: int | None = None,
+) -> Scene:
+    """A body of 200 g ready to be pushed along +x by a disk at the origin; a step of it by default.
+
+    Where it starts is left to `touching_pose`, for a batch of rollouts.
+    """
+    shape = shape or box(0.1, 0.1)
+    body = Body(name="body", shape=shape, mass=0.2, pose=row(0.5, 0.0, 0.0), support=support)
+    finger = Pusher(
+        name="finger",
+        shape=Disk(FINGER_RADIUS),
+        pose=row(0.0, 0.0, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=speed),
+        friction=friction,
+    )
+    return Scene(
+        bodies=(body,),
+        pushers=(finger,),
+        duration=step,
+        support_directions=support_directions,
+    )
+
+
+def touching_pose(point: ArrayLike, outward: ArrayLike, towards: ArrayLike) -> FloatArray:
+    """Poses at which a body's outline touches the finger of `free_push`.
+
+    Parameters
+    ----------
+    point : (..., 2) array_like
+        On the outline, in the frame of the shape [m].
+    outward : (...) array_like
+        Direction of the outward normal there, in the frame of the shape [rad].
+    towards : (...) array_like
+        Direction from the finger into the body, in the world [rad]; 0 is a push square to the edge.
+
+    Returns
+    -------
+    (..., 3) float64
+        [m, m, rad].
+    """
+    at = np.asarray(point, np.float64)
+    angle = np.asarray(towards, np.float64) + pi - np.asarray(outward, np.float64)
+    c, s = np.cos(angle), np.sin(angle)
+    x = FINGER_RADIUS * np.cos(towards) - (c * at[..., 0] - s * at[..., 1])
+    y = FINGER_RADIUS * np.sin(towards) - (s * at[..., 0] + c * at[..., 1])
+    return np.stack(np.broadcast_arrays(x, y, angle), axis=-1)
