@@ -81,7 +81,7 @@ def solve_problem(
 
 @entry
 def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> float:
-    """Solve a step of the linear form by `lemke.solve_linear_form`; returns the judge's residual."""
+    """Solve a step by `lemke.solve_linear_form`; returns the judge's residual."""
     tableau = allocate_tableau(max(0, tableau_size(problem, 0)))
     solve_linear_form(problem, work, tableau, 0, max_pivots)
     return residual(problem, work.right)

@@ -78,6 +78,8 @@ def simulate(
     solver = solver or Newton()
     duration = positive_time("duration", scene.duration if duration is None else duration)
     refuse_method(scene, solver)
+    if parameters is not None:
+        parameters.check(scene)
     packed = pack_with(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
     compiled = all(is_compiled(part) for part in (motion, stepper, solver))
