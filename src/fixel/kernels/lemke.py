@@ -36,10 +36,14 @@ UNSETTLED: Final = 6  # the proximal iteration did not come to rest
 ACCURACY = 1e-10  # natural-map residual of every SOLVED answer, relative to the row's |q| where that is above 1
 PIVOT = 1e-11  # of the largest entry of a column: below it an entry is no pivot
 TIE = 1e-13  # of the numbers that went into a ratio: ratios this close are tied, and told apart lexicographically
-PULL = 1e-2  # of the stiffness: proximal mass; small settles sooner, smaller yet spoils the last digits
+PULLS = (
+    1e-2,
+    1.0,
+    1e-4,
+)  # proximal mass over stiffness, tried in turn: small settles sooner, large is better scaled
 MAX_PULLS = 100
 ATTEMPTS = 2
-SETTLED = 1e-12  # impulse left in the proximal pull
+SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum residual
 
 
 class Tableau(NamedTuple):
@@ -50,7 +54,9 @@ class Tableau(NamedTuple):
     answer: FloatArray  # (n,) z; out
     trial: FloatArray  # (n,)
     table: FloatArray  # (n, n + 2) columns of the variables out of the basis, then the right side
-    size: FloatArray  # (n,) largest number that went into a right side: its rounding is in proportion
+    size: (
+        FloatArray  # (n,) largest number that went into a right side: its rounding is in proportion
+    )
     cover: FloatArray  # (n,) covering vector, positive; in, ones to begin with
     where: IntArray  # (2 n + 1,) of w, z and the artificial variable: column, or -1 - row if in the basis
     row_label: IntArray  # (n,) variable in the basis
@@ -199,8 +205,10 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
     """
     table = tableau.table
     largest = 0.0
+    peak = 0.0
     for i in range(n):
         largest = max(largest, abs(table[i, column]))
+        peak = max(peak, abs(table[i, n + 1]))
     best = -1
     for i in range(n):
         if not table[i, column] > PIVOT * largest:
@@ -212,7 +220,9 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
         a = table[i, column]
         b = table[best, column]
         ahead = max(0.0, table[i, n + 1]) * b - max(0.0, table[best, n + 1]) * a
-        if abs(ahead) > TIE * (tableau.size[i] * b + tableau.size[best] * a):
+        # The bound of a row's rounding is tight at first and far too large after many pivots: hence `peak`.
+        rounding = min(peak, tableau.size[i]) * b + min(peak, tableau.size[best]) * a
+        if abs(ahead) > TIE * rounding:
             if ahead < 0.0:
                 best = i
         elif tableau.row_label[best] != 2 * n and (
@@ -403,9 +413,27 @@ def solve_linear_form(
         return NOT_LINEAR
     if n > tableau.vector.size:
         return NO_ROOM
-    _invert_blocks(problem, work)
     _write_rows(problem, tableau, sides_for_discs)
-    _write_matrix(problem, work, tableau, n, sides_for_discs)
+    code = UNSETTLED
+    for share in PULLS:
+        pulled = _invert_blocks(problem, work, share)
+        _write_matrix(problem, work, tableau, n, sides_for_discs)
+        code = _settle(problem, work, tableau, n, sides_for_discs, max_pivots)
+        if code == SOLVED or not pulled:
+            break
+    return code
+
+
+@kernel
+def _settle(
+    problem: Problem,
+    work: Workspace,
+    tableau: Tableau,
+    n: int,
+    sides_for_discs: int,
+    max_pivots: int,
+) -> int:
+    """Solve, pull, and solve again until nothing pulls any more."""
     for attempt in range(MAX_PULLS):
         _write_vector(problem, work, tableau, n)
         # Between pulls only q changes, and soon the basis does not: try the last one first.
@@ -430,7 +458,9 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
     for attempt in range(ATTEMPTS):
         for i in range(n):
             # Multiples of the golden ratio modulo one: spread evenly, no two alike.
-            tableau.cover[i] = 1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
+            tableau.cover[i] = (
+                1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
+            )
         code = lemke(tableau, n, max_pivots)
         if code == SOLVED:
             break
@@ -438,14 +468,16 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 
 @kernel
-def _invert_blocks(problem: Problem, work: Workspace) -> None:
-    """Proximal mass of every degree of freedom, and the inverse of every block that has it."""
+def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
+    """Proximal mass of every degree of freedom, and the inverse of every block with it; whether there is any."""
     n_free = problem.size[3]
     d = problem.inertia
+    pulled = False
     for o in range(problem.size[0]):
         own = d[o, o % 3] if o < n_free else d[o, 0]
-        heavy = own > PULL * problem.stiffness[o]
-        work.pull[o] = 0.0 if heavy else PULL * problem.stiffness[o]
+        pull = share * problem.stiffness[o]
+        work.pull[o] = 0.0 if own > pull else pull
+        pulled = pulled or work.pull[o] > 0.0
         work.centre[o] = problem.velocity[o]
     block = work.matrix
     for o in range(0, n_free, 3):
@@ -471,6 +503,7 @@ def _invert_blocks(problem: Problem, work: Workspace) -> None:
         work.inverse[o, 0] = 1.0 / (d[o, 0] + work.pull[o])
         work.inverse[o, 1] = 0.0
         work.inverse[o, 2] = 0.0
+    return pulled
 
 
 @kernel
@@ -560,7 +593,9 @@ def _write_compliance(problem: Problem, work: Workspace, tableau: Tableau, n: in
             for other in range(2):
                 if tableau.block[c, other] == o:
                     k = 3 * other
-                    tableau.matrix[r, c] += lever[c, k] * x + lever[c, k + 1] * y + lever[c, k + 2] * z
+                    tableau.matrix[r, c] += (
+                        lever[c, k] * x + lever[c, k + 1] * y + lever[c, k + 2] * z
+                    )
 
 
 @kernel
@@ -599,9 +634,7 @@ def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -
     for o in range(problem.size[0]):
         right[o] = problem.momentum[o] + work.pull[o] * work.centre[o]
     for o in range(0, n_free, 3):
-        v[o], v[o + 1], v[o + 2] = _respond(
-            problem, work, o, right[o], right[o + 1], right[o + 2]
-        )
+        v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
     for o in range(n_free, problem.size[0]):
         v[o] = work.inverse[o, 0] * right[o]
     for r in range(n):
@@ -650,9 +683,7 @@ def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) 
                 for k in range(3):
                     right[o + k] += p * tableau.lever[r, 3 * side + k]
     for o in range(0, n_free, 3):
-        v[o], v[o + 1], v[o + 2] = _respond(
-            problem, work, o, right[o], right[o + 1], right[o + 2]
-        )
+        v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
     for o in range(n_free, problem.size[0]):
         v[o] = work.inverse[o, 0] * right[o]
     left = 0.0
