@@ -1,19 +1,19 @@
 """Lemke's method: exact pivots on problems whose friction is made of straight lines.
 
-`lemke` solves any linear complementarity problem 0 <= z _|_ M z + q >= 0 or says that it ended on a ray.
-`solve_linear_form` writes the step problem in that form (polygons and intervals of friction impulses, the
-velocities eliminated), solves it and puts the answer back:
+`lemke` solves any linear complementarity problem 0 <= z _|_ M z + q >= 0 or says that it ended on
+a ray. `solve_linear_form` writes the step problem in that form (polygons and intervals of friction
+impulses, the velocities eliminated), solves it and puts the answer back:
 
     A = [ W_n'D^-1 W_n  W_n'D^-1 W_f  0 ]      z = (p_n, p_f, s)
-        [ W_f'D^-1 W_n  W_f'D^-1 W_f  E ]      D inertia, W rows of the impulses, U friction coefficients,
-        [ U             -E'           0 ]      s slip speeds
+        [ W_f'D^-1 W_n  W_f'D^-1 W_f  E ]      D inertia, W rows of the impulses,
+        [ U             -E'           0 ]      U friction coefficients, s slip speeds
 
-Blocks with little inertia of their own (quasi-static bodies, drives) are given some, and pulled towards where
-they were one solve before: a proximal-point iteration, as in gauss_seidel.py.
+Blocks with little inertia of their own (quasi-static bodies, drives) are given some, and pulled
+towards where they were one solve before: a proximal-point iteration, as in gauss_seidel.py.
 
 Source: Cottle, Pang & Stone (1992), sections 4.4 (the method) and 4.9 (the lexicographic rule);
-Stewart & Trinkle (1996) and Anitescu & Potra (1997) for the form and why the method ends at a solution;
-Rockafellar (1976) for the proximal pull.
+Stewart & Trinkle (1996) and Anitescu & Potra (1997) for the form and why the method ends at a
+solution; Rockafellar (1976) for the proximal pull.
 """
 
 import math
@@ -33,32 +33,28 @@ NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
 NO_ROOM: Final = 5  # the tableau has too few rows
 UNSETTLED: Final = 6  # the proximal iteration did not come to rest
 
-ACCURACY = 1e-10  # natural-map residual of every SOLVED answer, relative to the row's |q| where that is above 1
+# Natural-map residual of every SOLVED answer, relative to the row's |q| where that is above one.
+ACCURACY = 1e-10
 PIVOT = 1e-11  # of the largest entry of a column: below it an entry is no pivot
-TIE = 1e-13  # of the numbers that went into a ratio: ratios this close are tied, and told apart lexicographically
-PULLS = (
-    1e-2,
-    1.0,
-    1e-4,
-)  # proximal mass over stiffness, tried in turn: small settles sooner, large is better scaled
+TIE = 1e-13  # of the numbers that went into a ratio: this close, two ratios are tied
+# Proximal mass over stiffness, tried in turn: small settles sooner, large is better scaled.
+PULLS = (1e-2, 1.0, 1e-4)
 MAX_PULLS = 100
 ATTEMPTS = 2
 SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum residual
 
 
 class Tableau(NamedTuple):
-    """Problem, answer and scratch of Lemke's method, with room for n rows; `allocate_tableau` makes one."""
+    """Problem, answer and scratch of Lemke's method, with room for n rows."""
 
     matrix: FloatArray  # (n, n) M; kept
     vector: FloatArray  # (n,) q; kept
     answer: FloatArray  # (n,) z; out
     trial: FloatArray  # (n,)
     table: FloatArray  # (n, n + 2) columns of the variables out of the basis, then the right side
-    size: (
-        FloatArray  # (n,) largest number that went into a right side: its rounding is in proportion
-    )
+    size: FloatArray  # (n,) bound of the numbers that went into each right side
     cover: FloatArray  # (n,) covering vector, positive; in, ones to begin with
-    where: IntArray  # (2 n + 1,) of w, z and the artificial variable: column, or -1 - row if in the basis
+    where: IntArray  # (2 n + 1,) of w, z, artificial: column, or -1 - row if in the basis
     row_label: IntArray  # (n,) variable in the basis
     column_label: IntArray  # (n + 1,) variable of each column
     active: IntArray  # (n,) which z are in the basis at the end
@@ -92,7 +88,7 @@ def allocate_tableau(n: int) -> Tableau:
     )
 
 
-# --- the method ------------------------------------------------------------------------------------------
+# --- the method ----------------------------------------------------------------------------------
 
 
 @large_kernel
@@ -102,8 +98,8 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
     Parameters
     ----------
     tableau : Tableau
-        In: the first n rows (and columns) of `matrix` and `vector`. Out: the first n of `answer`, with a
-        natural-map residual within `ACCURACY` where SOLVED is returned, and zero where it is not.
+        In: the first n rows (and columns) of `matrix` and `vector`, and `cover`. Out: the first n
+        of `answer`; SOLVED is returned only where its natural-map residual is within `ACCURACY`.
     n : int
         Size of the problem.
     max_pivots : int
@@ -111,8 +107,8 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
 
     Notes
     -----
-    The covering vector is all ones. The table keeps w + T x = rhs for the variables x out of the basis, so
-    that the columns of w, which the lexicographic rule compares, are either in the table or unit columns.
+    The table keeps y + T x = rhs for the variables y in the basis and x out of it, so that the
+    columns of w, which the lexicographic rule compares, are either in the table or unit columns.
 
     Source: Cottle, Pang & Stone (1992), algorithms 4.4.1 and 4.9.3.
     """
@@ -141,9 +137,9 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 @kernel
 def _first_row(tableau: Tableau, n: int) -> int:
-    """Row that the artificial variable must lift first, the last of equals (lexicographically the least).
+    """Row that the artificial variable must lift first; -1 where no q is negative.
 
-    -1 where no q is negative.
+    The last of equals, which is lexicographically the least.
     """
     row = -1
     least = 0.0
@@ -220,7 +216,7 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
         a = table[i, column]
         b = table[best, column]
         ahead = max(0.0, table[i, n + 1]) * b - max(0.0, table[best, n + 1]) * a
-        # The bound of a row's rounding is tight at first and far too large after many pivots: hence `peak`.
+        # The bound of a row's rounding is tight at first, but grows far too large: hence `peak`.
         rounding = min(peak, tableau.size[i]) * b + min(peak, tableau.size[best]) * a
         if abs(ahead) > TIE * rounding:
             if ahead < 0.0:
@@ -252,7 +248,7 @@ def _is_before(tableau: Tableau, n: int, column: int, i: int, j: int) -> bool:
         else:
             ahead = (b if place == -1 - i else 0.0) - (a if place == -1 - j else 0.0)
         if abs(ahead) > TIE * size:
-            return ahead < 0.0
+            return bool(ahead < 0.0)
     return False
 
 
@@ -272,9 +268,9 @@ def _finish(tableau: Tableau, n: int) -> bool:
 
 @kernel
 def resolve(tableau: Tableau, n: int) -> bool:
-    """Solve M z + q = 0 on the z that `active` names, by elimination; `answer` is set only if that solves it.
+    """Solve M z + q = 0 on the z that `active` names, by elimination and one refinement.
 
-    One step of iterative refinement follows. O(k^3) for k active unknowns.
+    `answer` is set, and True returned, only if that solves the problem. O(k^3) for k active z.
     """
     order = tableau.order
     table = tableau.table
@@ -310,7 +306,7 @@ def resolve(tableau: Tableau, n: int) -> bool:
 
 @kernel
 def _factor(table: FloatArray, order: IntArray, k: int) -> bool:
-    """LU factors of the leading k by k block in place, rows exchanged as `order` tells; False if singular."""
+    """LU factors of the leading k by k block in place, rows in `order`; False if singular."""
     for p in range(k):
         best = p
         for i in range(p + 1, k):
@@ -357,7 +353,7 @@ def _is_solved(tableau: Tableau, z: FloatArray, n: int) -> bool:
     return True
 
 
-# --- the step problem ------------------------------------------------------------------------------------
+# --- the step problem ----------------------------------------------------------------------------
 
 
 @kernel
@@ -394,15 +390,15 @@ def solve_linear_form(
     Parameters
     ----------
     problem : Problem
-        In: `velocity` holds the guess, from which blocks without inertia are pulled. Out: `velocity`,
-        `impulse` and `element_impulse`, where SOLVED or UNSETTLED is returned.
+        In: `velocity` holds the guess, towards which blocks without inertia are pulled first.
+        Out: `velocity`, `impulse` and `element_impulse`, where SOLVED or UNSETTLED is returned.
     work : Workspace
         `inverse`, `pull`, `centre` and `right` are used.
     tableau : Tableau
         With room for `tableau_size` rows.
     sides_for_discs : int
-        Sides of the polygon that stands in for an exact disc, whose answer is then a starting point for
-        another solver; 0 refuses discs with NOT_LINEAR.
+        Sides of the polygon that stands in for an exact disc, whose answer is then a starting
+        point for another solver; 0 refuses discs with NOT_LINEAR.
     max_pivots : int
         Of each call of `lemke`.
 
@@ -451,8 +447,8 @@ def _settle(
 def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
     """`lemke`, and where it fails once more with an uneven covering vector.
 
-    A step with a solution ends on a ray only by rounding, when ties between symmetric rows go wrong; an
-    uneven vector has other ties. A step without one (a seated grasp) ends on a ray both times.
+    A step with a solution ends on a ray only by rounding, when ties between symmetric rows go
+    wrong; an uneven vector has other ties. A step without one (a seated grasp) ends on a ray twice.
     """
     code = SOLVED
     for attempt in range(ATTEMPTS):
@@ -469,7 +465,7 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 @kernel
 def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
-    """Proximal mass of every degree of freedom, and the inverse of every block with it; whether there is any."""
+    """Proximal masses, whether there are any, and the inverse of every block with them."""
     n_free = problem.size[3]
     d = problem.inertia
     pulled = False
@@ -508,7 +504,7 @@ def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
 
 @kernel
 def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
-    """Lever, block and bias of every row: normal, two tangents, slip; or directions of an element, slip."""
+    """Lever, block and bias of every row: normal, two tangents, slip; or directions, slip."""
     for i in range(problem.size[1]):
         r = 4 * i
         for side in range(2):
@@ -548,10 +544,10 @@ def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> Non
 def _write_matrix(
     problem: Problem, work: Workspace, tableau: Tableau, n: int, sides_for_discs: int
 ) -> None:
-    """The matrix A, scaled from both sides so that each contact's and each element's block has size one.
+    """The matrix A, scaled from both sides: the block of each contact or element has size one.
 
-    Impulses are measured in 1 / sqrt(compliance) and slips in its inverse, so that the coupling entries
-    (one, minus one, friction) stay what they are.
+    Impulses are measured in 1 / sqrt(compliance) and slips in its inverse, so that the coupling
+    entries (one, minus one, friction) stay what they are.
     """
     for r in range(n):
         for c in range(r, n):
@@ -671,7 +667,7 @@ def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> 
 
 @kernel
 def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> float:
-    """Velocities from the answer; moves the proximal centres there and returns the largest pull left."""
+    """Velocities from the answer; moves the proximal centres there, returns the largest pull."""
     n_free = problem.size[3]
     v = problem.velocity
     right = work.right
