@@ -1,0 +1,99 @@
+"""Small complementarity problems with known answers.
+
+Source: Murty (1988), the exponential example of chapter 6, sizes 6 and 16; Cottle, Pang & Stone (1992),
+examples of chapters 1 and 4, as collected in the tests of Siconos (`lcp_CPS_1` to `lcp_CPS_5`,
+`lcp_exp_murty`). Retyped; where a book gives no number, the answer is by enumeration, below.
+Tolerances are rounding.
+"""
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fixel.kernels.lemke import RAY, SOLVED
+from fixel.kernels.measure_lcp import solve_lcp
+
+FloatArray = npt.NDArray[np.float64]
+
+CPS_3 = np.array([[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]], float)
+
+
+def all_solutions(matrix: FloatArray, vector: FloatArray) -> list[FloatArray]:
+    """Every solution with a regular complementary basis, by trying all 2^n of them."""
+    n = vector.size
+    found: list[FloatArray] = []
+    for choice in itertools.product((False, True), repeat=n):
+        active = np.array(choice, bool)
+        z = np.zeros(n)
+        block = matrix[np.ix_(active, active)]
+        if active.any():
+            if np.linalg.matrix_rank(block) < active.sum():
+                continue
+            z[active] = np.linalg.solve(block, -vector[active])
+        if min(z.min(), (matrix @ z + vector).min()) > -1e-12 and not any(
+            np.allclose(z, other, atol=1e-10) for other in found
+        ):
+            found.append(z)
+    return found
+
+
+@pytest.mark.parametrize("n", [1, 6, 16])
+def test_murty_exponential_example(n: int) -> None:
+    matrix = np.eye(n) + np.triu(np.full((n, n), 2.0), 1)
+    z, code = solve_lcp(matrix, -np.ones(n), 1000)
+    assert code == SOLVED
+    assert z == pytest.approx(np.eye(n)[-1], abs=1e-14)
+
+
+def test_a_line_of_solutions() -> None:
+    z, code = solve_lcp(np.ones((2, 2)), -np.ones(2), 100)
+    assert code == SOLVED
+    assert z.min() >= 0.0
+    assert z.sum() == pytest.approx(1.0, abs=1e-14)
+
+
+def test_cps_2() -> None:
+    matrix = np.array([[0, -1, 2], [2, 0, -2], [-1, 1, 0]], float)
+    z, code = solve_lcp(matrix, np.array([-3.0, 6.0, -1.0]), 100)
+    assert code == SOLVED
+    assert z == pytest.approx([0, 1, 3], abs=1e-14)
+
+
+def test_cps_3_has_three_solutions_and_ends_on_a_ray() -> None:
+    """Lemke's method with a covering vector of ones finds none of them, and must say so."""
+    vector = -np.ones(4)
+    solutions = all_solutions(CPS_3, vector)
+    assert len(solutions) == 3
+    mixed = [z for z in solutions if (z > 0).all()]
+    assert len(mixed) == 1
+    assert mixed[0] == pytest.approx([1 / 90, 2 / 45, 1 / 90, 2 / 45], abs=1e-15)
+    z, code = solve_lcp(CPS_3, vector, 100)
+    assert code == RAY
+    assert (z == 0.0).all()
+
+
+@pytest.mark.parametrize("load", [-10.0, 0.0, 14.0, 22.9, 23.0, 24.0, 50.0])
+def test_cps_4(load: float) -> None:
+    matrix = np.array([[11, 0, 10, -1], [0, 11, 10, -1], [10, 10, 21, -1], [1, 1, 1, 0]], float)
+    vector = np.array([50.0, 50.0, load, -6.0])
+    z, code = solve_lcp(matrix, vector, 100)
+    expected = [3.0, 3.0, 0.0, 83.0]
+    if load <= 23.0:
+        first = (load + 16.0) / 13.0
+        expected = [first, first, 2.0 * (23.0 - load) / 13.0, (1286.0 - 9.0 * load) / 13.0]
+    assert code == SOLVED
+    assert z == pytest.approx(expected, abs=1e-12)
+
+
+def test_cps_5_tie() -> None:
+    z, code = solve_lcp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([1.0, -1.0]), 100)
+    assert code == SOLVED
+    assert z == pytest.approx([0, 1], abs=1e-14)
+
+
+def test_no_solution_is_said_so() -> None:
+    z, code = solve_lcp(-np.ones((1, 1)), -np.ones(1), 100)
+    assert code == RAY
+    assert (z == 0.0).all()
