@@ -66,7 +66,7 @@ def measure_gaps(
             world, real, piece_start, piece_radius, shape_start, a, b, half, place, key, found[i]
         )
         if (
-            found[i, 0] > 0.0
+            found[i, 0] > -COINCIDENT
             and shape_start[a + 1] - shape_start[a] + shape_start[b + 1] - shape_start[b] > 2
         ):
             # No contact on the outline overlaps. Does one shape lie within the other, on a seam?
