@@ -66,11 +66,7 @@ def contact_pair(
     if e1 - s1 == 1 and e2 - s2 == 1:
         d, nx, ny = _point_to_point(world[s1, 0] - px, world[s1, 1] - py)
     elif e1 - s1 == 1:
-        px = world[s1, 0]
-        py = world[s1, 1]
-        d, nx, ny = _point_to_polygon(world, real, s2, e2, px, py, most)
-        px -= nx * d
-        py -= ny * d
+        d, nx, ny = _point_to_polygon(world, real, s2, e2, world[s1, 0], world[s1, 1], most)
     else:
         d, nx, ny = _point_to_polygon(world, real, s1, e1, px, py, most)
         nx = -nx
@@ -78,7 +74,14 @@ def contact_pair(
     if d >= most:
         return 0
     gap = d - r1 - r2
-    _write(place, key, at, gap, nx, ny, px + nx * r2, py + ny * r2, 0)
+    if e1 - s1 == 1:
+        # From the first disk's centre, which is exact, to the witness on the second outline.
+        px = world[s1, 0] - nx * (d - r2)
+        py = world[s1, 1] - ny * (d - r2)
+    else:
+        px += nx * r2
+        py += ny * r2
+    _write(place, key, at, gap, nx, ny, px, py, 0)
     return 1
 
 
