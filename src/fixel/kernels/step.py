@@ -16,6 +16,7 @@ from fixel.kernels.jit import kernel
 from fixel.kernels.path import path_direction, path_pose
 
 REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
+RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
 
 @kernel
@@ -226,7 +227,9 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    bias_n = problem.contact_place[i, 0] / step - lead / step * ahead
+    # The gap at the step's start; a deep overlap (a measured start, say) is taken back at no more than
+    # the characteristic speed, or a dynamic body would be shot away.
+    bias_n = max((problem.contact_place[i, 0] - lead * ahead) / step, -RECOVERY)
     bias_t = 0.0
     if driven and dof < 0:
         rx = problem.contact_place[i, 3] - pose[b, 0]
