@@ -97,7 +97,7 @@ def test_positive_definite(n: int) -> None:
 
 @pytest.mark.parametrize("n", [4, 6, 8, 10])
 def test_degenerate_integers_against_enumeration(n: int) -> None:
-    """Positive semidefinite with ties everywhere: solved if and only if enumeration finds a solution.
+    """Positive semidefinite with ties everywhere: solved wherever enumeration finds a solution.
 
     For such matrices a ray proves that there is none; small integers make nearly every pivot a tie.
     """
@@ -117,7 +117,7 @@ def test_degenerate_integers_against_enumeration(n: int) -> None:
 
 
 def friction_lcp(random: np.random.Generator, n_contact: int) -> tuple[FloatArray, FloatArray]:
-    """Linear form of one to four free bodies of unit inertia in frictional contact, by NumPy alone."""
+    """Linear form of one to four free bodies of unit inertia in frictional contact, by NumPy."""
     n_body = int(random.integers(1, 5))
     levers = np.zeros((3 * n_contact, 3 * n_body))
     coupling = np.zeros((3 * n_contact, n_contact))
@@ -330,7 +330,7 @@ def test_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
 @pytest.mark.parametrize("quasi_static", [False, True])
 @pytest.mark.parametrize("driven", [False, True])
 def test_many_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
-    """Never called solved and wrong; not solved in fewer than one in a thousand (mass ratio 1e6)."""
+    """Never solved and wrong; unsolved in fewer than one in a thousand (mass ratio 1e6)."""
     random = np.random.default_rng(1000 + sides)
     n_failed = 0
     for _ in range(5000):

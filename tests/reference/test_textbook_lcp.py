@@ -1,8 +1,8 @@
 """Small complementarity problems with known answers.
 
-Source: Murty (1988), the exponential example of chapter 6, sizes 6 and 16; Cottle, Pang & Stone (1992),
-examples of chapters 1 and 4, as collected in the tests of Siconos (`lcp_CPS_1` to `lcp_CPS_5`,
-`lcp_exp_murty`). Retyped; where a book gives no number, the answer is by enumeration, below.
+Source: Murty's exponential example; Cottle, Pang & Stone (1992), as collected in the tests of
+Siconos (`lcp_exp_murty`, `lcp_CPS_1` to `lcp_CPS_5`). Retyped; where there is no printed number,
+the answer is by enumeration, below.
 Tolerances are rounding.
 """
 
