@@ -227,10 +227,9 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    # The gap at the step's start; a deep overlap (a measured start, say) is taken back at no more than
-    # the characteristic speed, or a dynamic body would be shot away.
-    bias_n = max((problem.contact_place[i, 0] - lead * ahead) / step, -RECOVERY)
-    bias_t = 0.0
+    gap = problem.contact_place[i, 0] - lead * ahead  # at the step's start
+    driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
+    driven_t = 0.0
     if driven and dof < 0:
         rx = problem.contact_place[i, 3] - pose[b, 0]
         ry = problem.contact_place[i, 4] - pose[b, 1]
@@ -238,20 +237,21 @@ def _prepare_contact(
         x1, y1, a1 = path_pose(model, d, time + step)
         mx = x1 - x0 - ry * (a1 - a0)
         my = y1 - y0 + rx * (a1 - a0)
-        bias_t = -(nx * my - ny * mx) / step
-        before -= (nx * mx + ny * my) / step
-        mx = x1 - pose[b, 0] - ry * (a1 - pose[b, 2])
-        my = y1 - pose[b, 1] + rx * (a1 - pose[b, 2])
-        bias_n -= (nx * mx + ny * my) / step
+        driven_n = nx * mx + ny * my
+        driven_t = nx * my - ny * mx
+        mx = pose[b, 0] - x0 - ry * (pose[b, 2] - a0)
+        my = pose[b, 1] - y0 + rx * (pose[b, 2] - a0)
+        gap += nx * mx + ny * my
+    # A deep overlap (a measured start, say) is taken back at no more than the characteristic speed,
+    # or a dynamic body would be shot away.
+    bias_n = max(gap / step, -RECOVERY) - driven_n / step
     bounce = model.restitution[a, b]
-    if bounce > 0.0 and motion == codes.DYNAMIC and before < 0.0:
-        gap_before = problem.contact_place[i, 0] - lead * ahead
-        if gap_before + step * before < 0.0:
-            # Newton's law of impact in place of the gap: leave with `bounce` times the speed of
-            # approach.
-            bias_n += bounce * before - gap_before / step
+    approach = before - driven_n / step
+    if bounce > 0.0 and motion == codes.DYNAMIC and approach < 0.0 and gap + step * approach < 0.0:
+        # Newton's law of impact in place of the gap: leave with `bounce` times the approach.
+        bias_n = bounce * approach - driven_n / step
     problem.bias[i, 0] = bias_n
-    problem.bias[i, 1] = bias_t
+    problem.bias[i, 1] = -driven_t / step
 
 
 @kernel

@@ -29,6 +29,7 @@ from fixel.model import (
     Tripod,
     support_points,
 )
+from fixel.simulation.geometry import contact_pieces
 
 # A part of the time in which the fastest body moves by one characteristic length; friction
 # impulses over such a step are of the order of one in scaled units.
@@ -156,13 +157,8 @@ def _pieces(scene: Scene) -> Pieces:
     real: list[NDArray[np.bool_]] = []
     for k, item in enumerate(_items(scene)):
         shift = item.com if isinstance(item, Body) else np.zeros(2)
-        if isinstance(item.shape, Disk):
-            parts = [(np.zeros((1, 2)), np.ones(1, bool))]
-            rounding = item.shape.radius
-        else:
-            parts = list(item.shape.pieces)
-            rounding = 0.0
-        for corners, outline in parts:
+        rounding = item.shape.radius if isinstance(item.shape, Disk) else 0.0
+        for corners, outline in contact_pieces(item.shape):
             local = corners - shift
             centre = 0.5 * (local.min(axis=0) + local.max(axis=0))
             reach = float(np.hypot(*(local - centre).T).max()) + rounding
