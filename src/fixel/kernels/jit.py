@@ -54,7 +54,7 @@ def kernel(function: Function) -> Function:
 
 
 def large_kernel(function: Function) -> Function:
-    """As `kernel`, but compiled once and called: for long functions that are called once a step at most."""
+    """As `kernel`, but called in place of inlined: for long functions, once a step at most."""
     return cast(Function, njit(_nrt=False, **_FLAGS)(function))
 
 
