@@ -229,7 +229,10 @@ def _run(
                     trial = max(closing * (1.0 + 1e-6), pace.smallest)
                     again = 1
                     continue
-            if again < 2:
+            gliding = 0.0
+            if method.motion == codes.DYNAMIC:
+                gliding = 0.5 * trial * untouched_change(problem, guess)
+            if again < 2 and gliding <= pace.tolerance:
                 # The velocity jumped at the step's start: take the new one as the guess, once.
                 again = 2
                 for i in range(n_dof):
@@ -289,6 +292,25 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
         largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
     for o in range(problem.size[3], problem.size[0]):
         largest = max(largest, abs(v[o] - guess[o]))
+    return largest
+
+
+@kernel
+def untouched_change(problem: Problem, guess: FloatArray) -> float:
+    """As `largest_change`, over the bodies that no contact loads: with inertia, they never jump."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[3], 3):
+        touched = False
+        for i in range(problem.size[1]):
+            if problem.impulse[i, 0] > 0.0 and (
+                problem.contact_dof[i, 0] == o or problem.contact_dof[i, 1] == o
+            ):
+                touched = True
+        if not touched:
+            dx = v[o] - guess[o]
+            dy = v[o + 1] - guess[o + 1]
+            largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
     return largest
 
 

@@ -112,6 +112,12 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @entry
+def untouched_change(problem: Problem, guess: FloatArray) -> float:
+    """See `rollout.untouched_change`."""
+    return _rollout.untouched_change(problem, guess)
+
+
+@entry
 def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
     """See `rollout.closing_time`."""
     return _rollout.closing_time(problem, guess, step, lead)

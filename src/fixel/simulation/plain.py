@@ -96,7 +96,8 @@ def roll_plainly(
         if steps == method.max_steps:
             status = codes.MAX_STEPS
             break
-        limits = Limits(duration - loop.time, tolerance, smallest, largest)
+        inertial = motion.kind == codes.DYNAMIC
+        limits = Limits(duration - loop.time, tolerance, smallest, largest, inertial)
         advance = stepper.advance(
             loop.attempt, loop.problem, loop.state.velocity.copy(), step, limits
         )

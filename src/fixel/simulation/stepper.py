@@ -67,6 +67,7 @@ class Limits(NamedTuple):
     tolerance: float  # of position
     smallest: float
     largest: float
+    inertial: bool  # whether velocities are smooth where no contact acts
 
 
 def _fixed(attempt: Try, velocity: FloatArray, step: float, lead: float, limits: Limits) -> Advance:
@@ -199,7 +200,10 @@ class Adaptive(AbstractStepper):
                 if 0.02 * trial < closing < 0.98 * trial:
                     trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
                     continue
-            if renewed < 2:
+            gliding = 0.0
+            if limits.inertial:
+                gliding = 0.5 * trial * float(single.untouched_change(problem, guess))
+            if renewed < 2 and gliding <= limits.tolerance:
                 renewed, guess = 2, np.array(problem.velocity)
                 continue
             shrink = max(SHRINK, CAUTION * math.sqrt(limits.tolerance / error))
