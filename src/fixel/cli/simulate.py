@@ -1,10 +1,13 @@
 """`fixel simulate SCENE`: move the bodies of a scene file."""
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+NOT_SOLVED = 3
 
 
 class Motion(StrEnum):
@@ -13,6 +16,14 @@ class Motion(StrEnum):
     DYNAMIC = "dynamic"
     QUASISTATIC = "quasistatic"
     FIRST_ORDER = "first-order"
+
+
+class Solver(StrEnum):
+    """Names of the solvers."""
+
+    NEWTON = "newton"
+    GAUSS_SEIDEL = "gauss-seidel"
+    LEMKE = "lemke"
 
 
 def simulate(
@@ -53,9 +64,45 @@ def simulate(
     ] = None,
     step: Annotated[
         float | None,
-        typer.Option(help="Time step in seconds, instead of the scene's.", metavar="SECONDS"),
+        typer.Option(help="Fixed time step in seconds, instead of the scene's.", metavar="SECONDS"),
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="Error allowed in one step, for steps of free length.", metavar="MM"),
+    ] = None,
+    solver: Annotated[
+        Solver, typer.Option(help="Solver of the step's problem; lemke needs support_directions.")
+    ] = Solver.NEWTON,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="Walk the steps in Python, slowly, as a cross-check.")
+    ] = False,
 ) -> None:
     """Simulate a scene file; say where everything came to rest."""
-    typer.echo("fixel simulate is not part of this version yet.", err=True)
-    raise typer.Exit(1)
+    from fixel.cli.screen import progress_bar, say
+    from fixel.workflows.simulate import Method, Outputs, simulate_file
+
+    outputs = Outputs(trajectory=trajectory, plot=plot, animate=animate)
+    simulation = simulate_file(
+        scene,
+        set_ or (),
+        Method(
+            motion=motion,
+            solver=solver,
+            step=step,
+            tolerance=None if tolerance is None else 1e-3 * tolerance,
+            plain=plain,
+        ),
+        outputs,
+        say=say if sys.stderr.isatty() or not as_json else None,
+        progress=progress_bar("Filming"),
+    )
+    if as_json:
+        from fixel.cli.answer import json_answer
+
+        typer.echo(json_answer(simulation, outputs))
+    else:
+        from fixel.cli.answer import written_answer
+
+        typer.echo(written_answer(simulation, scene, outputs))
+    if not simulation.converged:
+        raise typer.Exit(NOT_SOLVED)

@@ -1,0 +1,310 @@
+"""One simulation as a film, in the time it took or a stated factor faster or slower.
+
+What does not move is drawn once; every frame restores it and draws only bodies, pushers, trails,
+forces and the clock on top. Poses between samples are interpolated; a contact is kept where it is
+on its body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.picture import force_text, frame_axes, refuse_ending, tint
+from fixel.drawing.view import (
+    Box,
+    Unit,
+    arrow_length_per_newton,
+    centre_path,
+    extent,
+    forces,
+    largest_force,
+    round_number,
+    shapes_of,
+    unit_for,
+)
+from fixel.kernels.arrays import FloatArray
+from fixel.model import placed
+from fixel.simulation import Simulation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FILM_ENDINGS = (".gif", ".mp4")
+
+RATE = 30  # frames per second of an .mp4
+GIF_RATE = 20  # a .gif counts in hundredths of a second, and grows with every frame
+PIXELS = (960, 720)  # the most, both even, as the video format wants them
+DPI = 160
+THICKNESS = 0.012  # of force arrows, of the larger side of the picture
+SHORTEST, LONGEST = 2.0, 30.0  # [s] of film before time is stretched or compressed
+
+Style = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+
+def animate_simulation(
+    simulation: Simulation,
+    path: str | Path,
+    *,
+    speed: float | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Film a simulation, with the contact forces.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        A failed one too, up to where it stopped.
+    path : str or Path
+        File, `.mp4` or `.gif`.
+    speed : float, optional
+        Seconds of motion in one second of film. Left out: 1, or the round number that brings a very
+        long or very short motion to a length one can watch; anything but 1 is stated in the film.
+    progress : callable, optional
+        Called as `progress(done, total)` after every frame.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending.
+    """
+    path = Path(path)
+    refuse_ending(path, FILM_ENDINGS, "film")
+    gif = path.suffix.lower() == ".gif"
+    rate = GIF_RATE if gif else RATE
+    end = float(simulation.time[-1])
+    speed = speed or usual_speed(end)
+    times = np.append(np.arange(0.0, end, speed / rate), end)
+    times = np.append(times, np.full(rate, end))  # a second to look at the end
+    frames = _frames(_Stage(simulation, speed), times, progress)
+    (_write_gif if gif else _write_mp4)(path, frames, rate)
+
+
+def usual_speed(duration: float) -> float:
+    """1 for motions of 2 to 30 s, else a round factor that brings them there."""
+    if duration > LONGEST:
+        return 1.0 / round_number(LONGEST / duration)
+    if 0.0 < duration < SHORTEST:
+        return round_number(duration / SHORTEST)
+    return 1.0
+
+
+def _frames(stage: _Stage, times: FloatArray, progress: Progress | None) -> Iterator[Any]:
+    for k, time in enumerate(times, 1):
+        yield stage.frame(float(time))
+        if progress:
+            progress(k, len(times))
+
+
+class _Stage:
+    """A figure whose moving parts are drawn anew for every frame."""
+
+    def __init__(self, simulation: Simulation, speed: float) -> None:
+        import matplotlib as mpl
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        self.simulation = simulation
+        self.speed = speed
+        self.box = extent(simulation)
+        self.unit = unit_for(self.box.size)
+        with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+            figure, self.axes = _figure(self.box, self.unit)
+            self.canvas = FigureCanvasAgg(figure)
+            self._draw_fixed()
+            self._prepare_moving()
+            self.canvas.draw()  # type: ignore[no-untyped-call]
+        self.background = self.canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
+
+    def _draw_fixed(self) -> None:
+        from matplotlib.collections import PolyCollection
+
+        scene, scale = self.simulation.scene, self.unit.per_metre
+        fixels = [placed(f.shape.outline, f.pose) * scale for f in scene.fixels]
+        style: Style = {
+            "facecolor": palette.FIXEL,
+            "edgecolor": palette.INK,
+            "linewidth": 0.5,
+        }
+        self.axes.add_collection(PolyCollection(fixels, zorder=3, **style), autolim=False)
+        starts = [
+            placed(b.shape.outline, self.simulation.pose[b.name][0]) * scale for b in scene.bodies
+        ]
+        dashed: Style = {
+            "facecolor": "none",
+            "edgecolor": palette.BODY,
+            "alpha": 0.5,
+            "linewidth": 0.6,
+        }
+        self.axes.add_collection(
+            PolyCollection(starts, zorder=1, linestyle=(0, (3, 2)), **dashed), autolim=False
+        )
+
+    def _prepare_moving(self) -> None:
+        from matplotlib.collections import LineCollection, PolyCollection
+
+        run = self.simulation
+        self.shapes = shapes_of(run)
+        self.trail_points = [
+            centre_path(run, b.name) * self.unit.per_metre for b in run.scene.bodies
+        ]
+        thin = 0.5 if len(run.scene.bodies) > 8 else 1.0
+        body: Style = {"facecolor": tint(palette.BODY, 0.3), "edgecolor": palette.BODY}
+        driven: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK}
+        self.bodies = PolyCollection([], linewidth=thin, **body)
+        self.pushers = PolyCollection([], linewidth=0.5, **driven)
+        self.trails = LineCollection([], color=palette.BODY, linewidth=0.8 * thin)
+        self.arrows = PolyCollection([], facecolor=palette.FORCE, edgecolor="none")
+        title: Style = {"transform": self.axes.transAxes, "va": "bottom"}
+        self.clock = self.axes.text(0.0, 1.02, "", color=palette.INK, **title)
+        self.note = self.axes.text(1.0, 1.02, "", color=palette.FORCE, ha="right", **title)
+        hit: Style = {"facecolor": palette.TOUCHED, "edgecolor": palette.INK, "linewidth": 0.5}
+        self.touched = PolyCollection([], **hit)
+        drawn = (self.bodies, self.trails, self.pushers, self.touched, self.arrows)
+        for artist in drawn:
+            self.axes.add_collection(artist, autolim=False)
+        self.moving = (*drawn, self.clock, self.note)
+        for part in self.moving:
+            part.set_animated(True)
+        known = run.contacts[np.isfinite(run.contacts["normal_force"])]
+        # An impact may be far above what follows, so the scale is that of nearly all contacts.
+        sizes = np.hypot(*forces(known).T) if len(known) else np.zeros(1)
+        largest = float(np.quantile(sizes, 0.98))
+        self.largest = largest
+        self.per_newton = arrow_length_per_newton(largest, self.box.size) * self.unit.per_metre
+
+    def frame(self, time: float) -> Any:
+        """(height, width, 4) uint8 picture of one moment [s]."""
+        run, scale = self.simulation, self.unit.per_metre
+        poses = {name: _pose_at(run.time, p, time) for name, p in run.pose.items()}
+        outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
+        self.bodies.set_verts([outlines[b.name] for b in run.scene.bodies])
+        self.pushers.set_verts([outlines[p.name] for p in run.scene.pushers])
+        seen = int(np.searchsorted(run.time, time, side="right"))
+        self.trails.set_segments([points[:seen] for points in self.trail_points])
+        self._set_forces(time, poses)
+        factor = "" if self.speed == 1.0 else f"   (film at {self.speed:g} x)"
+        stopped = run.stopped_at is not None and time >= run.stopped_at
+        self.clock.set_text(f"t = {time:.2f} s{factor}" + (f"   {run.status}" if stopped else ""))
+        self.canvas.restore_region(self.background)  # type: ignore[no-untyped-call]
+        for artist in self.moving:
+            self.axes.draw_artist(artist)
+        return np.asarray(self.canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+
+    def _set_forces(self, time: float, poses: dict[str, FloatArray]) -> None:
+        run, scale = self.simulation, self.unit.per_metre
+        thick = THICKNESS * self.box.size * scale
+        # The forces of a step stand at its end.
+        sample = min(int(np.searchsorted(run.time, time)), len(run.time) - 1)
+        moment = run.time[sample]
+        low, high = np.searchsorted(run.contacts["time"], (moment, np.nextafter(moment, np.inf)))
+        rows = run.contacts[low:high]
+        arrows, largest = [], largest_force(forces(rows))
+        for row, force in zip(rows, forces(rows), strict=True):
+            name = run.names[row["body"]]
+            then, now = run.pose[name][sample], poses[name]
+            tail, along = _carried(row["point"], force, then, now)
+            size = float(np.hypot(*along))
+            if 1e-4 * self.largest < size < np.inf:
+                # Length grows with the root: gentle pushing and a stalled drive both stay readable.
+                shown = along / size * min(1.5, np.sqrt(size / self.largest)) * self.largest
+                arrows.append(_arrow(tail * scale, shown * self.per_newton, thick))
+        self.arrows.set_verts(arrows)
+        self.note.set_text(
+            f"largest force {force_text(float(f'{largest:.2g}'))}" if largest else ""
+        )
+
+
+def _figure(box: Box, unit: Unit) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    left, right, bottom, top = 0.55, 0.12, 0.42, 0.28
+    widest, tallest = PIXELS[0] / DPI - left - right, PIXELS[1] / DPI - bottom - top
+    aspect = (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
+    width = min(widest, max(tallest / aspect, 0.4 * widest))
+    height = min(tallest, max(width * aspect, 0.3 * tallest))
+    total = _even(left + width + right), _even(bottom + height + top)
+    figure = Figure(figsize=total, dpi=DPI)
+    axes = figure.add_axes(
+        (left / total[0], bottom / total[1], width / total[0], height / total[1])
+    )
+    frame_axes(axes, box.with_aspect(height / width), unit)
+    return figure, axes
+
+
+def _even(inches: float) -> float:
+    return 2 * round(inches * DPI / 2) / DPI
+
+
+def _pose_at(time: FloatArray, poses: FloatArray, moment: float) -> FloatArray:
+    return np.array([np.interp(moment, time, column) for column in poses.T])
+
+
+def _carried(
+    point: Any, force: FloatArray, then: FloatArray, now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Point and force that stay with a body from one pose to another."""
+    angle = now[2] - then[2]
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return now[:2] + (np.asarray(point) - then[:2]) @ turn, force @ turn
+
+
+def _arrow(tail: FloatArray, along: FloatArray, thick: float) -> FloatArray:
+    """(7, 2) outline of an arrow."""
+    length = float(np.hypot(*along))
+    ahead = along / length
+    aside = np.array([-ahead[1], ahead[0]])
+    head = min(3.0 * thick, 0.6 * length)
+    neck = tail + (length - head) * ahead
+    shaft, barb = 0.3 * thick * aside, 0.4 * head * aside
+    return np.array(
+        [
+            tail + shaft,
+            neck + shaft,
+            neck + barb,
+            tail + along,
+            neck - barb,
+            neck - shaft,
+            tail - shaft,
+        ]
+    )
+
+
+def _write_mp4(path: Path, frames: Iterator[Any], rate: int) -> None:
+    import av
+
+    with av.open(str(path), "w") as film:
+        stream: Any = None
+        for pixels in frames:
+            if stream is None:
+                stream = _stream(film, rate, pixels.shape[1], pixels.shape[0])
+            picture = av.VideoFrame.from_ndarray(pixels, format="rgba")
+            film.mux(stream.encode(picture))
+        film.mux(stream.encode(None))
+
+
+def _stream(film: Any, rate: int, width: int, height: int) -> Any:
+    """H.264, which every browser plays; MPEG-4 where this PyAV came without it."""
+    import av
+
+    try:
+        stream = film.add_stream("libx264", rate=rate, options={"crf": "21", "preset": "veryfast"})
+    except (av.FFmpegError, ValueError):
+        stream = film.add_stream("mpeg4", rate=rate, options={"q:v": "3"})
+    stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+    return stream
+
+
+def _write_gif(path: Path, frames: Iterator[Any], rate: int) -> None:
+    from PIL import Image
+
+    pictures = [Image.fromarray(pixels).convert("RGB") for pixels in frames]
+    colours = pictures[len(pictures) // 2].quantize(128, dither=Image.Dither.NONE)
+    flat = [p.quantize(palette=colours, dither=Image.Dither.NONE) for p in pictures]
+    flat[0].save(
+        path, save_all=True, append_images=flat[1:], duration=1000 // rate, loop=0, optimize=False
+    )

@@ -1,0 +1,59 @@
+"""Files that are complete or absent."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from fixel.errors import InvalidInput
+
+
+def refuse_unwritable(path: str | Path) -> None:
+    """Refuse a file that could not be written, before hours of work go into it."""
+    path = Path(path)
+    folder = path.parent
+    try:
+        if path.is_dir():
+            raise InvalidInput(str(path), found="a folder", expected="the name of a file")
+        if not folder.is_dir():
+            raise InvalidInput(
+                str(path), found=f"no folder {folder}", expected="a folder that exists"
+            )
+        writable = os.access(folder, os.W_OK | os.X_OK)
+    except OSError as problem:
+        raise _unwritable(path, problem) from None
+    if not writable:
+        raise InvalidInput(
+            str(path), found="no permission to write there", expected="a folder one may write to"
+        )
+
+
+@contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """A file beside `path`, of the same ending, that takes its place once it is complete.
+
+    Whatever ends the block early, Ctrl-C too, removes the unfinished file and leaves the old one.
+
+    Raises
+    ------
+    InvalidInput
+        The folder cannot be written to, or the disk is full.
+    """
+    path = Path(path)
+    refuse_unwritable(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as problem:
+        raise _unwritable(path, problem) from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, problem: OSError) -> InvalidInput:
+    reason = (problem.strerror or str(problem)).lower()
+    return InvalidInput(str(path), found=reason, expected="a file that can be written")
