@@ -51,7 +51,7 @@ soak: $(READY)  ## many random scenes and long runs; takes as long as SOAK_SECON
 	@HYPOTHESIS_PROFILE=soak SOAK_SECONDS=$${SOAK_SECONDS:-600} $(BIN)/python -m pytest -m soak $(PYTEST_ARGS)
 
 bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV under benchmarks/
-	@$(BIN)/python -m benchmarks
+	@$(BIN)/python -m benchmarks --peers $(BENCH_ARGS)
 
 lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions
 	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \

@@ -1,0 +1,76 @@
+"""``python -m benchmarks [NAME ...] [--peers]``: measure, print a table, append to a CSV file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+from benchmarks import report
+from benchmarks.figures import FULL, SMALL, Figure, Size
+
+# name -> (module, function, what it measures)
+SCENARIOS: dict[str, tuple[str, str, str]] = {
+    "start": ("processes", "run_start", "fixel --help and a process's first simulation"),
+    "compile": ("processes", "run_compile", "the first simulation ever"),
+    "grasp": ("grasp", "run", "one grasp on one core"),
+    "steps": ("step_cost", "run", "where the time of a grasp goes"),
+    "batch": ("batch", "run_grasps", "grasps with random parameters on two cores"),
+    "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
+    "memory": ("processes", "run_memory", "memory of a batch"),
+    "heap": ("heap", "run", "many bodies swept by a bar"),
+    "peers": ("peers", "run", "the same grasp by other engines"),
+}
+ONLY_WHEN_ASKED = ("peers",)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the chosen scenarios; 1 where one of them broke down."""
+    chosen = _parser().parse_args(arguments)
+    names = chosen.names or [name for name in SCENARIOS if name not in ONLY_WHEN_ASKED]
+    if chosen.peers and "peers" not in names:
+        names.append("peers")
+    console = report.console()
+    figures: list[Figure] = []
+    broken = 0
+    for k, name in enumerate(names, 1):
+        module, function, meaning = SCENARIOS[name]
+        console.print(f"[{k}/{len(names)}] {name}: {meaning} ...", markup=False, highlight=False)
+        start = time.perf_counter()
+        try:
+            run: Callable[[Size], list[Figure]] = getattr(
+                import_module(f"benchmarks.{module}"), function
+            )
+            figures += run(SMALL if chosen.small else FULL)
+        except Exception as error:  # the other scenarios still count
+            console.print(f"      broke down: {error!r}", markup=False, style="red")
+            broken = 1
+        console.print(f"      {time.perf_counter() - start:.1f} s", highlight=False)
+    report.show(console, figures)
+    console.print(f"Appended to {os.path.relpath(report.append(figures, chosen.output))}")
+    return broken
+
+
+def _parser() -> argparse.ArgumentParser:
+    listing = "\n".join(f"  {name:<9}{s[2]}" for name, s in SCENARIOS.items())
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        epilog=f"names:\n{listing}\n\nAll of them where none is given, except peers.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", choices=[*SCENARIOS, []])
+    parser.add_argument("--peers", action="store_true", help="also run other engines side by side")
+    parser.add_argument("--small", action="store_true", help="tiny sizes: does it run at all?")
+    parser.add_argument(
+        "--output", type=Path, default=report.RESULTS, metavar="FOLDER", help="of the CSV file"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

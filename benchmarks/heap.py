@@ -1,0 +1,68 @@
+"""Many bodies: a square heap on the plane, swept together by a bar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.figures import Figure, Size, at_least, at_most, seconds
+from fixel.model import Body, Disk, LineDrive, PairFriction, Pusher, Scene, Tripod
+from fixel.simulation import Simulation, simulate
+from fixel.testing.scenes import box
+
+PITCH = 0.05  # [m]
+SPEED = 0.03  # [m/s]
+RESIDUAL = 1e-9  # scaled, what every step must reach
+
+
+def swept_heap(side: int, duration: float) -> Scene:
+    """``side * side`` blocks and disks in a square, and a bar as wide as all of them."""
+    bodies = tuple(_body(row, column, side) for row in range(side) for column in range(side))
+    bar = Pusher(
+        name="bar",
+        shape=box(0.01, side * PITCH),
+        pose=np.array([-0.03, 0.0, 0.0]),
+        drive=LineDrive(direction=np.array([1.0, 0.0]), speed=SPEED),
+        friction=0.3,
+    )
+    return Scene(
+        bodies=bodies,
+        pushers=(bar,),
+        contact_friction=(PairFriction(pair=("body-*", "body-*"), friction=0.3),),
+        duration=duration,
+    )
+
+
+def _body(row: int, column: int, side: int) -> Body:
+    k = row * side + column
+    y = PITCH * (column - 0.5 * (side - 1))
+    return Body(
+        name=f"body-{k + 1}",
+        shape=Disk(0.018) if k % 3 == 2 else box(0.036, 0.026),
+        mass=0.05,
+        pose=np.array([PITCH * row, y + 0.003 * (row % 2), 0.07 * k]),
+        support=Tripod(radius=0.01, friction=0.3, angle=0.4 * k),
+    )
+
+
+def run(size: Size) -> list[Figure]:
+    """Wall time of ten simulated seconds, and the worst step."""
+    name = f"heap of {size.bodies**2}, {size.heap_seconds:g} s"
+    scene = swept_heap(size.bodies, size.heap_seconds)
+    simulate(replace(scene, duration=1e-3), output_interval=1e-3)
+    last: list[Simulation] = []
+    taken = seconds(
+        lambda: last.append(simulate(scene, output_interval=scene.duration)),
+        repeats=min(size.repeats, 3),
+        warm_up=False,
+    )
+    worst = max(one.max_residual for one in last)
+    reached = last[-1].duration
+    return [
+        Figure(name, "s", taken, at_most(size.heap_seconds)),
+        Figure(f"{name}, simulated time reached", "s", (reached,), at_least(size.heap_seconds)),
+        Figure(f"{name}, worst residual", "-", (worst,), at_most(RESIDUAL)),
+        Figure(f"{name}, steps", "-", (float(last[-1].steps),)),
+        Figure(f"{name}, fallbacks", "-", (float(last[-1].fallbacks),)),
+    ]

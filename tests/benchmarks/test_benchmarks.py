@@ -1,0 +1,84 @@
+"""Every benchmark runs, at a size where its numbers mean nothing."""
+
+import csv
+import importlib
+import math
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from benchmarks import __main__ as command
+from benchmarks import report
+from benchmarks.figures import SMALL, Figure, at_least, at_most
+from benchmarks.peers.task import Peer, slip_grasp
+
+from fixel import simulate
+
+PACKAGE_OF = {"chipmunk": "pymunk", "box2d": "Box2D", "mujoco": "mujoco"}
+SECONDS_LONG = ("compile",)
+
+
+@pytest.mark.parametrize("name", [n for n in command.SCENARIOS if n not in SECONDS_LONG])
+def test_scenario_runs(name: str) -> None:
+    module, function, _ = command.SCENARIOS[name]
+    run = getattr(importlib.import_module(f"benchmarks.{module}"), function)
+    figures = run(SMALL)
+    assert figures
+    assert all(math.isfinite(value) for figure in figures for value in figure.values)
+
+
+@pytest.mark.slow
+def test_first_compilation_runs() -> None:
+    from benchmarks.processes import run_compile
+
+    assert run_compile(SMALL)[0].median > 0.0
+
+
+@pytest.mark.parametrize("module", PACKAGE_OF)
+def test_peer_moves_the_square_against_the_pegs(module: str) -> None:
+    if not find_spec(PACKAGE_OF[module]):
+        pytest.skip(f"{PACKAGE_OF[module]} is not installed; `make bench` installs it")
+    peer: Peer = importlib.import_module(f"benchmarks.peers.{module}")  # type: ignore[assignment]
+    scene, task = slip_grasp()
+    settings = next(iter(peer.variants.values()))
+    x, y, angle = peer.run(peer.build(task, 0.005, **settings))
+    ours = simulate(scene).final["object"]
+    # At this step peers end within millimetres of their limits, and those lie near ours.
+    assert (x, y) == pytest.approx(ours[:2], abs=5e-3)
+    assert math.degrees(angle) == pytest.approx(math.degrees(ours[2]), abs=2.0)
+
+
+def test_bars() -> None:
+    assert Figure("f", "s", (3.0, 1.0, 2.0), at_most(2.0)).passed
+    assert not Figure("f", "x", (3.0, 1.0, 2.0), at_least(2.1)).passed
+    assert not Figure("f", "s", (math.nan,), at_most(1.0)).passed
+    assert Figure("f", "s", (1.0,)).passed is None
+
+
+def test_rows_of_the_csv_file(tmp_path: Path) -> None:
+    figures = [Figure("one", "s", (3.0, 1.0, 2.0), at_most(2.5)), Figure("two", "-", (1.0,))]
+    path = report.append(figures, tmp_path)
+    assert report.append(figures, tmp_path) == path
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == report.COLUMNS
+    assert len(rows) == 4
+    one, two = rows[:2]
+    assert (one["min"], one["median"], one["max"]) == ("1", "2", "3")
+    assert (one["bar"], one["passed"]) == ("<= 2.5", "yes")
+    assert (two["bar"], two["passed"]) == ("", "")
+
+
+def test_command_writes_where_it_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(["grasp", "--small", "--output", str(tmp_path)]) == 0
+    assert "grasp, default stepper" in capsys.readouterr().out
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as refusal:
+        command.main(["nonsense"])
+    assert refusal.value.code == 2
+    assert "nonsense" in capsys.readouterr().err
