@@ -8,6 +8,7 @@ on its body.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +20,12 @@ from fixel.drawing.view import (
     Box,
     Unit,
     arrow_length_per_newton,
+    carried,
     centre_path,
     extent,
     forces,
     largest_force,
+    pose_at,
     round_number,
     shapes_of,
     unit_for,
@@ -164,7 +167,7 @@ class _Stage:
         self.note = self.axes.text(1.0, 1.02, "", color=palette.FORCE, ha="right", **title)
         hit: Style = {"facecolor": palette.TOUCHED, "edgecolor": palette.INK, "linewidth": 0.5}
         self.touched = PolyCollection([], **hit)
-        drawn = (self.bodies, self.trails, self.pushers, self.touched, self.arrows)
+        drawn = (self.bodies, self.pushers, self.trails, self.touched, self.arrows)
         for artist in drawn:
             self.axes.add_collection(artist, autolim=False)
         self.moving = (*drawn, self.clock, self.note)
@@ -180,13 +183,13 @@ class _Stage:
     def frame(self, time: float) -> Any:
         """(height, width, 4) uint8 picture of one moment [s]."""
         run, scale = self.simulation, self.unit.per_metre
-        poses = {name: _pose_at(run.time, p, time) for name, p in run.pose.items()}
+        poses = {name: pose_at(run.time, p, time) for name, p in run.pose.items()}
         outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
         self.bodies.set_verts([outlines[b.name] for b in run.scene.bodies])
         self.pushers.set_verts([outlines[p.name] for p in run.scene.pushers])
         seen = int(np.searchsorted(run.time, time, side="right"))
         self.trails.set_segments([points[:seen] for points in self.trail_points])
-        self._set_forces(time, poses)
+        self._set_forces(time)
         factor = "" if self.speed == 1.0 else f"   (film at {self.speed:g} x)"
         stopped = run.stopped_at is not None and time >= run.stopped_at
         self.clock.set_text(f"t = {time:.2f} s{factor}" + (f"   {run.status}" if stopped else ""))
@@ -195,7 +198,7 @@ class _Stage:
             self.axes.draw_artist(artist)
         return np.asarray(self.canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
-    def _set_forces(self, time: float, poses: dict[str, FloatArray]) -> None:
+    def _set_forces(self, time: float) -> None:
         run, scale = self.simulation, self.unit.per_metre
         thick = THICKNESS * self.box.size * scale
         # The forces of a step stand at its end.
@@ -203,20 +206,20 @@ class _Stage:
         moment = run.time[sample]
         low, high = np.searchsorted(run.contacts["time"], (moment, np.nextafter(moment, np.inf)))
         rows = run.contacts[low:high]
-        arrows, largest = [], largest_force(forces(rows))
-        for row, force in zip(rows, forces(rows), strict=True):
-            name = run.names[row["body"]]
-            then, now = run.pose[name][sample], poses[name]
-            tail, along = _carried(row["point"], force, then, now)
-            size = float(np.hypot(*along))
+        contacts = carried(run, rows, time)
+        largest, arrows = largest_force(contacts.force), []
+        for point, force in zip(contacts.point, contacts.force, strict=True):
+            size = float(np.hypot(*force))
             if 1e-4 * self.largest < size < np.inf:
-                # Length grows with the root: gentle pushing and a stalled drive both stay readable.
-                shown = along / size * min(1.5, np.sqrt(size / self.largest)) * self.largest
-                arrows.append(_arrow(tail * scale, shown * self.per_newton, thick))
+                # Length grows with the root: gentle pushing and a stalled drive are both readable.
+                length = min(1.5, sqrt(size / self.largest)) * self.largest * self.per_newton
+                arrows.append(_arrow(point * scale, force / size * length, thick))
         self.arrows.set_verts(arrows)
-        self.note.set_text(
-            f"largest force {force_text(float(f'{largest:.2g}'))}" if largest else ""
-        )
+        rounded = force_text(float(f"{largest:.2g}"))
+        self.note.set_text(f"largest force {rounded} (arrows: root)" if largest > 0.0 else "")
+        touched = {run.names[k] for k in rows["other"]}
+        fixels = [f for f in run.scene.fixels if f.name in touched]
+        self.touched.set_verts([placed(f.shape.outline, f.pose) * scale for f in fixels])
 
 
 def _figure(box: Box, unit: Unit) -> tuple[Figure, Any]:
@@ -238,19 +241,6 @@ def _figure(box: Box, unit: Unit) -> tuple[Figure, Any]:
 
 def _even(inches: float) -> float:
     return 2 * round(inches * DPI / 2) / DPI
-
-
-def _pose_at(time: FloatArray, poses: FloatArray, moment: float) -> FloatArray:
-    return np.array([np.interp(moment, time, column) for column in poses.T])
-
-
-def _carried(
-    point: Any, force: FloatArray, then: FloatArray, now: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Point and force that stay with a body from one pose to another."""
-    angle = now[2] - then[2]
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return now[:2] + (np.asarray(point) - then[:2]) @ turn, force @ turn
 
 
 def _arrow(tail: FloatArray, along: FloatArray, thick: float) -> FloatArray:

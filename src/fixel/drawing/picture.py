@@ -14,11 +14,11 @@ from fixel.drawing.view import (
     Box,
     Unit,
     arrow_length_per_newton,
+    carried,
     centre_path,
     contacts_at,
     ever_touched,
     extent,
-    forces,
     frictions,
     ghosts,
     largest_force,
@@ -346,17 +346,22 @@ def _supports(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
 
 
 def _forces(simulation: Simulation, axes: Axes, unit: Unit, box: Box, crowd: bool) -> list[Artist]:
-    rows = contacts_at(simulation, float(simulation.time[-1]))
-    force = forces(rows)
+    end = float(simulation.time[-1])
+    rows = contacts_at(simulation, end)
+    contacts = carried(simulation, rows, end)
+    force = contacts.force
     largest = largest_force(force)
     if not largest > 0.0 or not np.isfinite(largest):
         return []
-    points = np.asarray(rows["point"]) * unit.per_metre
+    points = contacts.point * unit.per_metre
     per_newton = arrow_length_per_newton(largest, box.size) * unit.per_metre
     if crowd:
-        return _force_chains(axes, rows, points, force, largest)
-    handles = _cones(simulation, axes, rows, points, largest * per_newton)
-    _arrows(axes, points, force * per_newton)
+        return _force_chains(axes, points, force, largest)
+    handles = _cones(
+        axes, frictions(simulation, rows), points, contacts.normal, largest * per_newton
+    )
+    seen = np.hypot(*force.T) > 0.01 * largest
+    _arrows(axes, points[seen], force[seen] * per_newton)
     _scale(axes, per_newton, largest)
     style: Style = {"color": palette.FORCE, "linewidth": 1.2}
     return [*handles, _line(label="contact force", **style)]
@@ -425,15 +430,15 @@ def force_text(newtons: float) -> str:
 
 
 def _cones(
-    simulation: Simulation, axes: Axes, rows: Any, points: FloatArray, length: float
+    axes: Axes, friction: FloatArray, points: FloatArray, normals: FloatArray, length: float
 ) -> list[Artist]:
     from matplotlib.patches import Wedge
 
     style: Style = {"facecolor": palette.CONE, "edgecolor": "none", "alpha": 0.25}
     drawn = False
-    for row, point, mu in zip(rows, points, frictions(simulation, rows), strict=True):
+    for point, normal, mu in zip(points, normals, friction, strict=True):
         if mu > 0.0:
-            along = degrees(np.arctan2(row["normal"][1], row["normal"][0]))
+            along = degrees(np.arctan2(normal[1], normal[0]))
             half = degrees(atan(mu))
             wedge = Wedge(tuple(point), 0.6 * length, along - half, along + half, **style)
             wedge.set_zorder(5)
@@ -443,7 +448,7 @@ def _cones(
 
 
 def _force_chains(
-    axes: Axes, rows: Any, points: FloatArray, force: FloatArray, largest: float
+    axes: Axes, points: FloatArray, force: FloatArray, largest: float
 ) -> list[Artist]:
     """Every contact as a stroke along its force, the wider the larger."""
     from matplotlib.collections import LineCollection

@@ -137,6 +137,40 @@ def forces(rows: NDArray[np.void]) -> FloatArray:
     return np.asarray(along, dtype=np.float64).reshape(-1, 2)
 
 
+class Carried(NamedTuple):
+    """Contacts of a step, moved on with their bodies to another moment of that step."""
+
+    point: FloatArray  # (n, 2) [m]
+    normal: FloatArray  # (n, 2)
+    force: FloatArray  # (n, 2) on the first body [N]
+
+
+def pose_at(time: FloatArray, poses: FloatArray, moment: float) -> FloatArray:
+    """(3,) pose between samples, linear [m, m, rad]."""
+    return np.array([np.interp(moment, time, column) for column in poses.T])
+
+
+def carried(simulation: Simulation, rows: NDArray[np.void], moment: float) -> Carried:
+    """Rows of the contact table where they are at a moment [s].
+
+    The table says where contacts were when the equations of their step were written: at its start,
+    or half a step ahead.
+    """
+    lead = 0.0 if simulation.method["stepper"] == "stewart-trinkle" else 0.5
+    time, force = simulation.time, forces(rows)
+    answer = Carried(np.zeros((len(rows), 2)), np.zeros((len(rows), 2)), np.zeros((len(rows), 2)))
+    for k, row in enumerate(rows):
+        poses = simulation.pose[simulation.names[row["body"]]]
+        then = pose_at(time, poses, float(row["time"] - (1.0 - lead) * row["step"]))
+        now = pose_at(time, poses, moment)
+        c, s = np.cos(now[2] - then[2]), np.sin(now[2] - then[2])
+        turn = np.array([[c, s], [-s, c]])
+        answer.point[k] = now[:2] + (row["point"] - then[:2]) @ turn
+        answer.normal[k] = row["normal"] @ turn
+        answer.force[k] = force[k] @ turn
+    return answer
+
+
 def frictions(simulation: Simulation, rows: NDArray[np.void]) -> FloatArray:
     """(n,) coefficient of friction of every contact [-]."""
     names, scene = simulation.names, simulation.scene
