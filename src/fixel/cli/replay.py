@@ -1,9 +1,28 @@
 """`fixel replay DATASET`: compare recorded pushes with simulated ones."""
 
+from __future__ import annotations
+
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.console import Console
+
+    from fixel.workflows.replay import Replay
+
+
+class Motion(StrEnum):
+    """Names of the motion models, as in scene files."""
+
+    DYNAMIC = "dynamic"
+    QUASISTATIC = "quasistatic"
+    FIRST_ORDER = "first-order"
 
 
 def replay(
@@ -24,8 +43,36 @@ def replay(
         ),
     ] = None,
     limit: Annotated[
-        int | None, typer.Option(help="Replay at most this many records.", min=1, metavar="COUNT")
+        int | None,
+        typer.Option(
+            help="Replay at most this many records, spread evenly over those selected.",
+            min=1,
+            metavar="COUNT",
+        ),
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Change one nominal value, e.g. mu_pusher=0.2; may be repeated.",
+            metavar="NAME=VALUE",
+        ),
+    ] = None,
+    motion: Annotated[
+        Motion | None,
+        typer.Option(help="Motion model, instead of the dataset's usual one.", show_default=False),
+    ] = None,
+    window: Annotated[
+        float,
+        typer.Option(
+            help="Length of the windows of long runs in seconds; 0 for whole runs.",
+            min=0.0,
+            metavar="SECONDS",
+        ),
+    ] = 2.0,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Keep records of doubtful quality too.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the answer as one JSON object.")
     ] = False,
@@ -37,5 +84,182 @@ def replay(
     ] = None,
 ) -> None:
     """Replay recorded pushes and say how far simulation and measurement lie apart."""
-    typer.echo("fixel replay is not part of this version yet.", err=True)
-    raise typer.Exit(1)
+    from fixel.workflows.replay import (
+        Choice,
+        columns_and_values,
+        draw_replay,
+        names_and_numbers,
+        refuse_picture,
+        replay_dataset,
+    )
+
+    if plot is not None:
+        refuse_picture(plot)
+    choice = Choice(
+        select=columns_and_values(select or ()),
+        limit=limit,
+        settings=names_and_numbers(set_ or ()),
+        motion=None if motion is None else motion.value,
+        everything=everything,
+        window=window,
+    )
+    with _progress() as tell:
+        answer = replay_dataset(dataset, choice, tell)
+    if plot is not None:
+        draw_replay(answer, plot)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(answer.summary()))
+        return
+    _print(answer, dataset, plot)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("getting ready", total=None)
+
+        def tell(done: int, of: int, what: str) -> None:
+            bar.update(task, completed=done, total=of, description=what)
+
+        yield tell
+
+
+class Column(NamedTuple):
+    """A heading over two lines, and how to say the value of a row."""
+
+    heading: str
+    say: Callable[[dict[str, Any]], str]
+
+
+def _print(answer: Replay, dataset: Path, plot: Path | None) -> None:
+    from rich.console import Console
+
+    console = Console(soft_wrap=True, highlight=False)
+    rows = answer.groups or answer.pushes
+    columns = {"rpi_2dgad": _trial_columns, "mit_timeseries": _window_columns}.get(
+        answer.dataset, _push_columns
+    )(rows)
+    _print_table(console, columns, rows)
+    for note in answer.notes:
+        console.print(note)
+    if answer.not_solved:
+        console.print(f"{answer.not_solved} simulations did not finish; they are in no average.")
+    console.print(_speed(answer))
+    if plot is not None:
+        console.print(f"Drawn: {plot}")
+    console.print(f"Next: {_next(answer, dataset, plot)}")
+
+
+def _print_table(console: Console, columns: list[Column], rows: list[dict[str, Any]]) -> None:
+    cells = [[column.say(row) for column in columns] for row in rows]
+    if not console.is_terminal:
+        headings = [column.heading.replace("\n", " ") for column in columns]
+        widths = [max(map(len, column)) for column in zip(headings, *cells, strict=True)]
+        for line in (headings, *cells):
+            padded = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+            console.print("  ".join(padded).rstrip())
+        return
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column.heading, overflow="fold")
+    for row, line in zip(rows, cells, strict=True):
+        pooled = "all" in (row.get("run"), row.get("shape"))
+        table.add_row(*line, style="bold" if pooled else None)
+    console.print(table)
+
+
+def _speed(answer: Replay) -> str:
+    timing = answer.timing
+    rate = timing.simulated / max(timing.simulation, 1e-9)
+    return (
+        f"{timing.simulated} simulated in {timing.simulation:.2f} s ({rate:.0f} per second);"
+        f" with reading and start {timing.total:.2f} s."
+    )
+
+
+def _next(answer: Replay, dataset: Path, plot: Path | None) -> str:
+    if plot is None:
+        return f"fixel replay {dataset} --plot replay.png"
+    if answer.dataset == "mit_timeseries":
+        return f"fixel replay {dataset} --window 0, for whole runs"
+    value = "tripod_radius=0.041" if answer.dataset == "rpi_2dgad" else "mu_pusher=0.2"
+    return f"fixel replay {dataset} --set {value}"
+
+
+def _push_columns(rows: list[dict[str, Any]]) -> list[Column]:
+    columns = [
+        Column("surface", lambda row: row["surface"]),
+        Column("shape", lambda row: row["shape"]),
+        Column("speed\nmm/s", lambda row: _number(row["speed_mm_s"], 0)),
+        Column("pushes", lambda row: str(row["pushes"])),
+    ]
+    for name in ("fixel", "poly4", "quad"):
+        if name in rows[0]:
+            columns += [
+                Column(f"{name}\nmm", _pair_of(name, "position_mm")),
+                Column(f"{name}\ndeg", _pair_of(name, "angle_deg")),
+            ]
+    return columns
+
+
+def _trial_columns(rows: list[dict[str, Any]]) -> list[Column]:
+    return [
+        Column("trial", lambda row: str(row["experiment_id"])),
+        Column("simulation", lambda row: row["model"]),
+        Column("path", lambda row: row["path"]),
+        Column("against", lambda row: row["against"]),
+        Column("frames", lambda row: str(row["frames"])),
+        Column("rms\nmm", lambda row: _number(row["position_mm_rms"])),
+        Column("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
+        Column("weighted\nrms mm", lambda row: _number(row["weighted_mm_rms"])),
+        Column("E\nmm^2", lambda row: _number(row["error_mm2"])),
+        Column("final\nmm", lambda row: _number(row["position_mm_final"])),
+        Column("final\ndeg", lambda row: _number(row["angle_deg_final"])),
+        Column("contact mode\n(felt)", _modes),
+        Column("status", lambda row: row["status"]),
+    ]
+
+
+def _window_columns(rows: list[dict[str, Any]]) -> list[Column]:
+    return [
+        Column("run", lambda row: row["run"]),
+        Column("windows", lambda row: str(row["windows"])),
+        Column("motion", lambda row: row["motion"]),
+        Column("moved\nmm", lambda row: _pair(row["moved_mm"], 1)),
+        Column("rms\nmm", lambda row: _number(row["position_mm_rms"])),
+        Column("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
+        Column("final\nmm", lambda row: _pair(row["position_mm_final"])),
+        Column("final\ndeg", lambda row: _pair(row["angle_deg_final"])),
+    ]
+
+
+def _pair_of(name: str, what: str) -> Callable[[dict[str, Any]], str]:
+    return lambda row: _pair(row[name][what])
+
+
+def _pair(value: dict[str, float | None], digits: int = 2) -> str:
+    """Mean and median."""
+    return f"{_number(value['mean'], digits)} / {_number(value['median'], digits)}"
+
+
+def _modes(row: dict[str, Any]) -> str:
+    if row["contact_mode"] is None:
+        return "-"
+    return f"{row['contact_mode']} ({row['contact_mode_measured']})"
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -21,7 +21,7 @@ ENDINGS = (".pdf", ".png", ".svg")
 
 # What each model is called and drawn like; measurements are black.
 LABELS = {
-    "fixel": "fixel, nothing fitted",
+    "fixel": "fixel",
     "poly4": "published, poly4",
     "quad": "published, quadratic",
     "measured": "measured",
@@ -126,7 +126,8 @@ def draw(picture: Picture, file: str | Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(palette.STYLE):
+    style: Any = palette.STYLE
+    with mpl.rc_context(style):
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
         if isinstance(picture, PushPicture):
@@ -156,8 +157,9 @@ def _clean(axes: Axes) -> None:
 
 def _pushes(figure: Figure, picture: PushPicture) -> None:
     n = max(len(picture.examples), 1)
-    figure.set_size_inches(WIDE, 4.4)
-    above, below = figure.subfigures(2, 1, height_ratios=(1.0, 1.05))
+    figure.set_size_inches(WIDE, 4.7)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
+    above, below = parts
     left, right = above.subplots(1, 2)
     _error_curves(left, picture.position, "position error at the end [mm]")
     _error_curves(right, picture.angle, "angle error at the end [deg]")
@@ -168,12 +170,11 @@ def _pushes(figure: Figure, picture: PushPicture) -> None:
     ):
         _push(axes, example)
     if picture.examples:
-        # One legend for all; a circle without prediction may lack some of the lines.
-        last = max(below.axes, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
-        below.legend(*last.get_legend_handles_labels(), frameon=False, ncols=5, loc="lower center",
-                     bbox_to_anchor=(0.5, -0.02))  # fmt: skip
-        for axes in below.axes:
-            axes.set_anchor("N")
+        below.axes[0].set_ylabel("y from the start [mm]")
+        # One legend for all, from the push that shows most.
+        full = max(below.axes, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
+        handles, labels = full.get_legend_handles_labels()
+        below.legend(handles, labels, frameon=False, ncols=5, loc="outside lower center")
 
 
 def _error_curves(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None:
@@ -208,7 +209,10 @@ def _push(axes: Axes, example: PushExample) -> None:
         axes.plot(*closed(pose), linewidth=1.0, **style)
     first, last = ((p - example.start[:2]) * 1e3 for p in (example.tip_start, example.tip_end))
     axes.annotate(
-        "", last, first, arrowprops={"arrowstyle": "->", "color": palette.FIXEL, "linewidth": 0.8}
+        "",
+        tuple(last),
+        tuple(first),
+        arrowprops={"arrowstyle": "->", "color": palette.FIXEL, "linewidth": 0.8},
     )
     turn = np.linspace(0.0, 2.0 * np.pi, 40)
     ring = example.tip_radius * 1e3 * np.array([np.cos(turn), np.sin(turn)])
@@ -217,13 +221,14 @@ def _push(axes: Axes, example: PushExample) -> None:
     axes.plot([], [], color=palette.FIXEL, linewidth=0.8, label="tip and stroke")
     axes.set_aspect("equal")
     axes.set(title=f"{example.name.replace('_', ' ')}\noff by {example.error_mm:.1f} mm")
-    axes.set_xlabel("x [mm]")
+    axes.set_xlabel("x from the start [mm]")
     _clean(axes)
 
 
 def _trial(figure: Figure, picture: TrialPicture) -> None:
     figure.set_size_inches(WIDE, 3.6)
-    left, right = figure.subfigures(1, 2, width_ratios=(1.05, 1.0))
+    parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.0))
+    left, right = parts
     _above(left.subplots(), picture)
     axes = right.subplots(3, 1, sharex=True)
     labels = ("x [mm]", "y [mm]", "angle [deg]")
@@ -236,7 +241,7 @@ def _trial(figure: Figure, picture: TrialPicture) -> None:
         _clean(own)
     axes[-1].set_xlabel("time since the actuator started [s]")
     axes[0].set_title(picture.name)
-    left.axes[0].legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=2)
+    left.legend(frameon=False, loc="outside lower center", ncols=2)
 
 
 def _above(axes: Axes, picture: TrialPicture) -> None:
@@ -250,7 +255,7 @@ def _above(axes: Axes, picture: TrialPicture) -> None:
     axes.fill(*closed(picture.outline, start), color=palette.FAINT, label="object, start")
     for curve in picture.curves:
         axes.plot(*closed(picture.outline, curve.pose[-1]), linewidth=1.2, **_style(curve.name))
-        axes.plot(*(curve.pose[:, :2].T * 1e3), linewidth=1.0, color=COLOURS[curve.name])
+        axes.plot(*(curve.pose[:, :2].T * 1e3), linewidth=0.6, color=COLOURS[curve.name])
     turn = np.linspace(0.0, 2.0 * np.pi, 40)
     ring = picture.fixel_radius * 1e3 * np.array([np.cos(turn), np.sin(turn)])
     for number, centre in enumerate(picture.fixels * 1e3):
@@ -263,7 +268,8 @@ def _above(axes: Axes, picture: TrialPicture) -> None:
     ):
         outline = closed(picture.actuator_outline, np.append(place, picture.actuator_angle))
         axes.plot(*outline, color=shade, linewidth=1.0)
-    axes.plot([], [], color=palette.FIXEL, linewidth=1.0, label="actuator, end")
+    axes.plot([], [], color=palette.INK, linewidth=0.6, label="path of the object's frame")
+    axes.plot([], [], color=palette.FIXEL, linewidth=1.0, label="actuator, start and end")
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]")

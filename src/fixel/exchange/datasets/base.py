@@ -1,0 +1,156 @@
+"""What the readers of recorded pushes share: files of a folder, and tables with named columns."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.model import Disk, Polygon, Shape
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Corners of the polygon that stands for an ellipse: at most 0.02 mm inside one of 65 mm.
+ELLIPSE_CORNERS = 128
+
+MM = 1e-3
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of a CSV file, as text until asked for numbers.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for complaints.
+    columns : mapping from name to list of str
+        All of one length.
+    """
+
+    source: str
+    columns: Mapping[str, Sequence[str]]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def text(self, name: str) -> NDArray[np.str_]:
+        """(n,) one column as it stands."""
+        self.require([name])
+        return np.array(self.columns[name], dtype=np.str_)
+
+    def numbers(self, name: str, *, blank: bool = False) -> FloatArray:
+        """(n,) one column as numbers; with `blank`, empty cells are NaN."""
+        self.require([name])
+        return np.array(
+            [
+                math.nan if blank and not cell else self._number(name, row, cell)
+                for row, cell in enumerate(self.columns[name])
+            ],
+            dtype=np.float64,
+        )
+
+    def stacked(self, *names: str, blank: bool = False) -> FloatArray:
+        """(n, n_name) several columns as numbers."""
+        return np.column_stack([self.numbers(name, blank=blank) for name in names])
+
+    def require(self, names: Iterable[str]) -> None:
+        """Refuse a table that lacks one of these columns."""
+        for name in names:
+            if name not in self.columns:
+                raise InvalidInput(
+                    self.source,
+                    found="the columns " + ", ".join(self.columns),
+                    expected=f"a column {name}",
+                )
+
+    def _number(self, name: str, row: int, cell: str) -> float:
+        try:
+            value = float(cell)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            where = f"{self.source}, row {row + 1}, column {name}"
+            raise InvalidInput(where, found=repr(cell), expected="a finite number")
+        return value
+
+
+def read_table(path: Path) -> Table:
+    """The rows of a CSV file, plain or compressed with gzip."""
+    opened = gzip.open if path.suffix == ".gz" else open
+    try:
+        with opened(path, "rt", encoding="utf-8", newline="") as stream:
+            rows = list(csv.reader(stream))
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as problem:
+        raise InvalidInput(path.name, found=str(problem), expected="a readable CSV file") from None
+    if len(rows) < 2:
+        raise InvalidInput(path.name, found=f"{len(rows)} lines", expected="a header and rows")
+    header, body = rows[0], [row for row in rows[1:] if row]
+    for number, row in enumerate(body):
+        if len(row) != len(header):
+            raise InvalidInput(
+                f"{path.name}, row {number + 1}",
+                found=f"{len(row)} cells",
+                expected=f"{len(header)}, as in the header",
+            )
+    return Table(path.name, dict(zip(header, zip(*body, strict=True), strict=True)))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """One JSON object of a file."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as problem:
+        raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
+    if not isinstance(content, dict):
+        raise InvalidInput(path.name, found=f"a {type(content).__name__}", expected="an object")
+    return content
+
+
+def member(content: Mapping[str, Any], path: str, source: str) -> Any:
+    """A value inside nested objects: `"object.mass_kg"`; a refusal if it is not there."""
+    value: Any = content
+    for name in path.split("."):
+        if not isinstance(value, Mapping) or name not in value:
+            raise InvalidInput(source, found="nothing", expected=f"a value for {path}")
+        value = value[name]
+    return value
+
+
+def only_file(folder: Path, *names: str) -> Path:
+    """The first of these files that is in the folder."""
+    for name in names:
+        if (folder / name).is_file():
+            return folder / name
+    raise DatasetMissing(folder, " or ".join(names))
+
+
+def increasing(time: FloatArray, source: str) -> FloatArray:
+    """Instants as they are, or a refusal if they do not increase."""
+    if (np.diff(time) <= 0.0).any():
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise InvalidInput(
+            f"{source}, row {row + 1}",
+            found=f"t = {time[row]:g} s after {time[row - 1]:g} s",
+            expected="increasing times",
+        )
+    return time
+
+
+def ellipse(semi_axis_x: float, semi_axis_y: float) -> Shape:
+    """An ellipse about the origin [m]: a disk if it is one, else a fine polygon on the curve."""
+    if semi_axis_x == semi_axis_y:
+        return Disk(semi_axis_x)
+    angle = np.arange(ELLIPSE_CORNERS) * (2.0 * math.pi / ELLIPSE_CORNERS)
+    return Polygon(np.column_stack((semi_axis_x * np.cos(angle), semi_axis_y * np.sin(angle))))

@@ -1,0 +1,147 @@
+"""Which records to replay, and with which values: `COLUMN=VALUE` and `NAME=VALUE`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """What the caller asks of a replay.
+
+    Parameters
+    ----------
+    select : mapping from column to values
+        Keep records whose column is one of the values; every column must fit.
+    limit : int, optional
+        At most this many records, spread evenly over those selected.
+    settings : mapping from name to number
+        In place of the nominal values.
+    motion : str, optional
+        Name of a motion model, in place of the dataset's usual one.
+    everything : bool
+        Keep records that the quality filter would leave out.
+    window : float
+        Length of the windows of long runs [s]; 0 for whole runs.
+    """
+
+    select: Mapping[str, tuple[str, ...]]
+    limit: int | None = None
+    settings: Mapping[str, float]
+    motion: str | None = None
+    everything: bool = False
+    window: float = 2.0
+
+
+def columns_and_values(pairs: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """`["shape=rect1", "shape=hex"]` as a mapping from column to the values wanted."""
+    wanted: dict[str, tuple[str, ...]] = {}
+    for pair in pairs:
+        name, value = _cut(pair, "--select", "COLUMN=VALUE, as in shape=rect1")
+        wanted[name] = (*wanted.get(name, ()), value)
+    return wanted
+
+
+def names_and_numbers(pairs: Iterable[str]) -> dict[str, float]:
+    """`["mu_pusher=0.2"]` as a mapping from name to number."""
+    values: dict[str, float] = {}
+    for pair in pairs:
+        name, text = _cut(pair, "--set", "NAME=VALUE, as in mu_pusher=0.2")
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise InvalidInput(f"--set {name}", found=repr(text), expected="a number") from None
+    return values
+
+
+def matching(
+    columns: Mapping[str, Sequence[object]], wanted: Mapping[str, tuple[str, ...]], n: int
+) -> NDArray[np.bool_]:
+    """(n,) which records fit; a refusal where a column or a value is in none of them."""
+    fits = np.ones(n, dtype=bool)
+    for name, values in wanted.items():
+        if name not in columns:
+            raise _unknown("--select", name, columns)
+        cells = [str(cell) for cell in columns[name]]
+        for value in values:
+            if not any(_same(cell, value) for cell in set(cells)):
+                raise InvalidInput(
+                    f"--select {name}",
+                    found=repr(value),
+                    expected="one of " + _shortened(sorted(set(cells))),
+                )
+        chosen = {cell for cell in set(cells) if any(_same(cell, value) for value in values)}
+        fits &= np.array([cell in chosen for cell in cells], dtype=bool)
+    if not fits.any():
+        raise InvalidInput(
+            "--select",
+            found=", ".join(f"{name}={'|'.join(values)}" for name, values in wanted.items()),
+            expected="values that occur together in at least one record",
+        )
+    return fits
+
+
+def spread(n: int, limit: int | None) -> NDArray[np.intp]:
+    """At most `limit` of `n` records, evenly spread, in order."""
+    if limit is None or limit >= n:
+        return np.arange(n)
+    return np.arange(limit) * n // limit
+
+
+def settings_from(
+    nominal: Mapping[str, float], given: Mapping[str, float], where: str = "--set"
+) -> dict[str, float]:
+    """Nominal values with those given in their place; a refusal of any other name."""
+    for name in given:
+        if name not in nominal:
+            raise _unknown(where, name, nominal)
+    return {**nominal, **given}
+
+
+def motion_named(name: str) -> AbstractMotionModel:
+    """The motion model of that name."""
+    for kind in MOTION_MODELS:
+        if kind.name == name:
+            return kind()
+    names = ", ".join(kind.name for kind in MOTION_MODELS)
+    raise InvalidInput("motion", found=repr(name), expected=f"one of {names}")
+
+
+def _cut(pair: str, option: str, expected: str) -> tuple[str, str]:
+    name, mark, value = pair.partition("=")
+    if not mark or not name.strip() or not value.strip():
+        raise InvalidInput(option, found=repr(pair), expected=expected)
+    return name.strip(), value.strip()
+
+
+def _same(cell: str, value: str) -> bool:
+    try:
+        return cell == value or float(cell) == float(value)
+    except ValueError:
+        return False
+
+
+def _unknown(option: str, name: str, known: Iterable[str]) -> InvalidInput:
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1)
+    return InvalidInput(
+        option,
+        found=repr(name),
+        expected="one of " + ", ".join(names),
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )
+
+
+def _shortened(values: Sequence[str], most: int = 12) -> str:
+    more = f", ... ({len(values)} in all)" if len(values) > most else ""
+    return ", ".join(values[:most]) + more
