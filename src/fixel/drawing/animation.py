@@ -198,14 +198,23 @@ class _Stage:
             self.axes.draw_artist(artist)
         return np.asarray(self.canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
+    def _rows(self, sample: int) -> Any:
+        """Rows of the contact table at one sample."""
+        times, moment = self.simulation.contacts["time"], self.simulation.time[sample]
+        low, high = np.searchsorted(times, (moment, np.nextafter(moment, np.inf)))
+        return self.simulation.contacts[low:high]
+
     def _set_forces(self, time: float) -> None:
         run, scale = self.simulation, self.unit.per_metre
         thick = THICKNESS * self.box.size * scale
         # The forces of a step stand at its end.
         sample = min(int(np.searchsorted(run.time, time)), len(run.time) - 1)
         moment = run.time[sample]
-        low, high = np.searchsorted(run.contacts["time"], (moment, np.nextafter(moment, np.inf)))
-        rows = run.contacts[low:high]
+        rows = self._rows(sample)
+        if time < moment and sample > 0:
+            # A gap that closes at the end of this step is still open.
+            before = {(r["body"], r["other"]) for r in self._rows(sample - 1)}
+            rows = rows[np.array([(r["body"], r["other"]) in before for r in rows], np.bool_)]
         contacts = carried(run, rows, time)
         largest, arrows = largest_force(contacts.force), []
         for point, force in zip(contacts.point, contacts.force, strict=True):
