@@ -25,6 +25,7 @@ GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
 CAUTION = 0.9  # aim at this part of the tolerance
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
+BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
 
 
@@ -170,6 +171,7 @@ def _run(
     worst = 0.0
     status = codes.CONVERGED
     taken = 0
+    last_taken = 0.0
     sample = write_samples(
         model, before, state, time, time, step, problem, record, 0, every_step, pace.duration
     )
@@ -187,6 +189,8 @@ def _run(
             guess[i] = state.velocity[i]
         again = 0  # how often the guess was renewed at this trial step
         growth = 1.0
+        resumed = 0.0  # the step to go on with after a bounce
+        off = 0.0
         while True:
             ready = prepare_step(
                 model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem,
@@ -213,9 +217,16 @@ def _run(
                 else:
                     status = codes.MAX_ITERATIONS
                 break
-            worst = max(worst, off)
             if method.adaptive == 0:
                 break
+            if trial > pace.smallest and bounces(model, state, method.motion, time, trial, problem):
+                # A bounce turns the velocity round: step up to it, and take it in the smallest step.
+                resumed = max(resumed, trial)
+                trial = max(pace.smallest, 0.25 * trial)
+                again = 0
+                for i in range(n_dof):
+                    guess[i] = state.velocity[i]
+                continue
             change = largest_change(problem, guess)
             error = 0.5 * trial * change
             if error <= pace.tolerance or trial <= pace.smallest:
@@ -246,21 +257,26 @@ def _run(
                 guess[i] = state.velocity[i]
         if status != codes.CONVERGED:
             break
+        worst = max(worst, off)
         _copy_state(state, before)
         move(model, state, trial, problem, method.motion == codes.DYNAMIC and method.adaptive == 1)
         time += trial
         taken += 1
+        last_taken = trial
         if method.adaptive == 1:
             step = min(trial * growth, pace.largest)
+            if resumed > 0.0 and trial <= pace.smallest:
+                step = min(resumed, pace.largest)
         sample = write_samples(
             model, before, state, time - trial, time, trial, problem, record, sample, every_step,
             pace.duration,
         )  # fmt: skip
     if status != codes.CONVERGED and not every_step and 0 < taken and sample < record.time.size:
         # Keep where it stopped as the last sample.
+        # Without contacts and forces: the problem holds what could not be solved.
         record.time[sample] = time
         sample = write_samples(
-            model, before, state, time - trial, time, trial, problem, record, sample, every_step,
+            model, before, state, time, time, last_taken, problem, record, sample, every_step,
             pace.duration,
         )  # fmt: skip
     record.count[0] = sample
@@ -279,6 +295,39 @@ def _copy_state(source: State, target: State) -> None:
         target.velocity[i] = source.velocity[i]
     for i in range(source.path_time.size):
         target.path_time[i] = source.path_time[i]
+
+
+@kernel
+def bounces(
+    model: Model, state: State, motion: int, time: float, step: float, problem: Problem
+) -> bool:
+    """Whether a contact that gives speed back is loaded in this step, and was approached."""
+    if motion != codes.DYNAMIC:
+        return False
+    n_free = model.mass.size
+    for i in range(problem.size[1]):
+        a = problem.contact_body[i, 0]
+        b = problem.contact_body[i, 1]
+        if problem.impulse[i, 0] <= 0.0 or model.restitution[a, b] == 0.0:
+            continue
+        before = 0.0
+        second = problem.contact_dof[i, 1]
+        for k in range(3):
+            before += problem.normal[i, k] * state.velocity[problem.contact_dof[i, 0] + k]
+            if second >= 0:
+                before += problem.normal[i, 3 + k] * state.velocity[second + k]
+        d = b - n_free
+        if second < 0 and d < model.force_limit.size:
+            dx, dy, da, speed = path_direction(model, d, time, step)
+            x, y, _ = path_pose(model, d, time)
+            rx = problem.contact_place[i, 3] - x
+            ry = problem.contact_place[i, 4] - y
+            nx = problem.contact_place[i, 1]
+            ny = problem.contact_place[i, 2]
+            before -= speed * (nx * (dx - ry * da) + ny * (dy + rx * da))
+        if before < -BOUNCE:
+            return True
+    return False
 
 
 @kernel

@@ -106,6 +106,14 @@ def move_bodies(model: Model, state: State, step: float, problem: Problem, glide
 
 
 @entry
+def bounces(
+    model: Model, state: State, motion: int, time: float, step: float, problem: Problem
+) -> bool:
+    """See `rollout.bounces`."""
+    return _rollout.bounces(model, state, motion, time, step, problem)
+
+
+@entry
 def largest_change(problem: Problem, guess: FloatArray) -> float:
     """See `rollout.largest_change`."""
     return _rollout.largest_change(problem, guess)

@@ -237,7 +237,7 @@ def _drag(
 
 def refuse_motion(scene: Scene, motion_kind: int) -> None:
     """Refuse a motion model under which a body of the scene has no law."""
-    if motion_kind == codes.DYNAMIC:
+    if motion_kind not in (codes.QUASI_STATIC, codes.FIRST_ORDER):
         return
     for k, body in enumerate(scene.bodies):
         if _friction_force(body, scene.gravity) <= 0.0:

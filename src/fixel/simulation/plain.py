@@ -73,7 +73,8 @@ class _Loop:
         self.fallbacks += fell_back
         solved = residual <= TOLERANCE
         self.last_step = step if solved else 0.0
-        return Attempt(codes.CONVERGED if solved else codes.MAX_ITERATIONS, residual)
+        bounces = single.bounces(model, state, kind, self.time, step, problem)
+        return Attempt(codes.CONVERGED if solved else codes.MAX_ITERATIONS, residual, bounces)
 
 
 def roll_plainly(
@@ -87,8 +88,9 @@ def roll_plainly(
     """The record of one rollout, step by step; the same numbers as the compiled loop's."""
     loop = _Loop(packed, motion, solver, method.max_contacts)
     duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
-    samples = _Samples(loop, None if times is None else times / packed.units.time, duration)
     step = min(step, duration)
+    scaled = None if times is None else times / packed.units.time
+    samples = _Samples(loop, scaled, duration, step)
     status = codes.CONVERGED
     worst = 0.0
     steps = 0
@@ -112,10 +114,11 @@ def roll_plainly(
         loop.time += advance.step
         steps += 1
         step = advance.next_step
-        samples.take(before, taken)
+        samples.take(before, taken, taken)
     if status != codes.CONVERGED and steps and not samples.every_step:
+        # Without contacts and forces: the problem holds what could not be solved.
         samples.stop_at(loop.time)
-        samples.take(before, taken)
+        samples.take(before, 0.0, taken)
     return samples.finish(status, steps, worst)
 
 
@@ -131,7 +134,9 @@ def _reason(loop: _Loop, status: int, residual: float) -> int:
 class _Samples:
     """Collects samples as the compiled loop does."""
 
-    def __init__(self, loop: _Loop, times: FloatArray | None, duration: float) -> None:
+    def __init__(
+        self, loop: _Loop, times: FloatArray | None, duration: float, first_step: float
+    ) -> None:
         self.loop = loop
         self.times = np.zeros(0) if times is None else times
         self.every_step = times is None
@@ -140,10 +145,10 @@ class _Samples:
         self.shape = (loop.model.mass.size + self.n_driven, 3)
         self.rows: list[Record] = []
         self.done = 0
-        self.take(loop.state, 0.0)
+        self.take(loop.state, 0.0, first_step)
 
-    def take(self, before: State, step: float) -> None:
-        """Write the samples that fall into the step just taken."""
+    def take(self, before: State, moved: float, step: float) -> None:
+        """Write the samples that fall into the last `moved` of time, in a step that long or ahead."""
         loop = self.loop
         room = 1 if self.every_step else len(self.times) - self.done
         n_row = max(1, loop.problem.contact_key.size) * max(room, 1)
@@ -157,7 +162,7 @@ class _Samples:
             np.zeros(2),
         )
         written = single.sample(
-            loop.model, before, loop.state, loop.time - step, loop.time, step, loop.problem, record,
+            loop.model, before, loop.state, loop.time - moved, loop.time, step, loop.problem, record,
             self.every_step, self.duration,
         )  # fmt: skip
         if written:

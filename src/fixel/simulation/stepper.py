@@ -22,6 +22,7 @@ class Attempt(NamedTuple):
 
     status: int  # codes.CONVERGED, CONTACT_OVERFLOW or MAX_ITERATIONS
     residual: float
+    bounces: bool = False  # whether a contact gives back speed
 
 
 class Advance(NamedTuple):
@@ -72,7 +73,7 @@ class Limits(NamedTuple):
 
 def _fixed(attempt: Try, velocity: FloatArray, step: float, lead: float, limits: Limits) -> Advance:
     trial = limits.left if limits.left < step * (1.0 + 1e-9) else step
-    status, residual = attempt(trial, lead, velocity)
+    status, residual, _ = attempt(trial, lead, velocity)
     return Advance(status, trial, step, residual)
 
 
@@ -179,8 +180,9 @@ class Adaptive(AbstractStepper):
             trial = 0.5 * limits.left
         guess = velocity.copy()
         renewed = 0
+        resumed = 0.0  # the step to go on with after a bounce
         while True:
-            status, residual = attempt(trial, self.lead, guess)
+            status, residual, bounces = attempt(trial, self.lead, guess)
             if status == codes.CONTACT_OVERFLOW:
                 return Advance(status, trial, trial, residual)
             if not residual <= TOLERANCE:
@@ -188,13 +190,19 @@ class Adaptive(AbstractStepper):
                     trial, renewed, guess = 0.25 * trial, 0, velocity.copy()
                     continue
                 return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
+            if bounces and trial > limits.smallest:
+                resumed = max(resumed, trial)
+                trial, renewed = max(limits.smallest, 0.25 * trial), 0
+                guess = velocity.copy()
+                continue
             error = 0.5 * trial * float(single.largest_change(problem, guess))
             if error <= limits.tolerance or trial <= limits.smallest:
                 growth = CAUTION * math.sqrt(limits.tolerance / max(error, 1e-30))
                 growth = max(0.5, min(GROWTH, growth))
-                return Advance(
-                    codes.CONVERGED, trial, min(trial * growth, limits.largest), residual
-                )
+                following = trial * growth
+                if resumed > 0.0 and trial <= limits.smallest:
+                    following = resumed
+                return Advance(codes.CONVERGED, trial, min(following, limits.largest), residual)
             if renewed == 0:
                 closing = float(single.closing_time(problem, guess, trial, self.lead))
                 if 0.02 * trial < closing < 0.98 * trial:
