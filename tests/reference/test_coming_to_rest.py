@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.model import Body, LineDrive, Scene, SupportPoints, Tripod
+from fixel.model import Body, Fixel, LineDrive, Pusher, Scene, SupportPoints, Tripod
 from fixel.simulation import (
     Adaptive,
     Dynamic,
@@ -44,8 +44,6 @@ def test_block_inside_the_cone_holds_for_a_minute(stepper, motion, share):
 @pytest.mark.parametrize("stepper", STEPPERS)
 @pytest.mark.parametrize("solver", [Newton(), GaussSeidel()])
 def test_gripped_block_holds_for_a_minute_against_a_side_force(stepper, solver):
-    from fixel.model import Fixel, Pusher
-
     block = Body(
         name="block",
         shape=box(0.1, 0.1),

@@ -1,0 +1,114 @@
+"""Batches: what varies, what is refused, what comes back."""
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import Parameters
+from fixel.simulation import StewartTrinkle, simulate, simulate_batch
+from fixel.testing.scenes import grasp, heap, sliding_block
+
+QUICK = {"stepper": StewartTrinkle(step=0.1)}
+
+
+def test_shapes_of_what_comes_back():
+    n = 5
+    times = [0.0, 1.0, 6.0, 11.0]
+    run = simulate_batch(grasp(), {"mu_support": np.linspace(0.1, 0.4, n)}, times=times, **QUICK)
+    assert run.names == ("object", "actuator")
+    assert run.pose.shape == (n, 4, 2, 3)
+    assert run.final.shape == (n, 2, 3)
+    assert run.pose_of("object").shape == (n, 4, 3)
+    assert run.force.shape == run.stalled.shape == (n, 1)
+    for name in ("status", "steps", "fallbacks", "stopped_at", "max_residual", "converged"):
+        assert getattr(run, name).shape == (n,)
+    assert np.array_equal(run.time, times)
+    assert (run.steps == 110).all()
+
+
+def test_one_rollout_where_nothing_varies():
+    run = simulate_batch(grasp(), **QUICK)
+    assert run.pose.shape == (1, 1, 2, 3)
+    single = simulate(grasp(), output_interval=11.0, **QUICK)
+    assert np.array_equal(run.final[0, 0], single.final["object"])
+
+
+def test_sequence_of_parameters_is_the_mapping_of_columns():
+    sets = [Parameters(mu_fixel=0.1, mu_pusher=0.3), Parameters(mu_fixel=0.2, mu_pusher=0.1)]
+    a = simulate_batch(grasp(), sets, **QUICK)
+    b = simulate_batch(grasp(), {"mu_fixel": [0.1, 0.2], "mu_pusher": [0.3, 0.1]}, **QUICK)
+    assert np.array_equal(a.pose, b.pose)
+
+
+def test_start_and_waypoints_vary():
+    start = np.array([[0.09, 0.0, 0.1], [0.10, 0.01, 0.2]])
+    a = simulate_batch(grasp(), start=start, times=[0.0, 11.0], **QUICK)
+    assert np.abs(a.pose[:, 0, 0] - start).max() < 1e-15
+    path = np.array([[[0.0, 0, 0, 0], [11.0, x, 0, 0]] for x in (0.02, 0.04, 0.06)])
+    b = simulate_batch(grasp(), waypoints=path, **QUICK)
+    assert b.final[:, 1, 0] == pytest.approx([0.02, 0.04, 0.06], rel=1e-9)
+
+
+def test_rollout_that_stops_early_keeps_its_last_pose():
+    run = simulate_batch(grasp(force_limit=None), times=np.arange(0.0, 11.5, 0.5))
+    assert not run.converged[0]
+    late = run.time > run.stopped_at[0]
+    assert late.any()
+    poses = run.pose[0, late, 0]
+    assert (poses == poses[-1]).all()
+    assert np.isfinite(run.pose).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "where", "found", "expected"),
+    [
+        ({"parameters": {"mu_fixel": [1, 1], "mu_pusher": [1]}}, "variations", "2", "same length"),
+        ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
+        ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "at least 0"),
+        ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "one of"),
+        (
+            {"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]},
+            "parameters[1]",
+            "mu_pusher",
+            "mu_fixel",
+        ),
+        ({"start": np.zeros((4, 2))}, "start", "(4, 1, 2)", "(n, 1, 3)"),
+        ({"start": np.full((4, 3), np.nan)}, "start", "not all finite", "finite"),
+        ({"start": np.zeros((2, 3)), "parameters": {"mu_fixel": [1]}}, "variations", "2", "same"),
+        ({"waypoints": np.zeros((2, 3))}, "waypoints", "(2, 3)", "(n, 0, 4)"),
+        ({"waypoints": np.zeros((2, 2, 4))}, "waypoints", "grow", "increasing"),
+        ({"times": [2.0, 1.0]}, "times", "2", "increasing"),
+        ({"times": [0.0, 12.0]}, "times", "12", "11 s"),
+        ({"times": []}, "times", "[]", "increasing"),
+        ({"threads": 0}, "threads", "0", "at least 1"),
+        ({"duration": -1.0}, "duration", "-1.0", "positive"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options, where, found, expected):
+    with pytest.raises(InvalidInput) as refusal:
+        simulate_batch(grasp(), **options, **QUICK)
+    sentence = str(refusal.value)
+    assert sentence.startswith(where)
+    assert found in sentence
+    assert expected in sentence
+
+
+def test_waypoints_need_one_pusher():
+    with pytest.raises(InvalidInput, match=r"waypoints: found 0 pushers"):
+        simulate_batch(sliding_block(), waypoints=np.zeros((2, 2, 4)))
+
+
+def test_several_scenes_give_a_result_each():
+    runs = simulate_batch([grasp(), sliding_block(), heap(3)], duration=0.5, **QUICK)
+    assert [run.names for run in runs] == [
+        ("object", "actuator"),
+        ("block",),
+        ("body-1", "body-2", "body-3", "plate"),
+    ]
+    assert [run.pose.shape for run in runs] == [(1, 1, 2, 3), (1, 1, 1, 3), (1, 1, 4, 3)]
+    assert simulate_batch([]) == []
+
+
+def test_several_scenes_with_variations_are_refused():
+    with pytest.raises(InvalidInput, match="several scenes with variations"):
+        simulate_batch([grasp()], {"mu_fixel": [0.1]})

@@ -1,0 +1,141 @@
+"""Scenes as arrays: units of their own, parameters on the right entries, scenes end to end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.kernels import batch as families
+from fixel.kernels import codes
+from fixel.model import Body, Ellipsoid, NoSupport, PathDrive, Scene
+from fixel.simulation.pack import Variation, characteristic_units, pack, pusher_path, stack
+from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
+
+
+def _pack(scene, parameters=None, n=1, motion=codes.DYNAMIC, start=None):
+    values = {k: np.asarray(v, float) for k, v in (parameters or {}).items()}
+    variation = Variation(values, start, None)
+    return pack(scene, motion, variation, n, step=None, tolerance=None, largest=0.2, duration=1.0)
+
+
+def _one(packed, r):
+    return families.select_one(packed.batch, r)
+
+
+@pytest.mark.parametrize("scene", [grasp(), micro_push(3), heap(4), sliding_block()])
+def test_characteristic_values_are_near_one(scene):
+    model = _one(_pack(scene), 0)
+    assert 0.1 < np.abs(model.vertex).max() < 10.0
+    assert 1e-9 < model.mass[0] <= 1.0 + 1e-12
+
+
+def test_a_micro_part_and_a_brick_of_the_same_form_give_the_same_numbers():
+    part = micro_push(3)
+    body = part.bodies[0]
+    brick = replace(
+        body,
+        shape=type(body.shape)(100.0 * body.shape.vertices),
+        pose=body.pose * [100.0, 100.0, 1.0],
+        support=replace(body.support, points=100.0 * body.support.points),
+    )
+    probe = part.pushers[0]
+    hand = replace(
+        probe,
+        shape=type(probe.shape)(100.0 * probe.shape.vertices),
+        pose=probe.pose * [100.0, 100.0, 1.0],
+        drive=replace(probe.drive, speed=100.0 * probe.drive.speed, travel=0.07),
+    )
+    a = _one(_pack(part), 0)
+    b = _one(_pack(replace(part, bodies=(brick,), pushers=(hand,))), 0)
+    for name in ("vertex", "element_point", "piece_bound", "inertia"):
+        assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-12, abs=1e-15) or (
+            name == "inertia"
+        )
+
+
+def test_units_of_a_scene_in_which_nothing_is_asked_to_move():
+    units = characteristic_units(sliding_block(speed=0.0))
+    assert units.speed > 0.0
+    assert np.isfinite([units.length, units.time, units.mass]).all()
+    assert units.force == pytest.approx(units.mass * units.length / units.time**2)
+
+
+def test_mu_support_sets_the_limits_of_every_support():
+    scene = grasp()
+    packed = _pack(scene, {"mu_support": [0.1, 0.5]}, 2)
+    weight = 0.15 * 9.81
+    for r, mu in enumerate((0.1, 0.5)):
+        limits = _one(packed, r).element_limit * packed.units.force
+        assert limits == pytest.approx(np.full(3, mu * weight / 3), rel=1e-12)
+
+
+def test_tripod_radius_moves_the_points_and_nothing_else():
+    packed = _pack(grasp(), {"tripod_radius": [0.02, 0.05]}, 2)
+    for r, radius in enumerate((0.02, 0.05)):
+        points = _one(packed, r).element_point * packed.units.length
+        assert np.hypot(*points.T) == pytest.approx(np.full(3, radius), rel=1e-12)
+        # The thesis's tripod, turned by a quarter: its first point lies on body +y.
+        assert np.arctan2(*points[0, ::-1]) == pytest.approx(np.pi / 2)
+    assert np.array_equal(_one(packed, 0).element_limit, _one(packed, 1).element_limit)
+
+
+def test_mu_pusher_and_mu_fixel_set_their_own_pairs_only():
+    packed = _pack(grasp(), {"mu_pusher": [0.11, 0.12], "mu_fixel": [0.31, 0.32]}, 2)
+    for r in range(2):
+        friction = _one(packed, r).friction
+        assert friction[0, 1] == friction[1, 0] == 0.11 + 0.01 * r
+        assert (friction[0, 2:] == 0.31 + 0.01 * r).all()
+        assert (friction[2:, 0] == 0.31 + 0.01 * r).all()
+    assert np.array_equal(_one(_pack(grasp()), 0).friction[0], [0.0, 0.25, 0.2, 0.2, 0.2])
+
+
+def test_parameters_that_have_nothing_to_change_are_refused():
+    with pytest.raises(InvalidInput, match="tripod"):
+        _pack(micro_push(1), {"tripod_radius": [0.01]})
+    disk = Body(
+        name="b", shape=box(1, 1), mass=1.0, pose=(0, 0, 0), support=Ellipsoid(force=1, torque=1)
+    )
+    with pytest.raises(InvalidInput, match="ellipsoid"):
+        _pack(Scene(bodies=(disk,), duration=1.0), {"mu_support": [0.2]})
+
+
+@pytest.mark.parametrize("motion", [codes.QUASI_STATIC, codes.FIRST_ORDER])
+def test_motion_without_inertia_needs_support_friction(motion):
+    loose = replace(sliding_block().bodies[0], support=NoSupport())
+    with pytest.raises(InvalidInput, match=r"bodies\[0\]\.support.*'block'"):
+        _pack(Scene(bodies=(loose,), duration=1.0), motion=motion)
+    _pack(Scene(bodies=(loose,), duration=1.0))
+
+
+def test_start_poses_are_those_of_the_shape_frame():
+    body = Body(
+        name="b", shape=box(0.1, 0.1), mass=1.0, pose=(0, 0, 0), centre_of_mass=(0.02, 0.01)
+    )
+    start = np.array([[[1.0, 2.0, np.pi / 2]]])
+    packed = _pack(Scene(bodies=(body,), duration=1.0), start=start)
+    centre = packed.batch.pose[0] * [packed.units.length, packed.units.length, 1.0]
+    assert centre == pytest.approx([1.0 - 0.01, 2.0 + 0.02, np.pi / 2])
+
+
+def test_path_of_a_line_ends_with_its_travel():
+    drive = grasp().pushers[0]
+    assert pusher_path(drive, 20.0)[-1] == pytest.approx([0.15 / 0.0135, 0.15, 0.0, 0.0])
+    assert pusher_path(drive, 1.0)[-1] == pytest.approx([1.0, 0.0135, 0.0, 0.0])
+    still = replace(drive, drive=replace(drive.drive, speed=0.0))
+    assert pusher_path(still, 1.0).shape == (1, 4)
+    rows = [[0.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.2, 0.4]]
+    measured = replace(drive, pose=None, drive=PathDrive(waypoints=rows))
+    assert np.array_equal(pusher_path(measured, 1.0), rows)
+
+
+def test_stacked_scenes_are_themselves():
+    scenes = [grasp(), micro_push(2), heap(5), sliding_block()]
+    parts = [_pack(scene) for scene in scenes]
+    batch = stack(parts)
+    for r, part in enumerate(parts):
+        together = families.select_one(batch, r)
+        alone = families.select_one(part.batch, 0)
+        for name in together._fields:
+            assert np.array_equal(getattr(together, name), getattr(alone, name)), name
+    assert stack(parts[:1]) is parts[0].batch

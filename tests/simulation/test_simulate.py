@@ -1,0 +1,163 @@
+"""One simulation: samples, durations, refusals, and failure as a value."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput, SolveFailed
+from fixel.model import Parameters
+from fixel.simulation import (
+    Adaptive,
+    Dynamic,
+    GaussSeidel,
+    Lemke,
+    Midpoint,
+    QuasiStatic,
+    StewartTrinkle,
+    simulate,
+)
+from fixel.simulation.simulate import sample_times
+from fixel.testing.scenes import grasp, sliding_block
+
+
+def test_samples_at_the_end_of_every_step_by_default():
+    run = simulate(grasp(), stepper=StewartTrinkle(step=0.1))
+    assert run.steps == 110
+    assert run.time == pytest.approx(0.1 * np.arange(111))
+    assert run.pose["object"].shape == run.twist["object"].shape == (111, 3)
+    assert run.pushers["actuator"].force.shape == (111,)
+
+
+@pytest.mark.parametrize("stepper", [Adaptive(), StewartTrinkle(step=0.013)])
+def test_output_interval_samples_from_zero_and_includes_the_end(stepper):
+    run = simulate(grasp(), stepper=stepper, output_interval=0.3)
+    assert run.time[:3] == pytest.approx([0.0, 0.3, 0.6])
+    assert run.time[-2:] == pytest.approx([10.8, 11.0])
+    fine = simulate(grasp(), stepper=stepper)
+    # Samples lie on the chords of the steps.
+    chords = fine.trajectory("object").at(run.time)
+    assert np.abs(run.pose["object"] - chords).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("duration", "interval", "n", "last"),
+    [(1.0, 0.25, 5, 1.0), (1.0, 0.3, 5, 1.0), (0.3, 0.1, 4, 0.3), (1.0, 2.0, 2, 1.0), (1, 1, 2, 1)],
+)
+def test_sample_times(duration, interval, n, last):
+    times = sample_times(duration, interval)
+    assert len(times) == n
+    assert times[0] == 0.0
+    assert times[-1] == last
+    assert (np.diff(times) > 0.0).all()
+
+
+def test_duration_replaces_the_scenes_own():
+    run = simulate(grasp(), duration=2.5)
+    assert run.duration == 2.5
+    assert run.time[-1] == pytest.approx(2.5, rel=1e-12)
+    whole = simulate(replace(grasp(), duration=2.5))
+    assert np.array_equal(run.pose["object"], whole.pose["object"])
+
+
+def test_parameters_replace_the_scenes_own_values():
+    run = simulate(grasp("slip"), Parameters(mu_pusher=0.0, mu_fixel=0.0))
+    smooth = grasp("slip")
+    smooth = replace(
+        smooth,
+        pushers=tuple(replace(p, friction=0.0) for p in smooth.pushers),
+        fixels=tuple(replace(f, friction=0.0) for f in smooth.fixels),
+    )
+    assert np.array_equal(run.final["object"], simulate(smooth).final["object"])
+    assert run.parameters == Parameters(mu_pusher=0.0, mu_fixel=0.0)
+    assert (run.contacts["tangential_force"] == 0.0).all()
+
+
+def test_failure_is_a_value_with_advice():
+    run = simulate(grasp(force_limit=None))
+    assert run.status == "jammed"
+    assert not run.converged
+    assert "force_limit" in run.advice
+    assert run.duration == run.stopped_at == pytest.approx(run.time[-1])
+    assert simulate(sliding_block()).advice == ""
+
+
+def test_throw_raises_in_place_of_stopping_early():
+    with pytest.raises(SolveFailed, match=r"jammed at 5\.\d+ s\. .*force_limit") as failure:
+        simulate(grasp(force_limit=None), throw=True)
+    assert isinstance(pickle.loads(pickle.dumps(failure.value)), SolveFailed)
+    assert simulate(grasp(), throw=True).converged
+
+
+def test_no_room_for_contacts_is_reported():
+    run = simulate(grasp(), max_contacts=0)
+    assert run.status == "contact_overflow"
+    assert "max_contacts" in run.advice
+    assert simulate(grasp(), max_contacts=0, plain=True).status == "contact_overflow"
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["duration", "output_interval"])
+def test_times_that_cannot_be_are_refused(name, value):
+    with pytest.raises(InvalidInput, match=name) as refusal:
+        simulate(sliding_block(), **{name: value})
+    assert "positive" in refusal.value.expected
+
+
+def test_too_many_samples_are_refused():
+    with pytest.raises(InvalidInput, match=r"output_interval.*at most"):
+        simulate(sliding_block(), output_interval=1e-9)
+    with pytest.raises(InvalidInput, match=r"output_interval.*at most"):
+        simulate(sliding_block(), stepper=StewartTrinkle(step=1e-7))
+
+
+def test_methods_that_do_not_fit_are_refused():
+    with pytest.raises(InvalidInput, match="support_directions"):
+        simulate(grasp(), solver=Lemke())
+    loose = replace(sliding_block(), gravity=0.0)
+    with pytest.raises(InvalidInput, match="support friction"):
+        simulate(loose, motion=QuasiStatic())
+    with pytest.raises(InvalidInput, match="tripod_radiu"):
+        simulate(grasp(), Parameters({"tripod_radiu": 0.1}))
+
+
+@pytest.mark.parametrize(
+    ("build", "options"),
+    [
+        (StewartTrinkle, {"step": 0.0}),
+        (Midpoint, {"step": -1.0}),
+        (Midpoint, {"step": float("inf")}),
+        (Adaptive, {"tolerance": 0.0}),
+        (Adaptive, {"tolerance": float("nan")}),
+        (Adaptive, {"largest_step": 0.0}),
+        (GaussSeidel, {"max_sweeps": 0}),
+        (Lemke, {"max_pivots": 0}),
+    ],
+)
+def test_options_that_cannot_be_are_refused(build, options):
+    (name,) = options
+    with pytest.raises(InvalidInput, match=rf"{build.__name__}\.{name}: found .*, expected"):
+        build(**options)
+
+
+def test_method_and_options_are_described():
+    run = simulate(grasp(), motion=Dynamic(), stepper=Midpoint(step=0.05), solver=GaussSeidel())
+    assert run.method == {
+        "motion": "dynamic",
+        "stepper": "midpoint",
+        "stepper.step": 0.05,
+        "solver": "gauss-seidel",
+        "solver.max_sweeps": 10_000,
+    }
+
+
+def test_last_step_of_a_fixed_stepper_ends_at_the_end():
+    run = simulate(sliding_block(duration=0.105), stepper=StewartTrinkle(step=0.02))
+    assert run.time == pytest.approx([0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.105])
+
+
+def test_a_step_longer_than_the_whole_is_the_whole():
+    run = simulate(sliding_block(duration=0.01), stepper=StewartTrinkle(step=5.0))
+    assert run.steps == 1
+    assert run.time[-1] == pytest.approx(0.01, rel=1e-12)
