@@ -1,8 +1,12 @@
 """`fixel doctor`: is this installation in order?"""
 
-from typing import Annotated
+import sys
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from fixel.workflows.doctor import Diagnosis
 
 
 def doctor(
@@ -11,5 +15,47 @@ def doctor(
     ] = False,
 ) -> None:
     """Check this installation and say what to do about anything that is wrong."""
-    typer.echo("fixel doctor is not part of this version yet.", err=True)
-    raise typer.Exit(1)
+    from fixel.cli.screen import say
+    from fixel.workflows.doctor import examine
+
+    found = examine(say if sys.stderr.isatty() or not as_json else None)
+    if as_json:
+        import json
+
+        from fixel.exchange.trajectory_file import plain_numbers
+
+        typer.echo(json.dumps(plain_numbers(found.summary()), allow_nan=False))
+    else:
+        typer.echo("\n".join(_report(found)))
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _report(found: "Diagnosis") -> list[str]:
+    from fixel.cli.screen import seconds
+    from fixel.workflows.self_test import worst_residual
+
+    versions = [f"{name} {number}" for name, number in found.versions.items()]
+    state = "warm" if found.cache["warm"] else "was cold, filled just now"
+    failed = sum(not check.passed for check in found.checks)
+    verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "All in order"
+    return [
+        ", ".join(versions[:4]),
+        ", ".join(versions[4:]),
+        f"{found.machine['platform']}, {found.machine['cores']} cores,"
+        f" batches on {found.machine['threads']} threads",
+        f"kernels  {found.cache['folder']}",
+        f"         {found.cache['bytes'] / 1e6:.1f} MB, {state}",
+        "",
+        *(_line(c.name, c.passed, c.detail, c.residual) for c in found.checks),
+        "",
+        f"{verdict}. Worst residual {worst_residual(found.checks):.1e}; took"
+        f" {seconds(found.seconds)}.",
+        "Next: fixel demo" if not failed else "Please report the lines marked FAIL.",
+    ]
+
+
+def _line(name: str, passed: bool, detail: str, residual: float | None) -> str:
+    mark = "PASS" if passed else "FAIL"
+    end = "" if residual is None else f"  (residual {residual:.0e})"
+    return f"{mark}  {name:42}  {detail}{end}"

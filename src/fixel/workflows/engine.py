@@ -7,18 +7,21 @@ from pathlib import Path
 
 from fixel.kernels.jit import cache_folder
 from fixel.model import Scene
-from fixel.simulation import simulate
+from fixel.simulation import AbstractSolver, Newton, simulate
+from fixel.simulation.simulate import is_compiled
 
 Say = Callable[[str], None]
 
 COMPILING = "Compiling the engine, once; this takes about a minute."
+COMPILING_PARTS = "Compiling its parts for the plain loop, once; this takes about half a minute."
 # Of the start-up scene [s]: one step of any stepper.
 INSTANT = 1e-6
 
 
-def engine_is_cold() -> bool:
-    """Whether the first simulation will have to compile the kernels."""
-    return not any(Path(cache_folder()).rglob("*.nbc"))
+def engine_is_cold(plain: bool = False) -> bool:
+    """Whether the first simulation, or the first one in the plain loop, will compile kernels."""
+    entry = "single.sample" if plain else "batch.roll"
+    return not any(Path(cache_folder()).rglob(f"{entry}*.nbc"))
 
 
 def cache_size() -> int:
@@ -26,8 +29,12 @@ def cache_size() -> int:
     return sum(f.stat().st_size for f in Path(cache_folder()).rglob("*") if f.is_file())
 
 
-def get_ready(scene: Scene, say: Say | None = None, plain: bool = False) -> None:
+def get_ready(
+    scene: Scene, say: Say | None = None, solver: AbstractSolver | None = None, plain: bool = False
+) -> None:
     """Compile or load what a simulation needs, so that its wall time is that of the simulation."""
-    if say and engine_is_cold():
-        say(COMPILING)
-    simulate(scene, duration=min(INSTANT, scene.duration), plain=plain)
+    solver = solver or Newton()
+    plain = plain or not is_compiled(solver)
+    if say and engine_is_cold(plain):
+        say(COMPILING_PARTS if plain else COMPILING)
+    simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)

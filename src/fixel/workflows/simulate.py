@@ -120,7 +120,7 @@ def simulate_file(
     motion, stepper, solver = parts(scene_file, method)
     refuse_method(scene_file.scene, solver)
     outputs.check()
-    get_ready(scene_file.scene, say, method.plain)
+    get_ready(scene_file.scene, say, solver, method.plain)
     simulation = simulate(
         scene_file.scene,
         motion=motion,
