@@ -1,0 +1,39 @@
+"""`fixel demo`: the first command of the README."""
+
+import pytest
+
+from fixel.cli import main
+
+
+def call(*arguments: str) -> int:
+    """Exit code of a command."""
+    with pytest.raises(SystemExit) as end:
+        main.run(arguments)
+    return int(end.value.code or 0)
+
+
+def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
+    folder = tmp_path / "demo"
+
+    code = call("demo", "--out", str(folder))
+
+    out = capsys.readouterr().out
+    assert code == 0
+    assert "face to face" in out
+    assert "the drive stalls at 34.3 N" in out
+    assert f"fixel simulate {folder / 'grasp.yaml'}" in out
+    assert {p.suffix for p in folder.iterdir()} == {".yaml", ".png", ".mp4", ".csv"}
+
+
+def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
+    """Every line that starts with `fixel` in the answer is a command that does what it says."""
+    monkeypatch.chdir(tmp_path)
+    call("demo")
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    commands = [line.split()[1:] for line in lines if line.startswith("fixel simulate")]
+    commands = [c for c in commands if c[-1] != "options."]
+
+    codes = [call(*command) for command in commands]
+
+    assert codes == [3, 0]
+    assert (tmp_path / "slippery.png").exists()

@@ -1,0 +1,52 @@
+"""`fixel doctor`: one screen, and an exit code."""
+
+import json
+
+import pytest
+
+from fixel.cli import main
+from fixel.workflows import self_test
+
+
+def call(*arguments: str) -> int:
+    """Exit code of a command."""
+    with pytest.raises(SystemExit) as end:
+        main.run(arguments)
+    return int(end.value.code or 0)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    checks = {"fine": lambda: (True, "as it should be", 1e-12)}
+    monkeypatch.setattr(self_test, "_CHECKS", checks)
+    monkeypatch.setattr("fixel.workflows.doctor.get_ready", lambda *_: None)
+    return checks
+
+
+def test_a_healthy_machine_exits_0_on_one_screen(quick, capsys):
+    code = call("doctor")
+
+    out = capsys.readouterr().out
+    assert code == 0
+    assert "PASS  fine" in out
+    assert "All in order" in out
+    assert len(out.splitlines()) <= 24
+
+
+def test_a_failure_exits_1(quick, capsys):
+    quick["broken"] = lambda: (False, "wrong", None)
+
+    code = call("doctor")
+
+    assert code == 1
+    assert "FAIL  broken" in capsys.readouterr().out
+
+
+def test_json(quick, capsys):
+    call("doctor", "--json")
+
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["passed"] is True
+    assert answer["checks"][-1]["name"] == "fine"
+    assert answer["max_residual"] == 1e-12
+    assert set(answer) >= {"versions", "machine", "cache", "seconds"}
