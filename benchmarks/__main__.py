@@ -51,6 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
             broken = 1
         console.print(f"      {time.perf_counter() - start:.1f} s", highlight=False)
     report.show(console, figures)
+    if chosen.page:
+        report.write_into(report.PAGE, "figures", report.as_markdown(figures, names))
     console.print(f"Appended to {os.path.relpath(report.append(figures, chosen.output))}")
     return broken
 
@@ -68,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--small", action="store_true", help="tiny sizes: does it run at all?")
     parser.add_argument(
         "--output", type=Path, default=report.RESULTS, metavar="FOLDER", help="of the CSV file"
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="also rewrite the table in docs/benchmarks.md"
     )
     return parser
 

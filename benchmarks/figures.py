@@ -94,13 +94,18 @@ SMALL = Size(
 )
 
 
-def seconds(call: Callable[[], Any], repeats: int, warm_up: bool = True) -> tuple[float, ...]:
-    """Wall-clock seconds of each of `repeats` calls, after one that does not count."""
+def seconds(
+    call: Callable[[], Any],
+    repeats: int,
+    warm_up: bool = True,
+    clock: Callable[[], float] = time.perf_counter,
+) -> tuple[float, ...]:
+    """Seconds (wall clock) of each of `repeats` calls, after one that does not count."""
     if warm_up:
         call()
     taken = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = clock()
         call()
-        taken.append(time.perf_counter() - start)
+        taken.append(clock() - start)
     return tuple(taken)

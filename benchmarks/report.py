@@ -20,6 +20,7 @@ from benchmarks.figures import Figure
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
+PAGE = HERE.parent / "docs" / "benchmarks.md"
 COLUMNS = (
     "date", "fixel version", "git commit", "machine", "python", "numba", "figure", "unit",
     "min", "median", "max", "bar", "passed",
@@ -82,6 +83,37 @@ def append(figures: Iterable[Figure], folder: Path = RESULTS) -> Path:
                 )
             )
     return path
+
+
+def write_into(page: Path, name: str, text: str) -> None:
+    """Replace what stands between ``<!-- name -->`` and ``<!-- end of name -->`` in a page."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    after = rest.split(end)[1]
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
+
+
+def as_markdown(figures: Iterable[Figure], names: Iterable[str]) -> str:
+    """The table of a page, with where and when it was measured."""
+    lines = [
+        f"Measured {date.today().isoformat()} at commit {commit()} on {machine()},"
+        f" Python {platform.python_version()}, Numba {version('numba')}: {', '.join(names)}.",
+        "",
+        "| figure | median | min | max | unit | must reach | |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for figure in figures:
+        numbers = (figure.median, min(figure.values), max(figure.values))
+        verdict = {True: "pass", False: "**miss**", None: ""}[figure.passed]
+        cells = (
+            figure.name,
+            *(f"{x:.4g}" for x in numbers),
+            figure.unit,
+            figure.bar or "",
+            verdict,
+        )
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def machine() -> str:
