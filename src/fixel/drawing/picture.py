@@ -387,12 +387,13 @@ def _arrows(axes: Axes, points: FloatArray, lengths: FloatArray) -> None:
 
 def _scale(axes: Axes, per_newton: float, largest: float) -> None:
     """An arrow above the axes, as long as a round force."""
-    from matplotlib.transforms import blended_transform_factory
+    from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
     newtons = round_number(0.7 * largest)
     right = axes.get_xlim()[1]
-    height = 1.045
-    where = blended_transform_factory(axes.transData, axes.transAxes)
+    height = 1.0
+    above = ScaledTranslation(0.0, 0.1, axes.figure.dpi_scale_trans)
+    where = blended_transform_factory(axes.transData, axes.transAxes) + above
     axes.annotate(
         "",
         (right, height),
