@@ -101,6 +101,7 @@ def _check(
     assert isinstance(other, BatchResult)
     distance, angle = apart(other.final[:, 0], reference.final[: size.subset, 0])
     off = np.maximum(distance, angle)
+    off[~(other.converged & reference.converged[: size.subset])] = np.inf
     return [
         Figure(f"{name}, two references apart, median", "mm or deg", (float(np.median(off)),)),
         Figure(

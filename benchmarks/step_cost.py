@@ -11,7 +11,7 @@ from fixel.testing.scenes import grasp
 
 STEP = 0.01  # [s]
 # When the phases of the seated grasp with nominal parameters end [s].
-PHASES = {"approach": 1.5, "align and push": 8.0, "seated": 11.0}
+PHASES = {"approach": 0.35, "align and push": 5.8, "stalled": 11.0}
 
 
 def run(size: Size) -> list[Figure]:
