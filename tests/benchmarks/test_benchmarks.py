@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks import __main__ as command
-from benchmarks import report
+from benchmarks import report, work_precision
 from benchmarks.figures import SMALL, Figure, at_least, at_most
 from benchmarks.peers.task import Peer, slip_grasp
 
@@ -67,6 +67,41 @@ def test_rows_of_the_csv_file(tmp_path: Path) -> None:
     assert (one["min"], one["median"], one["max"]) == ("1", "2", "3")
     assert (one["bar"], one["passed"]) == ("<= 2.5", "yes")
     assert (two["bar"], two["passed"]) == ("", "")
+
+
+def test_table_of_a_page_is_replaced_and_the_rest_kept(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("above\n<!-- figures -->\nold\n<!-- end of figures -->\nbelow\n", "utf-8")
+    for number in (1.0, 2.0):
+        table = report.as_markdown([Figure("one", "s", (number,))], ["start"])
+        report.write_into(page, "figures", table)
+    text = page.read_text("utf-8")
+    assert text.startswith("above\n")
+    assert text.endswith("below\n")
+    assert "old" not in text
+    assert text.count("| one | 2 |") == text.count("| one |") == 1
+
+
+@pytest.mark.parametrize("page", [report.PAGE, work_precision.PAGE], ids=lambda page: page.stem)
+def test_pages_have_room_for_figures(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert text.count("<!-- figures -->\n") == text.count("<!-- end of figures -->") == 1
+
+
+def test_work_precision_diagram(tmp_path: Path) -> None:
+    points = [
+        work_precision.Point(motion, stepper, setting, 900.0, 50.0, 3.0, 0.01, worst, 0.96)
+        for motion in ("dynamic", "quasistatic")
+        for stepper in ("stewart-trinkle", "midpoint", "adaptive")
+        for setting, worst in ((1e-2, 0.08), (1e-3, math.inf))
+    ]
+    work_precision.write(points, tmp_path / "points.csv")
+    assert work_precision.read(tmp_path / "points.csv") == points
+    work_precision.draw(points, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 0
+    assert "| quasistatic | midpoint | 10 ms | 900 | 96.0 % | 0.01 |" in (
+        work_precision.as_markdown(points, 400)
+    )
 
 
 def test_command_writes_where_it_is_told(
