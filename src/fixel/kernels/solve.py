@@ -40,7 +40,7 @@ def solve(
         if rung > 0:
             for i in range(problem.size[0]):
                 problem.stiffness[i] *= RUNG
-        _forget(problem, guess)
+        _forget(problem, work, guess)
         for attempt in range(2):
             if attempt == 1:
                 gauss_seidel(problem, work, 1e-13, SWEEPS)
@@ -52,8 +52,11 @@ def solve(
 
 
 @kernel
-def _forget(problem: Problem, guess: FloatArray) -> None:
-    """Go back to the guessed velocities and no impulses."""
+def _forget(problem: Problem, work: Workspace, guess: FloatArray) -> None:
+    """Go back to the guessed velocities and no impulses, and leave no infinities in the scratch."""
+    for i in range(work.right.size):
+        # The spare entries behind the last degree of freedom are added to, but never set.
+        work.right[i] = 0.0
     for i in range(problem.size[0]):
         problem.velocity[i] = guess[i]
     for i in range(problem.size[1]):
@@ -72,7 +75,7 @@ def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
     d vanish) while the prescribed motions work against it (bias . d < 0): a certificate in the manner of
     Farkas. Checked on the pile itself, normalised.
     """
-    _forget(problem, guess)
+    _forget(problem, work, guess)
     gauss_seidel(problem, work, 0.0, 2000)
     size = 0.0
     against = 0.0

@@ -98,7 +98,7 @@ def prepare_contacts(
         work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
-    n_old = problem.size[1]
+    n_old = problem.size[1] if last_step > 0.0 else 0
     for i in range(n_old):
         work.old_key[i] = problem.contact_key[i]
         work.old_impulse[i, 0] = problem.impulse[i, 0]
@@ -149,7 +149,10 @@ def prepare_rows(
     ratio = step / last_step if last_step > 0.0 else 0.0
     for e in range(n_element):
         for k in range(3):
-            problem.element_impulse[e, k] *= ratio
+            # After a failed solve there may be no number to multiply.
+            problem.element_impulse[e, k] = (
+                ratio * problem.element_impulse[e, k] if ratio > 0.0 else 0.0
+            )
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
