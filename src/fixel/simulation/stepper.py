@@ -138,8 +138,8 @@ class Adaptive(AbstractStepper):
     change.
 
     The error of a step is taken as half its length times the change of velocity over it, what a
-    first-order step would be wrong by; a gap that closes inside a step ends the step there.
-    docs/theory/stepping.md.
+    first-order step would be wrong by; a gap that closes inside a step ends the step there, and a
+    bounce is taken in a step of its own. docs/theory/stepping.md.
 
     Parameters
     ----------
