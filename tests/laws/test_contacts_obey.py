@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from fixel.testing.scenes import box, grasp
 from tests.laws.scenes import SIZE, scenes
 
 from fixel.model import (
@@ -30,6 +29,7 @@ from fixel.simulation import (
     StewartTrinkle,
     simulate,
 )
+from fixel.testing.scenes import box, grasp
 
 STEPPERS = st.sampled_from([StewartTrinkle(step=2e-3), Midpoint(step=2e-3), Adaptive()])
 
