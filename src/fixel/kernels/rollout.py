@@ -24,6 +24,7 @@ from fixel.kernels.step import move, prepare_step
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
 CAUTION = 0.9  # aim at this part of the tolerance
+EVENT = 0.01  # of the tolerance: above it a gap that closes inside a step ends the step
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
@@ -189,7 +190,7 @@ def _run(
             guess[i] = state.velocity[i]
         again = 0  # how often the guess was renewed at this trial step
         growth = 1.0
-        resumed = 0.0  # the step to go on with after a bounce
+        resumed = 0.0  # the step to go on with after a bounce or a closing gap
         off = 0.0
         while True:
             ready = prepare_step(
@@ -229,17 +230,18 @@ def _run(
                 continue
             change = largest_change(problem, guess)
             error = 0.5 * trial * change
+            if again == 0 and error > EVENT * pace.tolerance:
+                closing = closing_time(problem, guess, trial, method.lead)
+                if 0.02 * trial < closing < 0.98 * trial:
+                    # A gap closes inside the step: end the step there, and go on as planned.
+                    resumed = max(resumed, trial)
+                    trial = max(closing * (1.0 + 1e-6), pace.smallest)
+                    again = 1
+                    continue
             if error <= pace.tolerance or trial <= pace.smallest:
                 growth = min(GROWTH, CAUTION * math.sqrt(pace.tolerance / max(error, 1e-30)))
                 growth = max(growth, 0.5)
                 break
-            if again == 0:
-                closing = closing_time(problem, guess, trial, method.lead)
-                if 0.02 * trial < closing < 0.98 * trial:
-                    # A gap closes inside the step: end the step there.
-                    trial = max(closing * (1.0 + 1e-6), pace.smallest)
-                    again = 1
-                    continue
             gliding = 0.0
             if method.motion == codes.DYNAMIC:
                 gliding = 0.5 * trial * untouched_change(problem, guess)
@@ -265,7 +267,7 @@ def _run(
         last_taken = trial
         if method.adaptive == 1:
             step = min(trial * growth, pace.largest)
-            if resumed > 0.0 and trial <= pace.smallest:
+            if resumed > 0.0 and (trial <= pace.smallest or again == 1):
                 step = min(resumed, pace.largest)
         sample = write_samples(
             model, before, state, time - trial, time, trial, problem, record, sample, every_step,

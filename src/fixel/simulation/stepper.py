@@ -13,7 +13,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem
-from fixel.kernels.rollout import CAUTION, GROWTH, SHRINK
+from fixel.kernels.rollout import CAUTION, EVENT, GROWTH, SHRINK
 from fixel.kernels.solve import TOLERANCE
 
 
@@ -180,7 +180,7 @@ class Adaptive(AbstractStepper):
             trial = 0.5 * limits.left
         guess = velocity.copy()
         renewed = 0
-        resumed = 0.0  # the step to go on with after a bounce
+        resumed = 0.0  # the step to go on with after a bounce or a closing gap
         while True:
             status, residual, bounces = attempt(trial, self.lead, guess)
             if status == codes.CONTACT_OVERFLOW:
@@ -196,18 +196,19 @@ class Adaptive(AbstractStepper):
                 guess = velocity.copy()
                 continue
             error = 0.5 * trial * float(single.largest_change(problem, guess))
+            if renewed == 0 and error > EVENT * limits.tolerance:
+                closing = float(single.closing_time(problem, guess, trial, self.lead))
+                if 0.02 * trial < closing < 0.98 * trial:
+                    resumed = max(resumed, trial)
+                    trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
+                    continue
             if error <= limits.tolerance or trial <= limits.smallest:
                 growth = CAUTION * math.sqrt(limits.tolerance / max(error, 1e-30))
                 growth = max(0.5, min(GROWTH, growth))
                 following = trial * growth
-                if resumed > 0.0 and trial <= limits.smallest:
+                if resumed > 0.0 and (trial <= limits.smallest or renewed == 1):
                     following = resumed
                 return Advance(codes.CONVERGED, trial, min(following, limits.largest), residual)
-            if renewed == 0:
-                closing = float(single.closing_time(problem, guess, trial, self.lead))
-                if 0.02 * trial < closing < 0.98 * trial:
-                    trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
-                    continue
             gliding = 0.0
             if limits.inertial:
                 gliding = 0.5 * trial * float(single.untouched_change(problem, guess))
