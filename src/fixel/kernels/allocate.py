@@ -39,7 +39,13 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
 
 @allocating_kernel
 def empty_workspace(
-    n_dof: int, n_contact: int, n_element: int, n_vertex: int, n_piece: int, n_body: int, n_pair: int
+    n_dof: int,
+    n_contact: int,
+    n_element: int,
+    n_vertex: int,
+    n_piece: int,
+    n_body: int,
+    n_pair: int,
 ) -> Workspace:
     """Scratch for a problem of these sizes in a scene of these sizes."""
     wide = n_dof + SPARE

@@ -144,7 +144,9 @@ class Record(NamedTuple):
     pose: FloatArray  # (n_sample, n_moving, 3)
     twist: FloatArray  # (n_sample, n_moving, 3)
     drive: FloatArray  # (n_sample, n_driven, 2) force along the path, 1 where stalled
-    contact: FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
+    contact: (
+        FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
+    )
     count: IntArray  # (4,) samples written, contact rows written, steps taken, steps that fell back
     total: FloatArray  # (2,) time reached, worst residual
 

@@ -1,7 +1,7 @@
 """Many rollouts in one call: each alone, so that the bits do not depend on who ran which."""
 
 from fixel.kernels.arrays import Batch, BatchRecord, Method, Model, Pace, Record
-from fixel.kernels.jit import allocating_kernel, entry
+from fixel.kernels.jit import allocating_kernel, entry, spliced_kernel
 from fixel.kernels.rollout import rollout
 
 # Families: arrays whose rows begin together.
@@ -57,7 +57,7 @@ def select(batch: Batch, r: int) -> Model:
     )
 
 
-@allocating_kernel
+@spliced_kernel
 def _rollout(batch: Batch, method: Method, record: BatchRecord, every_step: bool, r: int) -> None:
     a = batch.begin[r]
     z = a + batch.count[r]

@@ -9,7 +9,7 @@ import math
 
 from fixel.kernels.arrays import FloatArray, IntArray, Model, Problem, Workspace
 from fixel.kernels.gap import FEATURES, contact_pair
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, large_kernel
 
 
 @kernel
@@ -59,7 +59,7 @@ def moved(model: Model, pose: FloatArray, anchor: FloatArray, n_moving: int) -> 
     return farthest
 
 
-@kernel
+@large_kernel
 def find_near_pairs(
     model: Model, pose: FloatArray, n_free: int, n_moving: int, reach: float, work: Workspace
 ) -> int:

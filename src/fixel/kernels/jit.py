@@ -63,6 +63,15 @@ def allocating_kernel(function: Function) -> Function:
     return cast(Function, njit(**_FLAGS)(function))
 
 
+def spliced_kernel(function: Function) -> Function:
+    """A helper that becomes part of its caller before anything is compiled.
+
+    For the few levels between an entry and the loop of steps: compiled one by one, each would
+    optimise the whole loop again, six seconds a level.
+    """
+    return cast(Function, njit(_nrt=False, inline="always", **_FLAGS)(function))
+
+
 def _cached(function: Function, **flags: Any) -> Function:
     # Numba reads its cache folder once, while decorating, so it is set for that moment only.
     before = numba.config.CACHE_DIR

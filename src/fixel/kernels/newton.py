@@ -15,7 +15,9 @@ from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import DENSE_LIMIT, solve_dense, solve_skyline
 
-EPSILON = 1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+EPSILON = (
+    1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+)
 
 # States of a contact in this iteration.
 _APART = 0
@@ -41,16 +43,16 @@ def newton(
         if iteration > 0 and full and worst <= tolerance:
             return worst, iteration
         if damped:
-            epsilon = max(EPSILON, 0.1 * epsilon) if worst < 0.8 * before else min(1.0, 10.0 * epsilon)
+            epsilon = (
+                max(EPSILON, 0.1 * epsilon) if worst < 0.8 * before else min(1.0, 10.0 * epsilon)
+            )
             before = worst
             _linearise(problem, work, epsilon)
         n_dof = problem.size[0]
         if n_dof <= DENSE_LIMIT:
             solved = solve_dense(work.matrix, work.right, n_dof)
         else:
-            solved = solve_skyline(
-                work.matrix, work.matrix_upper, work.profile, work.right, n_dof
-            )
+            solved = solve_skyline(work.matrix, work.matrix_upper, work.profile, work.right, n_dof)
         if not solved:
             return math.inf, iteration
         full = True
@@ -96,7 +98,9 @@ def _linearise(problem: Problem, work: Workspace, epsilon: float) -> float:
     for i in range(n_free, n_dof):
         matrix[i, i] = problem.inertia[i, 0] + pull * problem.stiffness[i]
         right[i] = problem.momentum[i] - problem.inertia[i, 0] * v[i]
-    return max(_add_elements(problem, work, dense, epsilon), _add_contacts(problem, work, dense, epsilon))
+    return max(
+        _add_elements(problem, work, dense, epsilon), _add_contacts(problem, work, dense, epsilon)
+    )
 
 
 @kernel
@@ -349,8 +353,14 @@ def _update(problem: Problem, work: Workspace, epsilon: float, alpha: float) -> 
             uz += row[e, 2, k] * dv[o + k]
         kappa = change[e, 3]
         cross = ux * change[e, 4] + uy * change[e, 5] + uz * change[e, 6]
-        problem.element_impulse[e, 0] += alpha * (change[e, 0] - kappa * (ux - cross * change[e, 4]))
-        problem.element_impulse[e, 1] += alpha * (change[e, 1] - kappa * (uy - cross * change[e, 5]))
-        problem.element_impulse[e, 2] += alpha * (change[e, 2] - kappa * (uz - cross * change[e, 6]))
+        problem.element_impulse[e, 0] += alpha * (
+            change[e, 0] - kappa * (ux - cross * change[e, 4])
+        )
+        problem.element_impulse[e, 1] += alpha * (
+            change[e, 1] - kappa * (uy - cross * change[e, 5])
+        )
+        problem.element_impulse[e, 2] += alpha * (
+            change[e, 2] - kappa * (uz - cross * change[e, 6])
+        )
     for i in range(problem.size[0]):
         problem.velocity[i] += alpha * dv[i]

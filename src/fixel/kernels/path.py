@@ -2,17 +2,18 @@
 
 import math
 
-from fixel.kernels.arrays import Model
-from fixel.kernels.jit import kernel
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.kernels.jit import large_kernel
 
 
-@kernel
-def path_pose(model: Model, driven: int, time: float) -> tuple[float, float, float]:
+@large_kernel
+def path_pose(
+    path_start: IntArray, path: FloatArray, driven: int, time: float
+) -> tuple[float, float, float]:
     """Pose of a pusher at a time of its own clock: linear between samples, at rest beyond both
     ends."""
-    first = model.path_start[driven]
-    last = model.path_start[driven + 1] - 1
-    path = model.path
+    first = path_start[driven]
+    last = path_start[driven + 1] - 1
     if time <= path[first, 0]:
         return path[first, 1], path[first, 2], path[first, 3]
     if time >= path[last, 0]:
@@ -33,26 +34,25 @@ def path_pose(model: Model, driven: int, time: float) -> tuple[float, float, flo
     )
 
 
-@kernel
+@large_kernel
 def path_direction(
-    model: Model, driven: int, time: float, step: float
+    path_start: IntArray, path: FloatArray, driven: int, time: float, step: float
 ) -> tuple[float, float, float, float]:
     """Unit direction (x, y, turn) and commanded speed of a pusher over the next `step` of its
     clock.
 
     Beyond the end of the path the command is to hold: speed zero along the direction it came from.
     """
-    x0, y0, a0 = path_pose(model, driven, time)
-    x1, y1, a1 = path_pose(model, driven, time + step)
+    x0, y0, a0 = path_pose(path_start, path, driven, time)
+    x1, y1, a1 = path_pose(path_start, path, driven, time + step)
     dx = x1 - x0
     dy = y1 - y0
     da = a1 - a0
     length = math.sqrt(dx * dx + dy * dy + da * da)
     if length > 1e-14:
         return dx / length, dy / length, da / length, length / step
-    path = model.path
-    k = model.path_start[driven + 1] - 1
-    while k > model.path_start[driven]:
+    k = path_start[driven + 1] - 1
+    while k > path_start[driven]:
         dx = path[k, 1] - path[k - 1, 1]
         dy = path[k, 2] - path[k - 1, 2]
         da = path[k, 3] - path[k - 1, 3]

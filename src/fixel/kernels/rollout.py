@@ -16,7 +16,7 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.contacts import place_bodies
-from fixel.kernels.jit import allocating_kernel, kernel
+from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
 from fixel.kernels.solve import TOLERANCE, locked, solve
 from fixel.kernels.step import move, prepare_step
@@ -95,7 +95,7 @@ def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
     return problem, work
 
 
-@allocating_kernel
+@spliced_kernel
 def rollout(
     model: Model,
     start: FloatArray,
@@ -142,7 +142,9 @@ def begin(
             state.velocity[3 * b + k] = velocity[b, k]
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
-            state.velocity[model.drive_dof[d]] = path_direction(model, d, 0.0, 1e-3 * step)[3]
+            state.velocity[model.drive_dof[d]] = path_direction(
+                model.path_start, model.path, d, 0.0, 1e-3 * step
+            )[3]
     for i in range(model.piece_body.size):
         work.extent[i, 2] = model.piece_bound[i, 2]
     for e in range(model.element_body.size):
@@ -151,7 +153,7 @@ def begin(
     place_bodies(model, state.pose, state.pose.shape[0], work)
 
 
-@kernel
+@large_kernel
 def _run(
     model: Model,
     state: State,
@@ -299,7 +301,7 @@ def _copy_state(source: State, target: State) -> None:
         target.path_time[i] = source.path_time[i]
 
 
-@kernel
+@large_kernel
 def bounces(
     model: Model, state: State, motion: int, time: float, step: float, problem: Problem
 ) -> bool:
@@ -320,8 +322,8 @@ def bounces(
                 before += problem.normal[i, 3 + k] * state.velocity[second + k]
         d = b - n_free
         if second < 0 and d < model.force_limit.size:
-            dx, dy, da, speed = path_direction(model, d, time, step)
-            x, y, _ = path_pose(model, d, time)
+            dx, dy, da, speed = path_direction(model.path_start, model.path, d, time, step)
+            x, y, _ = path_pose(model.path_start, model.path, d, time)
             rx = problem.contact_place[i, 3] - x
             ry = problem.contact_place[i, 4] - y
             nx = problem.contact_place[i, 1]
@@ -389,7 +391,7 @@ def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) 
     return earliest
 
 
-@kernel
+@large_kernel
 def write_samples(
     model: Model,
     before: State,
@@ -456,11 +458,11 @@ def _sample_driven(
     if limited:
         own = before.path_time[d] + share * (state.path_time[d] - before.path_time[d])
         own_start = before.path_time[d]
-    x, y, a = path_pose(model, d, own)
+    x, y, a = path_pose(model.path_start, model.path, d, own)
     record.pose[sample, row, 0] = x
     record.pose[sample, row, 1] = y
     record.pose[sample, row, 2] = a
-    dx, dy, da, command = path_direction(model, d, own_start, step)
+    dx, dy, da, command = path_direction(model.path_start, model.path, d, own_start, step)
     speed = state.velocity[model.drive_dof[d]] if limited else command
     record.twist[sample, row, 0] = speed * dx
     record.twist[sample, row, 1] = speed * dy

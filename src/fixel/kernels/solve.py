@@ -5,12 +5,12 @@ import math
 from fixel.kernels import codes
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.gauss_seidel import gauss_seidel
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.newton import newton
 from fixel.kernels.residual import residual
 
-TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py
-NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
+TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; see residual.py
+NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge agrees at once
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 DAMPED_ITERATIONS = 60
 RUNGS = 7  # how often the stiffness is raised, by RUNG each time, before giving up
@@ -18,37 +18,60 @@ RUNG = 6.0
 SWEEPS = 100  # of Gauss-Seidel between damped Newtons
 
 
-@kernel
+@spliced_kernel
 def solve(
     problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int
 ) -> tuple[float, int]:
-    """Solve the problem in place; returns (residual, 1 if a fallback was needed).
-
-    Newton starts from the impulses of the step before. Where that fails (a contact closes, a drive stalls)
-    it starts again from nothing with damping, on a ladder of stiffnesses: the stiffness scales impulses
-    against velocities inside the solvers only, and the right one (how large impulses will get) is not known
-    beforehand when a drive a hundred times stronger than friction runs into a dead end.
-    """
+    """Solve the problem in place; returns (residual, 1 if a fallback was needed)."""
     if solver == codes.GAUSS_SEIDEL:
-        gauss_seidel(problem, work, 1e-13, sweeps)
+        sweep(problem, work, 1e-13, sweeps)
     else:
         newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS, False)
     worst = residual(problem, work.right)
     if worst <= TOLERANCE:
         return worst, 0
+    return recover(problem, work, guess), 1
+
+
+@large_kernel
+def recover(problem: Problem, work: Workspace, guess: FloatArray) -> float:
+    """Solve a problem on which the first try failed; returns the residual.
+
+    First damped Newton from nothing: the impulses of the step before mislead when a contact closes
+    or a drive stalls. Then damped Newton on a
+    ladder of stiffnesses, which scale impulses against velocities inside the solvers only: how large
+    impulses will get is not known beforehand when a drive a hundred times stronger than friction
+    runs into a dead end.
+    """
+    _forget(problem, work, guess)
+    worst = attempt(problem, work, DAMPED_ITERATIONS, True)
+    if worst <= TOLERANCE:
+        return worst
     for rung in range(RUNGS):
         if rung > 0:
             for i in range(problem.size[0]):
                 problem.stiffness[i] *= RUNG
         _forget(problem, work, guess)
-        for attempt in range(2):
-            if attempt == 1:
-                gauss_seidel(problem, work, 1e-13, SWEEPS)
-            newton(problem, work, NEWTON_TOLERANCE, DAMPED_ITERATIONS, True)
-            worst = residual(problem, work.right)
+        for swept in (False, True):
+            if swept:
+                sweep(problem, work, 1e-13, SWEEPS)
+            worst = attempt(problem, work, DAMPED_ITERATIONS, True)
             if worst <= TOLERANCE:
-                return worst, 1
-    return worst, 1
+                return worst
+    return worst
+
+
+@large_kernel
+def attempt(problem: Problem, work: Workspace, iterations: int, damped: bool) -> float:
+    """`newton`, out of line; returns the residual."""
+    newton(problem, work, NEWTON_TOLERANCE, iterations, damped)
+    return residual(problem, work.right)
+
+
+@large_kernel
+def sweep(problem: Problem, work: Workspace, tolerance: float, sweeps: int) -> float:
+    """`gauss_seidel`, out of line."""
+    return gauss_seidel(problem, work, tolerance, sweeps)
 
 
 @kernel
@@ -67,7 +90,7 @@ def _forget(problem: Problem, work: Workspace, guess: FloatArray) -> None:
             problem.element_impulse[e, k] = 0.0
 
 
-@kernel
+@large_kernel
 def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
     """Whether the problem has no solution because prescribed motions squeeze the bodies.
 
@@ -76,7 +99,7 @@ def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
     Farkas. Checked on the pile itself, normalised.
     """
     _forget(problem, work, guess)
-    gauss_seidel(problem, work, 0.0, 2000)
+    sweep(problem, work, 0.0, 2000)
     size = 0.0
     against = 0.0
     for i in range(problem.size[0]):

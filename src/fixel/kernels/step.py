@@ -12,7 +12,7 @@ from fixel.kernels.assembly import (
     set_stiffness,
 )
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
 
 REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
@@ -34,18 +34,20 @@ def place_rows(
     for d in range(n_driven):
         own = time + lead
         if model.drive_dof[d] >= 0:
-            speed = path_direction(model, d, state.path_time[d], max(lead, 1e-6))[3]
+            speed = path_direction(
+                model.path_start, model.path, d, state.path_time[d], max(lead, 1e-6)
+            )[3]
             own = state.path_time[d]
             if speed > 0.0:
                 own += lead * min(1.0, velocity[dof] / speed)
             dof += 1
-        x, y, a = path_pose(model, d, own)
+        x, y, a = path_pose(model.path_start, model.path, d, own)
         pose[n_free + d, 0] = x
         pose[n_free + d, 1] = y
         pose[n_free + d, 2] = a
 
 
-@kernel
+@spliced_kernel
 def prepare_step(
     model: Model,
     state: State,
@@ -72,7 +74,7 @@ def prepare_step(
     return True
 
 
-@kernel
+@spliced_kernel
 def prepare_contacts(
     model: Model,
     state: State,
@@ -113,7 +115,7 @@ def prepare_contacts(
     return True
 
 
-@kernel
+@spliced_kernel
 def prepare_bodies(
     model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
 ) -> int:
@@ -122,7 +124,7 @@ def prepare_bodies(
     return assemble_elements(model, motion, step, pose, problem)
 
 
-@kernel
+@spliced_kernel
 def prepare_rows(
     model: Model,
     state: State,
@@ -160,7 +162,7 @@ def prepare_rows(
         _prepare_contact(model, state, motion, time, step, lead, guess, pose, problem, i)
 
 
-@kernel
+@spliced_kernel
 def _prepare_drive(
     model: Model, state: State, d: int, step: float, problem: Problem, e: int, dof: int
 ) -> None:
@@ -169,13 +171,15 @@ def _prepare_drive(
     problem.element_dof[e] = dof
     problem.element_sides[e] = 0
     problem.element_row[e, 0, 0] = 1.0
-    problem.element_bias[e, 0] = -path_direction(model, d, state.path_time[d], step)[3]
+    problem.element_bias[e, 0] = -path_direction(
+        model.path_start, model.path, d, state.path_time[d], step
+    )[3]
     problem.element_limit[e] = step * model.force_limit[d]
     problem.inertia[dof, 0] = 0.0
     problem.momentum[dof] = 0.0
 
 
-@kernel
+@spliced_kernel
 def _margin(model: Model, state: State, time: float, step: float, guess: FloatArray) -> float:
     """Gap below which a contact may close within the step: three times the fastest motion in
     sight."""
@@ -187,7 +191,7 @@ def _margin(model: Model, state: State, time: float, step: float, guess: FloatAr
             fastest = max(fastest, math.sqrt(vx * vx + vy * vy) + abs(v[3 * b + 2]))
     for d in range(model.force_limit.size):
         own = time if model.drive_dof[d] < 0 else state.path_time[d]
-        fastest = max(fastest, path_direction(model, d, own, step)[3])
+        fastest = max(fastest, path_direction(model.path_start, model.path, d, own, step)[3])
     return 3.0 * step * fastest + 1e-3
 
 
@@ -216,7 +220,7 @@ def _prepare_contact(
     da = 0.0
     if driven and model.drive_dof[d] >= 0:
         dof = model.drive_dof[d]
-        dx, dy, da, _ = path_direction(model, d, state.path_time[d], step)
+        dx, dy, da, _ = path_direction(model.path_start, model.path, d, state.path_time[d], step)
     assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
     nx = problem.contact_place[i, 1]
     ny = problem.contact_place[i, 2]
@@ -236,8 +240,8 @@ def _prepare_contact(
     if driven and dof < 0:
         rx = problem.contact_place[i, 3] - pose[b, 0]
         ry = problem.contact_place[i, 4] - pose[b, 1]
-        x0, y0, a0 = path_pose(model, d, time)
-        x1, y1, a1 = path_pose(model, d, time + step)
+        x0, y0, a0 = path_pose(model.path_start, model.path, d, time)
+        x1, y1, a1 = path_pose(model.path_start, model.path, d, time + step)
         mx = x1 - x0 - ry * (a1 - a0)
         my = y1 - y0 + rx * (a1 - a0)
         driven_n = nx * mx + ny * my
@@ -279,7 +283,7 @@ def move(model: Model, state: State, step: float, problem: Problem, glide: bool)
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
             dof = model.drive_dof[d]
-            speed = path_direction(model, d, state.path_time[d], step)[3]
+            speed = path_direction(model.path_start, model.path, d, state.path_time[d], step)[3]
             last = model.path[model.path_start[d + 1] - 1, 0]
             if speed > 0.0:
                 own = state.path_time[d] + step * v[dof] / speed
