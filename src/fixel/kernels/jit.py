@@ -1,10 +1,12 @@
 """The two decorators of the kernels, their flags, and where compiled code is kept.
 
-`kernel` compiles a helper; `entry` compiles a function that Python calls and keeps the machine code on
-disk. No fastmath anywhere: it moves results. The cache folder is named by a digest of all kernel sources,
-because Numba looks only at the file of the entry function and would keep running an edited callee's old code.
+`kernel` compiles a helper; `entry` compiles a function that Python calls and keeps the machine
+code on disk. No fastmath anywhere: it moves results. The cache folder is named by a digest of all
+kernel sources, because Numba looks only at the file of the entry function and would keep running
+an edited callee's old code.
 
-Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs every kernel as
+plain Python.
 """
 
 import hashlib
@@ -17,7 +19,8 @@ from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# error_model="numpy": division by zero follows IEEE and is never tested for; the kernels guard their own.
+# error_model="numpy": division by zero follows IEEE and is never tested for; the kernels guard
+# their own.
 _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 
 
@@ -44,11 +47,12 @@ _CACHE_FOLDER = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile a helper that allocates nothing; its machine code lives inside the entries that call it.
+    """Compile a helper that allocates nothing; its machine code lives inside the entries that
+    call it.
 
-    Without Numba's run time (`_nrt=False`) arrays are passed without counting references, and always
-    inlined the NamedTuples are never copied: one step of a grasp takes 0.7 us in place of 10 us (measured
-    2026-11, two-core AMD EPYC).
+    Without Numba's run time (`_nrt=False`) arrays are passed without counting references, and
+    always inlined the NamedTuples are never copied: one step of a grasp takes 0.7 us in place of
+    10 us (measured 2026-11, two-core AMD EPYC).
     """
     return cast(Function, njit(_nrt=False, forceinline=True, **_FLAGS)(function))
 

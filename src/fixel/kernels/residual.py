@@ -8,11 +8,13 @@ from fixel.kernels.jit import kernel
 
 @kernel
 def residual(problem: Problem, left_over: FloatArray) -> float:
-    """Largest violation of any row of the problem at its present velocity and impulses, scaled units.
+    """Largest violation of any row of the problem at its present velocity and impulses, scaled
+    units.
 
-    The natural map: momentum rows as they stand, ``min(p_n, u_n)``, the tangential impulse against its
-    projection on the friction interval, each element impulse against its projection on its ball or polygon.
-    Zero if and only if the problem is solved. A number that is not finite counts as infinite.
+    The natural map: momentum rows as they stand, ``min(p_n, u_n)``, the tangential impulse
+    against its projection on the friction interval, each element impulse against its projection
+    on its ball or polygon. Zero if and only if the problem is solved. A number that is not finite
+    counts as infinite.
 
     Parameters
     ----------

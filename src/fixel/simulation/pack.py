@@ -35,8 +35,8 @@ from fixel.simulation.geometry import contact_pieces
 # impulses over such a step are of the order of one in scaled units.
 TYPICAL_STEP = 0.01
 
-# Of position in one adaptive step, in characteristic lengths: with it 95 % of random grasps end within
-# 0.1 mm and 0.1 degree of converged (docs/theory/stepping.md).
+# Of position in one adaptive step, in characteristic lengths: with it 95 % of random grasps end
+# within 0.1 mm and 0.1 degree of converged (docs/theory/stepping.md).
 TOLERANCE = 1e-4
 
 

@@ -148,7 +148,8 @@ class _Samples:
         self.take(loop.state, 0.0, first_step)
 
     def take(self, before: State, moved: float, step: float) -> None:
-        """Write the samples that fall into the last `moved` of time, in a step that long or ahead."""
+        """Write the samples that fall into the last `moved` of time, in a step that long or
+        ahead."""
         loop = self.loop
         room = 1 if self.every_step else len(self.times) - self.done
         n_row = max(1, loop.problem.contact_key.size) * max(room, 1)

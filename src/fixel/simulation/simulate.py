@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time as clock
 from importlib.metadata import version
@@ -242,6 +243,11 @@ def _roll_compiled(
     return record
 
 
+@functools.cache
+def _version() -> str:
+    return version("fixel")
+
+
 class _Scales(NamedTuple):
     pose: FloatArray
     twist: FloatArray
@@ -307,7 +313,7 @@ def _unpack(
         fallbacks=fallbacks,
         max_residual=float(record.total[0, 1]),
         wall_time_s=seconds,
-        version=version("fixel"),
+        version=_version(),
     )
 
 
