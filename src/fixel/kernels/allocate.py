@@ -3,6 +3,7 @@
 import numpy as np
 
 from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 
@@ -39,24 +40,22 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
 
 @allocating_kernel
 def empty_workspace(
-    n_dof: int,
-    n_contact: int,
-    n_element: int,
-    n_vertex: int,
-    n_piece: int,
-    n_body: int,
-    n_pair: int,
+    n_dof: int, n_contact: int, n_element: int, n_vertex: int, n_piece: int, n_body: int, n_pair: int
 ) -> Workspace:
     """Scratch for a problem of these sizes in a scene of these sizes."""
     wide = n_dof + SPARE
-    wide_upper = wide if n_dof > DENSE_LIMIT else 0
+    # Islands are for large problems only.
+    n_float = 0
+    n_index = 0
+    if n_dof > DENSE_LIMIT:
+        n_float, n_index = island_room(wide, n_contact, n_element)
     return Workspace(
         matrix=np.zeros((wide, wide)),
-        matrix_upper=np.zeros((wide_upper, wide_upper)),
         profile=np.zeros(wide, np.int64),
+        active=np.zeros(wide, np.int64),
         right=np.zeros(wide),
-        contact_change=np.zeros((n_contact, 4)),
-        element_change=np.zeros((n_element, 8)),
+        contact_change=np.zeros((n_contact, 5)),
+        element_change=np.zeros((n_element, 11)),
         world=np.zeros((n_vertex, 2)),
         old_key=np.zeros(n_contact, np.int64),
         old_impulse=np.zeros((n_contact, 2)),
@@ -68,5 +67,8 @@ def empty_workspace(
         inverse=np.zeros((wide, 3)),
         pull=np.zeros(wide),
         centre=np.zeros(wide),
+        search=np.zeros((wide, 3)),
+        island_floats=np.zeros(n_float),
+        island_indices=np.zeros(n_index, np.int64),
         near_count=np.full(1, -1, np.int64),
     )

@@ -93,17 +93,17 @@ class Problem(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Scratch space of one rollout."""
+    """Scratch space of one rollout. Few fields: each makes every kernel slower to compile."""
 
     matrix: FloatArray  # (n_dof + 2, n_dof + 2)
-    matrix_upper: FloatArray  # (n_dof + 2, n_dof + 2) columns of the upper factor, as rows
-    profile: IntArray  # (n_dof + 2,) first column in use of each row
+    profile: IntArray  # (n_dof + 2,) one past the last column a row may couple with, border apart
+    active: IntArray  # (n_dof + 2,) the same for the constraints that hold in this iteration
     right: FloatArray  # (n_dof + 2,)
-    contact_change: FloatArray  # (n_contact, 4)
-    element_change: FloatArray  # (n_element, 8)
+    contact_change: FloatArray  # (n_contact, 5) of impulse (2), slope, state; given friction limit
+    element_change: FloatArray  # (n_element, 11) of impulse and how it depends (8); saved impulse
     world: FloatArray  # (n_vertex, 2) vertices in the world
     old_key: IntArray  # (n_contact,)
-    old_impulse: FloatArray  # (n_contact, 2)
+    old_impulse: FloatArray  # (n_contact, 2) of the step before; in a solver, saved impulses
     near: IntArray  # (n_pair, 2) pairs of pieces close enough to meet soon
     order: IntArray  # (n_piece,) pieces sorted along x
     extent: FloatArray  # (n_piece, 3) circle of each piece in the world
@@ -112,6 +112,9 @@ class Workspace(NamedTuple):
     inverse: FloatArray  # (n_dof + 2, 3) rows of the inverse inertia of each block
     pull: FloatArray  # (n_dof + 2,) proximal mass
     centre: FloatArray  # (n_dof + 2,) proximal centre
+    search: FloatArray  # (n_dof + 2, 3) line search: base, direction; saved velocity
+    island_floats: FloatArray  # what islands.py keeps, see there; empty for few unknowns
+    island_indices: IntArray
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet
 
 

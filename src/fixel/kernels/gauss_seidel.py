@@ -123,9 +123,7 @@ def _pull(problem: Problem, work: Workspace) -> float:
 
 
 @kernel
-def _compliance(
-    problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int
-) -> float:
+def _compliance(problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int) -> float:
     """Velocity along a row of block o that a unit impulse along it gives."""
     n_free = problem.size[3]
     total = 0.0
@@ -138,7 +136,9 @@ def _compliance(
 
 
 @kernel
-def _push(problem: Problem, work: Workspace, o: int, x: float, y: float, z: float) -> float:
+def _push(
+    problem: Problem, work: Workspace, o: int, x: float, y: float, z: float
+) -> float:
     """Apply an impulse (x, y, z) to block o; returns the largest velocity change."""
     v = problem.velocity
     if o >= problem.size[3]:
@@ -206,22 +206,13 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
             if c > 0.0:
                 stiff = min(stiff, 1.0 / c)
         x = p[e, 0] - stiff * (
-            problem.element_bias[e, 0]
-            + row[e, 0, 0] * v[o]
-            + row[e, 0, 1] * v[o + 1]
-            + row[e, 0, 2] * v[o + 2]
+            problem.element_bias[e, 0] + row[e, 0, 0] * v[o] + row[e, 0, 1] * v[o + 1] + row[e, 0, 2] * v[o + 2]
         )
         y = p[e, 1] - stiff * (
-            problem.element_bias[e, 1]
-            + row[e, 1, 0] * v[o]
-            + row[e, 1, 1] * v[o + 1]
-            + row[e, 1, 2] * v[o + 2]
+            problem.element_bias[e, 1] + row[e, 1, 0] * v[o] + row[e, 1, 1] * v[o + 1] + row[e, 1, 2] * v[o + 2]
         )
         z = p[e, 2] - stiff * (
-            problem.element_bias[e, 2]
-            + row[e, 2, 0] * v[o]
-            + row[e, 2, 1] * v[o + 1]
-            + row[e, 2, 2] * v[o + 2]
+            problem.element_bias[e, 2] + row[e, 2, 0] * v[o] + row[e, 2, 1] * v[o + 1] + row[e, 2, 2] * v[o + 2]
         )
         limit = problem.element_limit[e]
         sides = problem.element_sides[e]

@@ -1,9 +1,9 @@
-"""Small dense and skyline linear systems, in place, always in the same order (hence the same bits)."""
+"""Small dense and large banded linear systems, in place, always in the same order (hence the same bits)."""
 
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
 
-DENSE_LIMIT = 12  # up to this many unknowns Gauss with row pivots; above, skyline without pivots
+DENSE_LIMIT = 12  # up to this many unknowns Gauss with row pivots; above, envelope without pivots
 
 
 @kernel
@@ -45,38 +45,41 @@ def solve_dense(matrix: FloatArray, right: FloatArray, n: int) -> bool:
 
 
 @kernel
-def solve_skyline(
-    lower: FloatArray, upper: FloatArray, profile: IntArray, right: FloatArray, n: int
+def solve_envelope(
+    matrix: FloatArray, reach: IntArray, right: FloatArray, n_inner: int, n: int
 ) -> bool:
-    """Solve a structurally symmetric system kept by its skyline; x replaces `right`.
+    """Solve a structurally symmetric banded system with a dense border; x replaces `right`.
 
-    `lower` holds the rows of the lower triangle with the diagonal, ``upper[j, i]`` the entry in row i and
-    column j of the upper triangle; row i of both starts at column ``profile[i]``. Both are destroyed. No
-    pivots: the systems of this package have a dominant symmetric part. False where a pivot vanishes.
+    Row k of the first `n_inner` couples with the columns up to ``reach[k]`` (one past the last, never
+    falling with k) and with the border, columns `n_inner` to ``n - 1``; columns likewise. Entries beyond
+    are neither read nor written. `matrix` is destroyed. No pivots: the systems of this package have a
+    dominant symmetric part. False where a pivot vanishes.
     """
-    for i in range(n):
-        start = profile[i]
-        for j in range(start, i):
-            first = max(start, profile[j])
-            low = lower[i, j]
-            up = upper[i, j]
-            for k in range(first, j):
-                low -= lower[i, k] * upper[j, k]
-                up -= lower[j, k] * upper[i, k]
-            upper[i, j] = up
-            lower[i, j] = low / lower[j, j]
-        pivot = lower[i, i]
-        for k in range(start, i):
-            pivot -= lower[i, k] * upper[i, k]
-        if not abs(pivot) > 0.0:
+    for k in range(n):
+        if not abs(matrix[k, k]) > 0.0:
             return False
-        lower[i, i] = pivot
-        total = right[i]
-        for k in range(start, i):
-            total -= lower[i, k] * right[k]
-        right[i] = total
-    for i in range(n - 1, -1, -1):
-        right[i] /= lower[i, i]
-        for k in range(profile[i], i):
-            right[k] -= upper[i, k] * right[i]
+        inverse = 1.0 / matrix[k, k]
+        inner = min(reach[k], n_inner) if k < n_inner else k + 1
+        border = max(n_inner, k + 1)
+        for part in range(2):
+            first = k + 1 if part == 0 else border
+            last = inner if part == 0 else n
+            for i in range(first, last):
+                factor = matrix[i, k] * inverse
+                if factor == 0.0:
+                    continue
+                # Along the rows, so that the processor works on several columns at a time.
+                for j in range(k + 1, inner):
+                    matrix[i, j] -= factor * matrix[k, j]
+                for j in range(border, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                right[i] -= factor * right[k]
+    for k in range(n - 1, -1, -1):
+        inner = min(reach[k], n_inner) if k < n_inner else k + 1
+        total = right[k]
+        for j in range(k + 1, inner):
+            total -= matrix[k, j] * right[j]
+        for j in range(max(n_inner, k + 1), n):
+            total -= matrix[k, j] * right[j]
+        right[k] = total / matrix[k, k]
     return True

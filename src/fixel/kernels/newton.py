@@ -13,106 +13,138 @@ import math
 
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.jit import kernel
-from fixel.kernels.linear import DENSE_LIMIT, solve_dense, solve_skyline
+from fixel.kernels.linear import solve_dense, solve_envelope
 
-EPSILON = (
-    1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
-)
+EPSILON = 1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+FLOOR = 1e-11  # of a block's stiffness, added to its inertia: what nothing holds stays where it was
 
-# States of a contact in this iteration.
+# State of a contact in this iteration: what is held fast. With given friction limits a contact that is apart
+# may still drag.
 _APART = 0
-_SLIDING = 1
-_STICKING = 2
+_SLIDING = 1  # the normal velocity
+_HELD = 2  # the tangential velocity
 
 
 @kernel
 def newton(
-    problem: Problem, work: Workspace, tolerance: float, max_iterations: int, damped: bool
-) -> tuple[float, int]:
+    problem: Problem, work: Workspace, tolerance: float, max_iterations: int
+) -> float:
     """Improve the problem's velocity and impulses until the map is below `tolerance`.
 
     Returns the largest entry of the natural map at the last linearisation (impulse units of this module's
-    own scaling); above `tolerance` it has failed.
+    own scaling); above `tolerance` it has failed. For at most DENSE_LIMIT unknowns.
     """
-    epsilon = 1.0 if damped else EPSILON
-    before = math.inf
-    full = True
-    for iteration in range(max_iterations):
-        worst = _linearise(problem, work, epsilon)
-        # The momentum rows are linear: a full step leaves them solved, but the guess need not solve them.
-        if iteration > 0 and full and worst <= tolerance:
-            return worst, iteration
-        if damped:
-            epsilon = (
-                max(EPSILON, 0.1 * epsilon) if worst < 0.8 * before else min(1.0, 10.0 * epsilon)
-            )
-            before = worst
-            _linearise(problem, work, epsilon)
-        n_dof = problem.size[0]
-        if n_dof <= DENSE_LIMIT:
-            solved = solve_dense(work.matrix, work.right, n_dof)
-        else:
-            solved = solve_skyline(work.matrix, work.matrix_upper, work.profile, work.right, n_dof)
-        if not solved:
-            return math.inf, iteration
-        full = True
-        if damped:
-            largest = 0.0
-            for i in range(n_dof):
-                largest = max(largest, abs(work.right[i]))
-            if largest > 2.0:
-                full = False
-                _update(problem, work, epsilon, 2.0 / largest)
-                continue
-        _update(problem, work, epsilon, 1.0)
-    return _linearise(problem, work, epsilon), max_iterations
+    worst = math.inf
+    for iteration in range(max_iterations + 1):
+        worst = linearise(problem, work, EPSILON, FLOOR, True, False, False)
+        # The momentum rows are linear: one full step solves them, but the guess need not.
+        if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
+            break
+        if not solve_linear(problem, work, True):
+            return math.inf
+        step_all(problem, work, EPSILON)
+    return worst
 
 
 @kernel
-def _linearise(problem: Problem, work: Workspace, epsilon: float) -> float:
-    """Fill the linear system of the present iterate; returns the largest entry of the natural map."""
+def solve_linear(problem: Problem, work: Workspace, dense: bool) -> bool:
+    """Solve the system that `linearise` wrote; the velocity change replaces `work.right`."""
+    if dense:
+        return solve_dense(work.matrix, work.right, problem.size[0])
+    reach = 0
+    for k in range(problem.size[3]):
+        reach = max(reach, work.active[k])
+        work.active[k] = reach
+    return solve_envelope(work.matrix, work.active, work.right, problem.size[3], problem.size[0])
+
+
+@kernel
+def linearise(
+    problem: Problem,
+    work: Workspace,
+    epsilon: float,
+    pull: float,
+    dense: bool,
+    proximal: bool,
+    tresca: bool,
+) -> float:
+    """Fill the linear system of the present iterate.
+
+    Parameters
+    ----------
+    epsilon : float
+        Compliance of a held constraint, relative to its block's.
+    pull : float
+        Share of each block's stiffness that is added to its inertia.
+    dense : bool
+        Whether to fill the whole matrix or what lies within `work.profile`.
+    proximal : bool
+        False: Newton's method on the natural map in velocities and impulses. True: the impulses stay, and
+        the map is the momentum left over when each constraint answers like a spring of its own stiffness
+        (augmented Lagrangian) and each block is pulled towards `work.centre`.
+    tresca : bool
+        Friction limits from `work.contact_change`, in place of Coulomb's.
+
+    Returns
+    -------
+    float
+        Largest entry of the natural map; where `proximal`, largest change of impulse.
+    """
     n_dof = problem.size[0]
     n_free = problem.size[3]
     v = problem.velocity
     matrix = work.matrix
     right = work.right
-    dense = n_dof <= DENSE_LIMIT
-    pull = epsilon if epsilon > EPSILON else 1e-11
-    for i in range(n_dof):
-        for j in range(0 if dense else work.profile[i], n_dof if dense else i + 1):
-            matrix[i, j] = 0.0
-            if not dense:
-                work.matrix_upper[i, j] = 0.0
+    if dense:
+        for i in range(n_dof):
+            for j in range(n_dof):
+                matrix[i, j] = 0.0
+    else:
+        _clear_envelope(problem, work)
     for i in range(0, n_free, 3):
         for k in range(3):
             total = problem.momentum[i + k]
             for m in range(3):
                 inertia = problem.inertia[i + k, m]
                 total -= inertia * v[i + m]
-                if dense or m <= k:
-                    matrix[i + k, i + m] = inertia
-                else:
-                    work.matrix_upper[i + m, i + k] = inertia
-            matrix[i + k, i + k] += pull * problem.stiffness[i + k]
+                matrix[i + k, i + m] = inertia
             right[i + k] = total
     for i in range(n_free, n_dof):
-        matrix[i, i] = problem.inertia[i, 0] + pull * problem.stiffness[i]
+        matrix[i, i] = problem.inertia[i, 0]
         right[i] = problem.momentum[i] - problem.inertia[i, 0] * v[i]
+    # The spare entries are added to as well; no infinity of an iterate that ran away may stay there.
+    right[n_dof] = 0.0
+    right[n_dof + 1] = 0.0
+    for i in range(n_dof):
+        matrix[i, i] += pull * problem.stiffness[i]
+        if proximal:
+            right[i] -= pull * problem.stiffness[i] * (v[i] - work.centre[i])
     return max(
-        _add_elements(problem, work, dense, epsilon), _add_contacts(problem, work, dense, epsilon)
+        _add_elements(problem, work, epsilon, proximal),
+        _add_contacts(problem, work, epsilon, dense, proximal, tresca),
     )
 
 
 @kernel
-def _add(matrix: FloatArray, upper: FloatArray, dense: bool, i: int, j: int, value: float) -> None:
-    if dense or j <= i:
-        matrix[i, j] += value
-    else:
-        upper[j, i] += value
+def _clear_envelope(problem: Problem, work: Workspace) -> None:
+    n_dof = problem.size[0]
+    n_free = problem.size[3]
+    matrix = work.matrix
+    for k in range(n_free):
+        for j in range(k, work.profile[k]):
+            matrix[k, j] = 0.0
+            matrix[j, k] = 0.0
+        for j in range(n_free, n_dof):
+            matrix[k, j] = 0.0
+            matrix[j, k] = 0.0
+        work.active[k] = k - k % 3 + 3
+    for k in range(n_free, n_dof):
+        for j in range(n_free, n_dof):
+            matrix[k, j] = 0.0
 
 
 @kernel
-def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float) -> float:
+def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: bool) -> float:
     v = problem.velocity
     row = problem.element_row
     p = problem.element_impulse
@@ -131,10 +163,11 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float
             ux += row[e, 0, k] * v[o + k]
             uy += row[e, 1, k] * v[o + k]
             uz += row[e, 2, k] * v[o + k]
-        zx = p[e, 0] - rho * ux
-        zy = p[e, 1] - rho * uy
-        zz = p[e, 2] - rho * uz
         stiff = rho / epsilon
+        sharp = stiff if proximal else rho
+        zx = p[e, 0] - sharp * ux
+        zy = p[e, 1] - sharp * uy
+        zz = p[e, 2] - sharp * uz
         # The change of impulse is c - (kx, ky, kz) slip change, with slip change taken across `d`.
         dx = 0.0
         dy = 0.0
@@ -151,8 +184,13 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float
                 fx = p[e, 0] - limit * dx
                 fy = p[e, 1] - limit * dy
                 fz = p[e, 2] - limit * dz
-                kappa = min(rho * limit / (length - limit), stiff)
-                ratio = kappa / rho
+                if proximal:
+                    kappa = stiff * limit / length
+                    ratio = 0.0
+                else:
+                    # Impulse and velocity change together: the map's two derivatives, one eliminated.
+                    kappa = min(rho * limit / (length - limit), stiff)
+                    ratio = kappa / rho
                 along = fx * dx + fy * dy + fz * dz
                 cx = -fx - ratio * (fx - along * dx)
                 cy = -fy - ratio * (fy - along * dy)
@@ -198,7 +236,10 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float
             dx = 0.0
             dy = 0.0
             dz = 0.0
-        worst = max(worst, abs(fx), abs(fy), abs(fz))
+        if proximal:
+            worst = max(worst, abs(cx), abs(cy), abs(cz))
+        else:
+            worst = max(worst, abs(fx), abs(fy), abs(fz))
         # With cross = d . row, the stiffness is kappa (row^T row - cross cross^T).
         for k in range(3):
             a0 = row[e, 0, k]
@@ -211,13 +252,8 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float
                 t1 = kappa * (a1 - cross * dy)
                 t2 = kappa * (a2 - cross * dz)
                 for m in range(3):
-                    _add(
-                        matrix,
-                        work.matrix_upper,
-                        dense,
-                        o + k,
-                        o + m,
-                        t0 * row[e, 0, m] + t1 * row[e, 1, m] + t2 * row[e, 2, m],
+                    matrix[o + k, o + m] += (
+                        t0 * row[e, 0, m] + t1 * row[e, 1, m] + t2 * row[e, 2, m]
                     )
         change[e, 0] = cx
         change[e, 1] = cy
@@ -230,14 +266,18 @@ def _add_elements(problem: Problem, work: Workspace, dense: bool, epsilon: float
 
 
 @kernel
-def _add_contacts(problem: Problem, work: Workspace, dense: bool, epsilon: float) -> float:
+def _add_contacts(
+    problem: Problem, work: Workspace, epsilon: float, dense: bool, proximal: bool, tresca: bool
+) -> float:
     v = problem.velocity
     p = problem.impulse
     normal = problem.normal
     tangent = problem.tangent
     change = work.contact_change
     right = work.right
+    matrix = work.matrix
     worst = 0.0
+    largest = 0.0
     for i in range(problem.size[1]):
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
@@ -255,33 +295,46 @@ def _add_contacts(problem: Problem, work: Workspace, dense: bool, epsilon: float
                 ut += tangent[i, 3 + k] * v[b + k]
         pn = p[i, 0]
         pt = p[i, 1]
-        zn = pn - rho * un
-        zt = pt - rho * ut
         stiff = rho / epsilon
-        if zn <= 0.0:
-            state = _APART
-            cn = -pn
-            ct = -pt
-            slope = 0.0
-            worst = max(worst, abs(pn), abs(pt))
-        else:
+        sharp = stiff if proximal else rho
+        zn = pn - sharp * un
+        zt = pt - sharp * ut
+        reach = change[i, 4] if tresca else mu * zn
+        state = _APART
+        cn = -pn
+        ct = -pt
+        slope = 0.0
+        if zn > 0.0:
+            state = _SLIDING
             cn = -stiff * un
-            if abs(zt) <= mu * zn:
-                state = _STICKING
-                slope = 0.0
+            worst = max(worst, abs(rho * un))
+        else:
+            worst = max(worst, abs(pn))
+        if zn > 0.0 or tresca:
+            if abs(zt) <= reach:
+                state += _HELD
                 ct = -stiff * ut
-                worst = max(worst, abs(rho * un), abs(rho * ut))
+                worst = max(worst, abs(rho * ut))
             else:
-                state = _SLIDING
                 slope = mu if zt > 0.0 else -mu
-                ct = slope * (pn + cn) - pt
-                worst = max(worst, abs(rho * un), abs(pt - slope * zn))
+                worst = max(worst, abs(pt - slope * zn))
+                if tresca:
+                    ct = (reach if zt > 0.0 else -reach) - pt
+                    slope = 0.0
+                else:
+                    ct = slope * (pn + cn) - pt
+        else:
+            worst = max(worst, abs(pt))
         change[i, 0] = cn
         change[i, 1] = ct
         change[i, 2] = slope
         change[i, 3] = float(state)
+        if proximal:
+            largest = max(largest, abs(cn), abs(ct))
         fn = pn + cn
         ft = pt + ct
+        if not dense and state != _APART and b >= 0:
+            _widen(problem, work, a, b)
         for side in range(2):
             o = a if side == 0 else b
             if o < 0:
@@ -292,33 +345,37 @@ def _add_contacts(problem: Problem, work: Workspace, dense: bool, epsilon: float
                 right[o + k] += wn * fn + wt * ft
                 if state == _APART:
                     continue
-                push = stiff * (wn + slope * wt)
-                drag = stiff * wt if state == _STICKING else 0.0
+                push = stiff * (wn + slope * wt) if state & _SLIDING else 0.0
+                drag = stiff * wt if state & _HELD else 0.0
                 for other in range(2):
                     q = a if other == 0 else b
                     if q < 0:
                         continue
                     for m in range(3):
-                        _add(
-                            work.matrix,
-                            work.matrix_upper,
-                            dense,
-                            o + k,
-                            q + m,
-                            push * normal[i, 3 * other + m] + drag * tangent[i, 3 * other + m],
+                        matrix[o + k, q + m] += (
+                            push * normal[i, 3 * other + m] + drag * tangent[i, 3 * other + m]
                         )
-    return worst
+    return largest if proximal else worst
 
 
 @kernel
-def _update(problem: Problem, work: Workspace, epsilon: float, alpha: float) -> None:
+def _widen(problem: Problem, work: Workspace, a: int, b: int) -> None:
+    """Let the envelope reach from one of two coupled blocks to the other."""
+    if max(a, b) < problem.size[3]:
+        last = max(a, b) + 3
+        for k in range(min(a, b), min(a, b) + 3):
+            work.active[k] = max(work.active[k], last)
+
+
+@kernel
+def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
     """Move the velocities by the solution in `work.right`, and the impulses with them."""
     dv = work.right
     p = problem.impulse
     for i in range(problem.size[1]):
         state = int(work.contact_change[i, 3])
-        p[i, 0] += alpha * work.contact_change[i, 0]
-        p[i, 1] += alpha * work.contact_change[i, 1]
+        p[i, 0] += work.contact_change[i, 0]
+        p[i, 1] += work.contact_change[i, 1]
         if state == _APART:
             continue
         a = problem.contact_dof[i, 0]
@@ -335,11 +392,11 @@ def _update(problem: Problem, work: Workspace, epsilon: float, alpha: float) -> 
                 dn += problem.normal[i, 3 + k] * dv[b + k]
                 dt += problem.tangent[i, 3 + k] * dv[b + k]
         stiff = rho / epsilon
-        p[i, 0] -= alpha * stiff * dn
-        if state == _STICKING:
-            p[i, 1] -= alpha * stiff * dt
+        p[i, 0] -= stiff * dn
+        if state & _HELD:
+            p[i, 1] -= stiff * dt
         else:
-            p[i, 1] -= alpha * work.contact_change[i, 2] * stiff * dn
+            p[i, 1] -= work.contact_change[i, 2] * stiff * dn
     change = work.element_change
     row = problem.element_row
     for e in range(problem.size[2]):
@@ -353,14 +410,8 @@ def _update(problem: Problem, work: Workspace, epsilon: float, alpha: float) -> 
             uz += row[e, 2, k] * dv[o + k]
         kappa = change[e, 3]
         cross = ux * change[e, 4] + uy * change[e, 5] + uz * change[e, 6]
-        problem.element_impulse[e, 0] += alpha * (
-            change[e, 0] - kappa * (ux - cross * change[e, 4])
-        )
-        problem.element_impulse[e, 1] += alpha * (
-            change[e, 1] - kappa * (uy - cross * change[e, 5])
-        )
-        problem.element_impulse[e, 2] += alpha * (
-            change[e, 2] - kappa * (uz - cross * change[e, 6])
-        )
+        problem.element_impulse[e, 0] += (change[e, 0] - kappa * (ux - cross * change[e, 4]))
+        problem.element_impulse[e, 1] += (change[e, 1] - kappa * (uy - cross * change[e, 5]))
+        problem.element_impulse[e, 2] += (change[e, 2] - kappa * (uz - cross * change[e, 6]))
     for i in range(problem.size[0]):
-        problem.velocity[i] += alpha * dv[i]
+        problem.velocity[i] += dv[i]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from fixel.kernels import codes
+from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import (
     FloatArray,
     Method,
@@ -48,49 +49,9 @@ def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
     n_pair = min(n_pair, 32 * n_piece)
     n_contact = min(2 * n_pair, max_contacts)
     n_element = model.element_body.size + n_driven
-    wide = n_dof + 2
-    wide_upper = wide if n_dof > 12 else 0
-    problem = Problem(
-        size=np.zeros(4, np.int64),
-        inertia=np.zeros((wide, 3)),
-        momentum=np.zeros(wide),
-        velocity=np.zeros(wide),
-        stiffness=np.zeros(wide),
-        contact_dof=np.zeros((n_contact, 2), np.int64),
-        contact_key=np.zeros(n_contact, np.int64),
-        contact_body=np.zeros((n_contact, 2), np.int64),
-        contact_place=np.zeros((n_contact, 5)),
-        normal=np.zeros((n_contact, 6)),
-        tangent=np.zeros((n_contact, 6)),
-        bias=np.zeros((n_contact, 2)),
-        friction=np.zeros(n_contact),
-        impulse=np.zeros((n_contact, 2)),
-        element_dof=np.zeros(n_element, np.int64),
-        element_sides=np.zeros(n_element, np.int64),
-        element_row=np.zeros((n_element, 3, 3)),
-        element_bias=np.zeros((n_element, 3)),
-        element_limit=np.zeros(n_element),
-        element_impulse=np.zeros((n_element, 3)),
-    )
-    work = Workspace(
-        matrix=np.zeros((wide, wide)),
-        matrix_upper=np.zeros((wide_upper, wide_upper)),
-        profile=np.zeros(wide, np.int64),
-        right=np.zeros(wide),
-        contact_change=np.zeros((n_contact, 4)),
-        element_change=np.zeros((n_element, 8)),
-        world=np.zeros((model.vertex.shape[0], 2)),
-        old_key=np.zeros(n_contact, np.int64),
-        old_impulse=np.zeros((n_contact, 2)),
-        near=np.zeros((n_pair, 2), np.int64),
-        order=np.arange(n_piece),
-        extent=np.zeros((n_piece, 3)),
-        anchor=np.zeros((n_body, 3)),
-        reach=np.zeros(1),
-        inverse=np.zeros((wide, 3)),
-        pull=np.zeros(wide),
-        centre=np.zeros(wide),
-        near_count=np.full(1, -1, np.int64),
+    problem = empty_problem(n_dof, n_contact, n_element)
+    work = empty_workspace(
+        n_dof, n_contact, n_element, model.vertex.shape[0], n_piece, n_body, n_pair
     )
     return problem, work
 

@@ -4,82 +4,161 @@ import math
 
 from fixel.kernels import codes
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.feasible import squeezed
 from fixel.kernels.gauss_seidel import gauss_seidel
+from fixel.kernels.islands import (
+    ROUNDS,
+    choose_contacts,
+    find_islands,
+    gather,
+    islands_of,
+    mark_changed,
+    scatter,
+)
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
+from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
+from fixel.kernels.proximal import newton_any, proximal_newton
 from fixel.kernels.residual import residual
 
-TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; see residual.py
-NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge agrees at once
+TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py
+NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
-DAMPED_ITERATIONS = 60
-RUNGS = 7  # how often the stiffness is raised, by RUNG each time, before giving up
-RUNG = 6.0
-SWEEPS = 100  # of Gauss-Seidel between damped Newtons
+TRIALS = 25  # of the recovery: each starts where the last one got to, every eighth from nothing
+GIVE_UP = 4  # after this trial ask whether there is anything to find
+SWEEPS = 300  # of Gauss-Seidel before the second start from nothing, twice as many before the third
 
 
 @spliced_kernel
 def solve(
     problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int
 ) -> tuple[float, int]:
-    """Solve the problem in place; returns (residual, 1 if a fallback was needed)."""
-    if solver == codes.GAUSS_SEIDEL:
-        sweep(problem, work, 1e-13, sweeps)
-    else:
-        newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS, False)
-    worst = residual(problem, work.right)
-    if worst <= TOLERANCE:
-        return worst, 0
-    return recover(problem, work, guess), 1
+    """Solve the problem in place; returns (residual, 1 if a fallback was needed).
 
-
-@large_kernel
-def recover(problem: Problem, work: Workspace, guess: FloatArray) -> float:
-    """Solve a problem on which the first try failed; returns the residual.
-
-    First damped Newton from nothing: the impulses of the step before mislead when a contact closes
-    or a drive stalls. Then damped Newton on a
-    ladder of stiffnesses, which scale impulses against velocities inside the solvers only: how large
-    impulses will get is not known beforehand when a drive a hundred times stronger than friction
-    runs into a dead end.
+    Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can do.
     """
-    _forget(problem, work, guess)
-    worst = attempt(problem, work, DAMPED_ITERATIONS, True)
-    if worst <= TOLERANCE:
-        return worst
-    for rung in range(RUNGS):
-        if rung > 0:
-            for i in range(problem.size[0]):
-                problem.stiffness[i] *= RUNG
-        _forget(problem, work, guess)
-        for swept in (False, True):
-            if swept:
-                sweep(problem, work, 1e-13, SWEEPS)
-            worst = attempt(problem, work, DAMPED_ITERATIONS, True)
-            if worst <= TOLERANCE:
-                return worst
-    return worst
+    way = sweeps if solver == codes.GAUSS_SEIDEL else 0
+    if way == 0 and problem.size[0] <= DENSE_LIMIT:
+        save(problem, work)
+        newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
+        worst = residual(problem, work.right)
+        if worst <= TOLERANCE:
+            return worst, 0
+    return finish(problem, work, guess, way)
+
+
+@spliced_kernel
+def finish(
+    problem: Problem, work: Workspace, guess: FloatArray, sweeps: int
+) -> tuple[float, int]:
+    """What is left to do where `solve` has not tried or not succeeded."""
+    if sweeps > 0:
+        sweep(problem, work, sweeps)
+        worst = residual(problem, work.right)
+        if worst <= TOLERANCE:
+            return worst, 0
+        forget(problem, guess)
+        save(problem, work)
+    if problem.size[0] > DENSE_LIMIT:
+        return solve_large(problem, work, guess)
+    return recover(problem, work, guess, False)
 
 
 @large_kernel
-def attempt(problem: Problem, work: Workspace, iterations: int, damped: bool) -> float:
-    """`newton`, out of line; returns the residual."""
-    newton(problem, work, NEWTON_TOLERANCE, iterations, damped)
-    return residual(problem, work.right)
-
-
-@large_kernel
-def sweep(problem: Problem, work: Workspace, tolerance: float, sweeps: int) -> float:
+def sweep(problem: Problem, work: Workspace, sweeps: int) -> float:
     """`gauss_seidel`, out of line."""
-    return gauss_seidel(problem, work, tolerance, sweeps)
+    return gauss_seidel(problem, work, 1e-13, sweeps)
+
+
+@spliced_kernel
+def solve_large(problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
+    """Solve island by island."""
+    islands = islands_of(problem, work)
+    fell_back = 0
+    for i in range(problem.size[1]):
+        islands.contact_in[i] = 0
+    for turn in range(ROUNDS):
+        added = choose_contacts(problem, islands, turn == ROUNDS - 1)
+        if turn > 0 and added == 0:
+            break
+        n_block = find_islands(problem, islands)
+        mark_changed(problem, islands, n_block, turn == 0)
+        for b in range(n_block):
+            if islands.island[b] == b and islands.first[b] == 1:
+                gather(problem, work, islands, guess, b)
+                _, more = recover(islands.part, work, islands.guess, True)
+                fell_back = max(fell_back, more)
+                scatter(problem, islands, b)
+    return residual(problem, work.right), fell_back
+
+
+@large_kernel
+def recover(
+    problem: Problem, work: Workspace, guess: FloatArray, fresh: bool
+) -> tuple[float, int]:
+    """Solve a problem of any size by every means there are.
+
+    `fresh`: quick Newton first. Otherwise that has failed, and `work` holds what it began with.
+    Profiles must be set where there are more than DENSE_LIMIT unknowns.
+    """
+    stiffness = 100.0
+    worst = math.inf
+    for trial in range(-1 if fresh else 0, TRIALS):
+        iterations = 12
+        if trial == -1:
+            iterations = QUICK_ITERATIONS
+        elif trial == 0:
+            restore(problem, work)
+        elif trial % 8 == 1:
+            forget(problem, guess)
+            stiffness = 10.0
+            if trial > 1:
+                sweep(problem, work, SWEEPS * (trial // 8))
+        if trial >= 0:
+            wait = -1 if trial == 0 or trial % 2 == 1 else 100
+            share = 1.0 / (1 + (trial - 1) % 8)
+            stiffness = proximal_newton(
+                problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, share
+            )
+        save(problem, work)
+        newton_any(problem, work, NEWTON_TOLERANCE, iterations, 10.0 * stiffness)
+        worst = residual(problem, work.right)
+        if worst <= TOLERANCE:
+            return worst, 0 if trial < 0 else 1
+        restore(problem, work)
+        if trial == GIVE_UP and locked(problem, work, guess):
+            break
+        stiffness = min(stiffness, 1e4)
+    return worst, 1
 
 
 @kernel
-def _forget(problem: Problem, work: Workspace, guess: FloatArray) -> None:
-    """Go back to the guessed velocities and no impulses, and leave no infinities in the scratch."""
-    for i in range(work.right.size):
-        # The spare entries behind the last degree of freedom are added to, but never set.
-        work.right[i] = 0.0
+def save(problem: Problem, work: Workspace) -> None:
+    for i in range(problem.size[0]):
+        work.search[i, 2] = problem.velocity[i]
+    for i in range(problem.size[1]):
+        for k in range(2):
+            work.old_impulse[i, k] = problem.impulse[i, k]
+    for e in range(problem.size[2]):
+        for k in range(3):
+            work.element_change[e, 8 + k] = problem.element_impulse[e, k]
+
+
+@kernel
+def restore(problem: Problem, work: Workspace) -> None:
+    for i in range(problem.size[0]):
+        problem.velocity[i] = work.search[i, 2]
+    for i in range(problem.size[1]):
+        for k in range(2):
+            problem.impulse[i, k] = work.old_impulse[i, k]
+    for e in range(problem.size[2]):
+        for k in range(3):
+            problem.element_impulse[e, k] = work.element_change[e, 8 + k]
+
+
+@kernel
+def forget(problem: Problem, guess: FloatArray) -> None:
+    """Go back to the guessed velocities and no impulses."""
     for i in range(problem.size[0]):
         problem.velocity[i] = guess[i]
     for i in range(problem.size[1]):
@@ -92,31 +171,5 @@ def _forget(problem: Problem, work: Workspace, guess: FloatArray) -> None:
 
 @large_kernel
 def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
-    """Whether the problem has no solution because prescribed motions squeeze the bodies.
-
-    Gauss-Seidel on such a problem piles up impulses along a direction d that moves nothing (the rows times
-    d vanish) while the prescribed motions work against it (bias . d < 0): a certificate in the manner of
-    Farkas. Checked on the pile itself, normalised.
-    """
-    _forget(problem, work, guess)
-    sweep(problem, work, 0.0, 2000)
-    size = 0.0
-    against = 0.0
-    for i in range(problem.size[0]):
-        work.right[i] = 0.0
-    for i in range(problem.size[1]):
-        pn = problem.impulse[i, 0]
-        pt = problem.impulse[i, 1]
-        size = max(size, pn)
-        against += pn * problem.bias[i, 0] + pt * problem.bias[i, 1]
-        for side in range(2):
-            o = problem.contact_dof[i, side]
-            if o >= 0:
-                for k in range(3):
-                    work.right[o + k] += (
-                        problem.normal[i, 3 * side + k] * pn + problem.tangent[i, 3 * side + k] * pt
-                    )
-    left = 0.0
-    for i in range(problem.size[0]):
-        left = max(left, abs(work.right[i]))
-    return size > 0.0 and not math.isnan(size) and against < 0.0 and left < 0.1 * size
+    """Whether the problem has no solution because prescribed motions squeeze the bodies."""
+    return squeezed(problem, work)

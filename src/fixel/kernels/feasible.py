@@ -1,0 +1,140 @@
+"""Is there a motion at all? The certificate that prescribed motions squeeze the bodies."""
+
+from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.jit import kernel
+from fixel.kernels.linear import solve_dense
+
+GAIN = 1e-10  # a contact impulse joins the certificate where it reduces what is left at least so fast
+LEFT = 1e-10  # squared distance from a certificate at which one counts as found
+PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each degree of freedom
+
+
+@kernel
+def squeezed(problem: Problem, work: Workspace) -> bool:
+    """Whether contact impulses exist that move nothing and against which prescribed motions work.
+
+    Either there is a motion v with ``u_n >= mu |u_t|`` at every contact, and with it a solution, or there are
+    impulses p in the friction cones with ``rows^T p = 0`` and ``bias . p < 0``, never both (Farkas' lemma).
+    The second is sought as the least ``|rows^T p|^2 + (bias . p + 1)^2``, which then is zero, by the
+    method of Lawson & Hanson (1974), chapter 23, on the cones' edges ``n + mu t`` and ``n - mu t``.
+    """
+    n_contact = problem.size[1]
+    n_dof = problem.size[0]
+    z = work.contact_change  # amounts of the two edges; then the two sought in this turn
+    chosen = work.active  # edges whose amounts are free, as 2 contact + side
+    n = 0
+    for i in range(n_contact):
+        for k in range(4):
+            z[i, k] = 0.0
+        work.old_impulse[i, 0] = 0.0
+        work.old_impulse[i, 1] = 0.0
+    for _ in range(PIVOTS * n_dof + 10):
+        bias = _what_is_left(problem, work)
+        best = GAIN
+        pick = -1
+        for i in range(n_contact):
+            for side in range(2):
+                if work.old_impulse[i, side] == 0.0:
+                    gain = -_edge_bias(problem, i, side) * bias
+                    for k in range(6):
+                        o = problem.contact_dof[i, k // 3]
+                        if o >= 0:
+                            gain -= _edge(problem, i, side, k) * work.right[o + k % 3]
+                    if gain > best:
+                        best = gain
+                        pick = 2 * i + side
+        if pick < 0 or n > n_dof:
+            break
+        chosen[n] = pick
+        work.old_impulse[pick // 2, pick % 2] = 1.0
+        n += 1
+        while n > 0:
+            if not _fit(problem, work, n):
+                return False
+            # As far towards the fit as all amounts stay positive.
+            share = 1.0
+            for j in range(n):
+                i = chosen[j] // 2
+                side = chosen[j] % 2
+                if z[i, 2 + side] <= 0.0:
+                    share = min(share, z[i, side] / (z[i, side] - z[i, 2 + side] + 1e-300))
+            kept = 0
+            for j in range(n):
+                i = chosen[j] // 2
+                side = chosen[j] % 2
+                z[i, side] += share * (z[i, 2 + side] - z[i, side])
+                if share < 1.0 and z[i, side] <= 1e-14 and z[i, 2 + side] <= 0.0:
+                    z[i, side] = 0.0
+                    work.old_impulse[i, side] = 0.0
+                else:
+                    chosen[kept] = chosen[j]
+                    kept += 1
+            if share == 1.0 or kept == n:
+                break
+            n = kept
+    bias = _what_is_left(problem, work)
+    left = bias * bias
+    for i in range(n_dof):
+        left += work.right[i] * work.right[i]
+    return left < LEFT
+
+
+@kernel
+def _edge(problem: Problem, i: int, side: int, k: int) -> float:
+    """Coordinate k of an edge of the friction cone of contact i."""
+    mu = problem.friction[i] if side == 0 else -problem.friction[i]
+    return problem.normal[i, k] + mu * problem.tangent[i, k]
+
+
+@kernel
+def _edge_bias(problem: Problem, i: int, side: int) -> float:
+    mu = problem.friction[i] if side == 0 else -problem.friction[i]
+    return problem.bias[i, 0] + mu * problem.bias[i, 1]
+
+
+@kernel
+def _what_is_left(problem: Problem, work: Workspace) -> float:
+    """``rows^T p`` into `work.right`; returns ``bias . p + 1``."""
+    bias = 1.0
+    for o in range(problem.size[0]):
+        work.right[o] = 0.0
+    for i in range(problem.size[1]):
+        for side in range(2):
+            amount = work.contact_change[i, side]
+            if amount != 0.0:
+                bias += amount * _edge_bias(problem, i, side)
+                for k in range(6):
+                    o = problem.contact_dof[i, k // 3]
+                    if o >= 0:
+                        work.right[o + k % 3] += amount * _edge(problem, i, side, k)
+    return bias
+
+
+@kernel
+def _fit(problem: Problem, work: Workspace, n: int) -> bool:
+    """Amounts of the chosen edges that leave least, by the normal equations, into the last columns."""
+    for row in range(n):
+        i = work.active[row] // 2
+        i_side = work.active[row] % 2
+        for column in range(n):
+            j = work.active[column] // 2
+            j_side = work.active[column] % 2
+            total = _edge_bias(problem, i, i_side) * _edge_bias(problem, j, j_side)
+            for k in range(6):
+                o = problem.contact_dof[i, k // 3]
+                for m in range(6):
+                    if (
+                        o >= 0
+                        and problem.contact_dof[j, m // 3] >= 0
+                        and o + k % 3 == problem.contact_dof[j, m // 3] + m % 3
+                    ):
+                        total += _edge(problem, i, i_side, k) * _edge(problem, j, j_side, m)
+            work.matrix[row, column] = total
+        # Two edges of one direction (no friction, or a contact twice) need telling apart.
+        work.matrix[row, row] *= 1.0 + 1e-13
+        work.right[row] = -_edge_bias(problem, i, i_side)
+    if not solve_dense(work.matrix, work.right, n):
+        return False
+    for row in range(n):
+        work.contact_change[work.active[row] // 2, 2 + work.active[row] % 2] = work.right[row]
+    return True

@@ -1,0 +1,238 @@
+"""Proximal Newton: slower than `newton`, and far harder to lead astray.
+
+Outer loop: the method of multipliers. Every constraint answers like a spring of its own stiffness, with the
+impulse known so far as its preload; once the velocities are in balance with the springs, their answers are
+the next impulses. Every block is also pulled towards where it was, so that nothing runs away. Inner loop:
+Newton on that balance, with a line search that stops where the left-over momentum along the direction changes
+sign; for given friction limits the balance is the gradient of a convex function and this always arrives.
+Where Coulomb's coupling makes it stray, the friction limits are taken from the last impulses instead
+(Tresca), and brought up to date in the outer loop.
+
+Source: Rockafellar (1976) for the multipliers, Haslinger (1983) for the friction limits, and Alart & Curnier
+(1991) for the springs.
+"""
+
+import math
+
+from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.jit import kernel, large_kernel
+from fixel.kernels.linear import DENSE_LIMIT
+from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
+
+INNER = 20  # Newton steps in search of a balance
+SEARCH = 24  # evaluations of one line search
+SLACK = 0.2  # a line search ends where no more than this part of the first slope is left
+STIFFEST = 1e9  # of the springs, relative to their blocks
+PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried again
+
+
+@large_kernel
+def linearise_any(
+    problem: Problem, work: Workspace, epsilon: float, pull: float, proximal: bool, tresca: bool
+) -> float:
+    """`linearise` for any size, out of line."""
+    dense = problem.size[0] <= DENSE_LIMIT
+    return linearise(problem, work, epsilon, pull, dense, proximal, tresca)
+
+
+@large_kernel
+def solve_any(problem: Problem, work: Workspace) -> bool:
+    """`solve_linear` for any size, out of line."""
+    return solve_linear(problem, work, problem.size[0] <= DENSE_LIMIT)
+
+
+@kernel
+def newton_any(
+    problem: Problem, work: Workspace, tolerance: float, max_iterations: int, stiffness: float
+) -> float:
+    """`newton` for any size and for constraints at least as stiff as `stiffness`."""
+    epsilon = min(EPSILON, 1.0 / stiffness)
+    worst = math.inf
+    for iteration in range(max_iterations + 1):
+        worst = linearise_any(problem, work, epsilon, FLOOR, False, False)
+        if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
+            break
+        if not solve_any(problem, work):
+            return math.inf
+        step_all(problem, work, epsilon)
+    return worst
+
+
+@kernel
+def proximal_newton(
+    problem: Problem,
+    work: Workspace,
+    stiffness: float,
+    enough: float,
+    rounds: int,
+    tolerance: float,
+    patience: int,
+    share: float,
+) -> float:
+    """Improve velocity and impulses.
+
+    Parameters
+    ----------
+    stiffness : float
+        Of the springs at first, relative to each block's own.
+    enough : float
+        The springs are made stiffer up to here, and beyond only where a round gains little.
+    rounds : int
+        Outer iterations, at most.
+    tolerance : float
+        Ends where a round with stiff enough springs changes no impulse by more.
+    patience : int
+        Rounds with given friction limits before Coulomb's own are tried; negative for at once.
+
+    share : float
+        How far given friction limits follow Coulomb's in a round; 1 may go round in circles.
+
+    Returns
+    -------
+    float
+        Stiffness of the springs in the last round.
+    """
+    before = math.inf
+    change = math.inf
+    sigma = stiffness
+    cap = enough
+    wait = patience
+    _follow(problem, work, 1.0)
+    for _ in range(rounds):
+        for i in range(problem.size[0]):
+            work.centre[i] = problem.velocity[i]
+        balanced = False
+        tresca = False
+        for attempt in range(2):
+            tresca = attempt == 1 or wait > 0
+            if attempt == 1:
+                # Coulomb's coupling led it astray.
+                wait = PATIENCE
+                for i in range(problem.size[0]):
+                    problem.velocity[i] = work.centre[i]
+            change, balanced = _balance(problem, work, sigma, tresca)
+            if balanced or tresca:
+                break
+        wait -= 1
+        if not math.isfinite(change):
+            return sigma
+        if not balanced:
+            # Too stiff to balance from here: softer springs, from where this got to.
+            sigma = max(1.0, 0.1 * sigma)
+            cap = sigma
+            before = math.inf
+            continue
+        _take_answers(problem, work)
+        _follow(problem, work, share if tresca else 1.0)
+        for i in range(problem.size[0]):
+            drift = abs(problem.velocity[i] - work.centre[i])
+            change = max(change, problem.stiffness[i] * drift / sigma)
+        if sigma >= cap and change <= tolerance:
+            break
+        if sigma < cap or change > 0.5 * before:
+            sigma = min(STIFFEST, 10.0 * sigma)
+        before = change
+    return sigma
+
+
+@kernel
+def _balance(
+    problem: Problem, work: Workspace, sigma: float, tresca: bool
+) -> tuple[float, bool]:
+    """Newton with a line search until velocities and springs balance.
+
+    Returns the largest difference between a spring's answer and the impulse it stands for, and whether the
+    balance was found.
+    """
+    n_dof = problem.size[0]
+    v = problem.velocity
+    searching = False
+    low = 0.0
+    high = 1.0
+    alpha = 1.0
+    slope = 0.0
+    tries = 0
+    steps = 0
+    while True:
+        change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+        if searching:
+            along = 0.0
+            for i in range(n_dof):
+                along -= work.right[i] * work.search[i, 1]
+            tries += 1
+            if (
+                abs(along) > SLACK * abs(slope)
+                and tries < SEARCH
+                and (along > 0.0 or alpha < 1.0)
+            ):
+                # The balance is nearly linear piece by piece: Newton's root, unless it leaves the bracket.
+                bend = _curvature(problem, work)
+                if along > 0.0:
+                    high = alpha
+                else:
+                    low = alpha
+                alpha -= along / bend
+                if not low < alpha < high:
+                    alpha = 0.5 * (low + high)
+                for i in range(n_dof):
+                    v[i] = work.search[i, 0] + alpha * work.search[i, 1]
+                continue
+        left = 0.0
+        for i in range(n_dof):
+            left = max(left, abs(work.right[i]))
+        if left <= 1e-3 * change or left < 1e-12 or not math.isfinite(left):
+            return change, True
+        if steps == INNER:
+            return change, False
+        steps += 1
+        for i in range(n_dof):
+            work.search[i, 0] = v[i]
+            work.search[i, 1] = work.right[i]
+        if not solve_any(problem, work):
+            return math.inf, False
+        slope = 0.0
+        for i in range(n_dof):
+            slope -= work.search[i, 1] * work.right[i]
+            work.search[i, 1] = work.right[i]
+            v[i] = work.search[i, 0] + work.search[i, 1]
+        searching = True
+        alpha = 1.0
+        low = 0.0
+        high = 1.0
+        tries = 0
+
+
+@kernel
+def _curvature(problem: Problem, work: Workspace) -> float:
+    """``d^T J d`` of the direction d and the matrix that `linearise` wrote."""
+    n_dof = problem.size[0]
+    n_free = problem.size[3]
+    dense = n_dof <= DENSE_LIMIT
+    search = work.search
+    total = 0.0
+    for i in range(n_dof):
+        row = 0.0
+        for j in range(n_dof):
+            if dense or i >= n_free or j >= n_free or (j < work.profile[i] and i < work.profile[j]):
+                row += work.matrix[i, j] * search[j, 1]
+        total += search[i, 1] * row
+    return total
+
+
+@kernel
+def _follow(problem: Problem, work: Workspace, share: float) -> None:
+    """Move the given friction limits towards Coulomb's."""
+    for i in range(problem.size[1]):
+        own = problem.friction[i] * problem.impulse[i, 0]
+        work.contact_change[i, 4] += share * (own - work.contact_change[i, 4])
+
+
+@kernel
+def _take_answers(problem: Problem, work: Workspace) -> None:
+    """Make the springs' answers the impulses."""
+    for i in range(problem.size[1]):
+        for k in range(2):
+            problem.impulse[i, k] += work.contact_change[i, k]
+    for e in range(problem.size[2]):
+        for k in range(3):
+            problem.element_impulse[e, k] += work.element_change[e, k]
