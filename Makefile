@@ -47,8 +47,9 @@ format: $(READY)  ## rewrite the code in the house format
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-soak: $(READY)  ## many random scenes and long runs; takes as long as SOAK_SECONDS (600) says
-	@HYPOTHESIS_PROFILE=soak SOAK_SECONDS=$${SOAK_SECONDS:-600} $(BIN)/python -m pytest -m soak $(PYTEST_ARGS)
+soak: $(READY)  ## a million random step problems, then the long tests marked soak
+	@$(BIN)/python -m benchmarks.soak $(SOAK_ARGS)
+	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak $(PYTEST_ARGS)
 
 bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV under benchmarks/
 	@$(BIN)/python -m benchmarks --peers $(BENCH_ARGS)

@@ -16,11 +16,6 @@ from fixel.simulation import (
 )
 from fixel.testing.scenes import grasp, heap, micro_push
 
-UNSOLVED = pytest.mark.xfail(
-    strict=True,
-    reason="Newton: max_iterations in a quasi-static grasp on polygons of 16 directions",
-)
-
 
 def _apart(scene, solver, **method):
     """Largest distance from Newton's motion, angles by 30 mm/rad."""
@@ -38,9 +33,7 @@ def _apart(scene, solver, **method):
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic(), FirstOrder()], ids=lambda m: m.name)
 @pytest.mark.parametrize("solver", [GaussSeidel(), Lemke()], ids=lambda s: s.name)
 @pytest.mark.parametrize("stepper", [StewartTrinkle(step=0.1), Midpoint(step=0.08)])
-def test_one_motion_of_a_grasp(motion, solver, stepper, request):
-    if isinstance(motion, QuasiStatic) and isinstance(stepper, Midpoint):
-        request.applymarker(UNSOLVED)
+def test_one_motion_of_a_grasp(motion, solver, stepper):
     scene = grasp("slip", force_limit=None, support_directions=16)
     # A residual of 1e-9 in each of a hundred steps, where nothing is indeterminate.
     assert _apart(scene, solver, motion=motion, stepper=stepper) < 1e-6

@@ -6,10 +6,6 @@ import pytest
 from fixel.simulation import Dynamic, QuasiStatic, simulate_batch
 from fixel.testing.scenes import grasp
 
-UNSOLVED = pytest.mark.xfail(
-    strict=True, reason="solver chain: max_iterations in 7 of 10,000 quasi-static seated grasps"
-)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -18,7 +14,7 @@ UNSOLVED = pytest.mark.xfail(
         (Dynamic(), "slip"),
         (Dynamic(), "seated"),
         (QuasiStatic(), "slip"),
-        pytest.param(QuasiStatic(), "seated", marks=UNSOLVED),
+        (QuasiStatic(), "seated"),
     ],
 )
 def test_ten_thousand_grasps(motion, layout):

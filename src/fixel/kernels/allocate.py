@@ -1,4 +1,5 @@
-"""Empty problems and workspaces: the only allocations of a rollout, made once before its first step."""
+"""Empty problems and workspaces: the only allocations of a rollout, made once before its first
+step."""
 
 import numpy as np
 
@@ -12,7 +13,8 @@ SPARE = 2  # entries behind the last degree of freedom, so that every block may 
 
 @allocating_kernel
 def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
-    """Problem with room for so many degrees of freedom, contacts and friction elements; none in use."""
+    """Problem with room for so many degrees of freedom, contacts and friction elements; none in
+    use."""
     wide = n_dof + SPARE
     return Problem(
         size=np.zeros(4, np.int64),
@@ -40,7 +42,13 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
 
 @allocating_kernel
 def empty_workspace(
-    n_dof: int, n_contact: int, n_element: int, n_vertex: int, n_piece: int, n_body: int, n_pair: int
+    n_dof: int,
+    n_contact: int,
+    n_element: int,
+    n_vertex: int,
+    n_piece: int,
+    n_body: int,
+    n_pair: int,
 ) -> Workspace:
     """Scratch for a problem of these sizes in a scene of these sizes."""
     wide = n_dof + SPARE

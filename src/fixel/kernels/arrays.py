@@ -150,7 +150,7 @@ class Record(NamedTuple):
     contact: (
         FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
     )
-    count: IntArray  # (4,) samples written, contact rows written, steps taken, steps that fell back
+    count: IntArray  # type: ignore[assignment]  # (4,) samples written, contact rows written, steps taken, steps that fell back
     total: FloatArray  # (2,) time reached, worst residual
 
 
@@ -163,7 +163,7 @@ class Batch(NamedTuple):
     """
 
     begin: IntArray  # (n_rollout, N_FAMILY) first row of each family, see batch.py
-    count: IntArray  # (n_rollout, N_FAMILY) rows of each family
+    count: IntArray  # type: ignore[assignment]  # (n_rollout, N_FAMILY) rows of each family
     model: (
         Model  # friction, restitution and map_factor flattened; plane, map_frame: a row a rollout
     )
@@ -182,6 +182,6 @@ class BatchRecord(NamedTuple):
     twist: FloatArray  # (n_rollout, n_sample, n_moving, 3)
     drive: FloatArray  # (n_rollout, n_sample, n_driven, 2)
     contact: FloatArray  # (n_rollout, n_row, 11)
-    count: IntArray  # (n_rollout, 4)
+    count: IntArray  # type: ignore[assignment]  # (n_rollout, 4)
     total: FloatArray  # (n_rollout, 2)
     status: IntArray  # (n_rollout,)

@@ -4,7 +4,9 @@ from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense
 
-GAIN = 1e-10  # a contact impulse joins the certificate where it reduces what is left at least so fast
+GAIN = (
+    1e-10  # a contact impulse joins the certificate where it reduces what is left at least so fast
+)
 LEFT = 1e-10  # squared distance from a certificate at which one counts as found
 PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each degree of freedom
 
@@ -13,10 +15,11 @@ PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each de
 def squeezed(problem: Problem, work: Workspace) -> bool:
     """Whether contact impulses exist that move nothing and against which prescribed motions work.
 
-    Either there is a motion v with ``u_n >= mu |u_t|`` at every contact, and with it a solution, or there are
-    impulses p in the friction cones with ``rows^T p = 0`` and ``bias . p < 0``, never both (Farkas' lemma).
-    The second is sought as the least ``|rows^T p|^2 + (bias . p + 1)^2``, which then is zero, by the
-    method of Lawson & Hanson (1974), chapter 23, on the cones' edges ``n + mu t`` and ``n - mu t``.
+    Either there is a motion v with ``u_n >= mu |u_t|`` at every contact, and with it a solution,
+    or there are impulses p in the friction cones with ``rows^T p = 0`` and ``bias . p < 0``,
+    never both (Farkas' lemma). The second is sought as the least ``|rows^T p|^2 + (bias . p +
+    1)^2``, which then is zero, by the method of Lawson & Hanson (1974), chapter 23, on the cones'
+    edges ``n + mu t`` and ``n - mu t``.
     """
     n_contact = problem.size[1]
     n_dof = problem.size[0]
@@ -112,7 +115,8 @@ def _what_is_left(problem: Problem, work: Workspace) -> float:
 
 @kernel
 def _fit(problem: Problem, work: Workspace, n: int) -> bool:
-    """Amounts of the chosen edges that leave least, by the normal equations, into the last columns."""
+    """Amounts of the chosen edges that leave least, by the normal equations, into the last
+    columns."""
     for row in range(n):
         i = work.active[row] // 2
         i_side = work.active[row] % 2

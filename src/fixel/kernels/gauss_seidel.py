@@ -1,8 +1,9 @@
-"""Projected Gauss-Seidel, contact by contact: slow to the last digit, sure of foot on the way there.
+"""Projected Gauss-Seidel, contact by contact: slow to the last digit, sure of foot on the way
+there.
 
-A block without inertia (quasi-static bodies, drives) is given one equal to its stiffness and pulled towards
-where it was one sweep before, a proximal-point iteration: at rest it has vanished, so the fixed points are
-exactly the solutions of the problem.
+A block without inertia (quasi-static bodies, drives) is given one equal to its stiffness and
+pulled towards where it was one sweep before, a proximal-point iteration: at rest it has vanished,
+so the fixed points are exactly the solutions of the problem.
 
 Source: Jourdan, Alart & Jean (1998) for the contacts; Rockafellar (1976) for the proximal pull.
 """
@@ -15,7 +16,8 @@ from fixel.kernels.jit import kernel
 
 @kernel
 def gauss_seidel(problem: Problem, work: Workspace, tolerance: float, max_sweeps: int) -> float:
-    """Sweep until the largest velocity change of a sweep is below `tolerance`; returns that change."""
+    """Sweep until the largest velocity change of a sweep is below `tolerance`; returns that
+    change."""
     _prepare(problem, work)
     change = math.inf
     for _ in range(max_sweeps):
@@ -123,7 +125,9 @@ def _pull(problem: Problem, work: Workspace) -> float:
 
 
 @kernel
-def _compliance(problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int) -> float:
+def _compliance(
+    problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int
+) -> float:
     """Velocity along a row of block o that a unit impulse along it gives."""
     n_free = problem.size[3]
     total = 0.0
@@ -136,9 +140,7 @@ def _compliance(problem: Problem, work: Workspace, rows: FloatArray, i: int, sta
 
 
 @kernel
-def _push(
-    problem: Problem, work: Workspace, o: int, x: float, y: float, z: float
-) -> float:
+def _push(problem: Problem, work: Workspace, o: int, x: float, y: float, z: float) -> float:
     """Apply an impulse (x, y, z) to block o; returns the largest velocity change."""
     v = problem.velocity
     if o >= problem.size[3]:
@@ -186,7 +188,8 @@ def _sweep_contacts(problem: Problem, work: Workspace) -> float:
                 if o >= 0:
                     s = 3 * side
                     moved = _push(
-                        problem, work, o, step * rows[i, s], step * rows[i, s + 1], step * rows[i, s + 2]
+                        problem, work, o,
+                        step * rows[i, s], step * rows[i, s + 1], step * rows[i, s + 2],
                     )  # fmt: skip
                     largest = max(largest, moved)
     return largest
@@ -206,13 +209,22 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
             if c > 0.0:
                 stiff = min(stiff, 1.0 / c)
         x = p[e, 0] - stiff * (
-            problem.element_bias[e, 0] + row[e, 0, 0] * v[o] + row[e, 0, 1] * v[o + 1] + row[e, 0, 2] * v[o + 2]
+            problem.element_bias[e, 0]
+            + row[e, 0, 0] * v[o]
+            + row[e, 0, 1] * v[o + 1]
+            + row[e, 0, 2] * v[o + 2]
         )
         y = p[e, 1] - stiff * (
-            problem.element_bias[e, 1] + row[e, 1, 0] * v[o] + row[e, 1, 1] * v[o + 1] + row[e, 1, 2] * v[o + 2]
+            problem.element_bias[e, 1]
+            + row[e, 1, 0] * v[o]
+            + row[e, 1, 1] * v[o + 1]
+            + row[e, 1, 2] * v[o + 2]
         )
         z = p[e, 2] - stiff * (
-            problem.element_bias[e, 2] + row[e, 2, 0] * v[o] + row[e, 2, 1] * v[o + 1] + row[e, 2, 2] * v[o + 2]
+            problem.element_bias[e, 2]
+            + row[e, 2, 0] * v[o]
+            + row[e, 2, 1] * v[o + 1]
+            + row[e, 2, 2] * v[o + 2]
         )
         limit = problem.element_limit[e]
         sides = problem.element_sides[e]

@@ -1,9 +1,10 @@
 """Large problems, island by island.
 
-Bodies that press on each other form an island; islands do not feel each other and are solved one at a time, as
-problems of their own. Contacts that carried no impulse and open at the guessed velocity are left out at first;
-those that the answer would violate are then put in, and the islands they join are solved again. Within an
-island the bodies are numbered by reverse Cuthill-McKee, so that the linear systems have a narrow band.
+Bodies that press on each other form an island; islands do not feel each other and are solved one
+at a time, as problems of their own. Contacts that carried no impulse and open at the guessed
+velocity are left out at first; those that the answer would violate are then put in, and the
+islands they join are solved again. Within an island the bodies are numbered by reverse
+Cuthill-McKee, so that the linear systems have a narrow band.
 
 Source: George & Liu (1981), section 4.3, for the numbering.
 """
@@ -18,7 +19,8 @@ ROUNDS = 12  # of putting contacts in, before all are
 
 
 class Islands(NamedTuple):
-    """The pieces of `work.island_floats` and `work.island_indices`. Blocks are bodies, then drives."""
+    """The pieces of `work.island_floats` and `work.island_indices`. Blocks are bodies, then
+    drives."""
 
     part: Problem  # one island
     guess: FloatArray  # (n_dof + 2,)
@@ -128,8 +130,8 @@ def _root(island: IntArray, block: int) -> int:
 def find_islands(problem: Problem, islands: Islands) -> int:
     """Number the blocks island by island; returns the number of blocks.
 
-    On return `islands.island[block]` is the smallest block of its island, and `islands.sequence` lists the bodies
-    in reverse Cuthill-McKee order.
+    On return `islands.island[block]` is the smallest block of its island, and `islands.sequence`
+    lists the bodies in reverse Cuthill-McKee order.
     """
     n_body = problem.size[3] // 3
     n_block = n_body + problem.size[0] - problem.size[3]
@@ -158,7 +160,8 @@ def find_islands(problem: Problem, islands: Islands) -> int:
 
 @kernel
 def _list_neighbours(problem: Problem, islands: Islands, n_body: int) -> None:
-    """``islands.neighbour[first[b]:first[b + 1]]``: the bodies that body b touches, some of them twice."""
+    """``islands.neighbour[first[b]:first[b + 1]]``: the bodies that body b touches, some of them
+    twice."""
     first = islands.first
     first[0] = 0
     for b in range(n_body):
@@ -178,7 +181,8 @@ def _list_neighbours(problem: Problem, islands: Islands, n_body: int) -> None:
 
 @kernel
 def _number(islands: Islands, n_body: int) -> None:
-    """Breadth first from a body of least degree, neighbours of least degree first; then backwards."""
+    """Breadth first from a body of least degree, neighbours of least degree first; then
+    backwards."""
     seen = islands.place
     sequence = islands.sequence
     degree = islands.degree
@@ -216,7 +220,8 @@ def _number(islands: Islands, n_body: int) -> None:
 
 @kernel
 def mark_changed(problem: Problem, islands: Islands, n_block: int, everything: bool) -> None:
-    """Set ``islands.first`` to 1 for the islands to solve: those with contacts newly put in, or all."""
+    """Set ``islands.first`` to 1 for the islands to solve: those with contacts newly put in, or
+    all."""
     for b in range(n_block):
         islands.first[b] = 1 if everything else 0
     for i in range(problem.size[1]):
@@ -229,7 +234,8 @@ def mark_changed(problem: Problem, islands: Islands, n_block: int, everything: b
 def gather(
     problem: Problem, work: Workspace, islands: Islands, guess: FloatArray, island: int
 ) -> None:
-    """Copy one island into `islands.part`, numbered by `islands.sequence`, and its guess into `islands.guess`."""
+    """Copy one island into `islands.part`, numbered by `islands.sequence`, and its guess into
+    `islands.guess`."""
     part = islands.part
     n_body = problem.size[3] // 3
     n_dof = 0
@@ -265,9 +271,7 @@ def _copy_dof(
 
 
 @kernel
-def _gather_contacts(
-    problem: Problem, profile: IntArray, islands: Islands, island: int
-) -> None:
+def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, island: int) -> None:
     part = islands.part
     for k in range(part.size[0]):
         profile[k] = k - k % 3 + 3

@@ -15,9 +15,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
-from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Not all that is used of Numba is in its type information.
+_njit: Any = numba.njit
+_config: Any = numba.config
 
 # error_model="numpy": division by zero follows IEEE and is never tested for; the kernels guard
 # their own.
@@ -54,17 +57,17 @@ def kernel(function: Function) -> Function:
     always inlined the NamedTuples are never copied: one step of a grasp takes 0.7 us in place of
     10 us (measured 2026-11, two-core AMD EPYC).
     """
-    return cast(Function, njit(_nrt=False, forceinline=True, **_FLAGS)(function))
+    return cast(Function, _njit(_nrt=False, forceinline=True, **_FLAGS)(function))
 
 
 def large_kernel(function: Function) -> Function:
     """As `kernel`, but called in place of inlined: for long functions, once a step at most."""
-    return cast(Function, njit(_nrt=False, **_FLAGS)(function))
+    return cast(Function, _njit(_nrt=False, **_FLAGS)(function))
 
 
 def allocating_kernel(function: Function) -> Function:
     """Compile a helper that allocates arrays: once a rollout, never in a step."""
-    return cast(Function, njit(**_FLAGS)(function))
+    return cast(Function, _njit(**_FLAGS)(function))
 
 
 def spliced_kernel(function: Function) -> Function:
@@ -73,17 +76,17 @@ def spliced_kernel(function: Function) -> Function:
     For the few levels between an entry and the loop of steps: compiled one by one, each would
     optimise the whole loop again, six seconds a level.
     """
-    return cast(Function, njit(_nrt=False, inline="always", **_FLAGS)(function))
+    return cast(Function, _njit(_nrt=False, inline="always", **_FLAGS)(function))
 
 
 def _cached(function: Function, **flags: Any) -> Function:
     # Numba reads its cache folder once, while decorating, so it is set for that moment only.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _CACHE_FOLDER
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = _CACHE_FOLDER
     try:
-        return cast(Function, njit(cache=True, **_FLAGS, **flags)(function))
+        return cast(Function, _njit(cache=True, **_FLAGS, **flags)(function))
     finally:
-        numba.config.CACHE_DIR = before
+        _config.CACHE_DIR = before
 
 
 def entry(function: Function) -> Function:

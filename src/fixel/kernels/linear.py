@@ -1,4 +1,5 @@
-"""Small dense and large banded linear systems, in place, always in the same order (hence the same bits)."""
+"""Small dense and large banded linear systems, in place, always in the same order (hence the same
+bits)."""
 
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
@@ -50,10 +51,10 @@ def solve_envelope(
 ) -> bool:
     """Solve a structurally symmetric banded system with a dense border; x replaces `right`.
 
-    Row k of the first `n_inner` couples with the columns up to ``reach[k]`` (one past the last, never
-    falling with k) and with the border, columns `n_inner` to ``n - 1``; columns likewise. Entries beyond
-    are neither read nor written. `matrix` is destroyed. No pivots: the systems of this package have a
-    dominant symmetric part. False where a pivot vanishes.
+    Row k of the first `n_inner` couples with the columns up to ``reach[k]`` (one past the last,
+    never falling with k) and with the border, columns `n_inner` to ``n - 1``; columns likewise.
+    Entries beyond are neither read nor written. `matrix` is destroyed. No pivots: the systems of
+    this package have a dominant symmetric part. False where a pivot vanishes.
     """
     for k in range(n):
         if not abs(matrix[k, k]) > 0.0:

@@ -1,38 +1,40 @@
 """Semismooth Newton on the natural map of one step, in velocity space.
 
-Each contact and each friction element is linearised in its present state (apart, sliding, sticking) and its
-impulse eliminated, so that a linear system in the velocities alone is left: three unknowns for one body
-however many points it rests on. Constraints enter with a compliance EPSILON times the block's own; as each
-iteration starts from the impulses of the last, the compliance leaves no trace in the answer, and redundant
-contacts (two on one edge, three supports that all stick) are no special case.
+Each contact and each friction element is linearised in its present state (apart, sliding,
+sticking) and its impulse eliminated, so that a linear system in the velocities alone is left:
+three unknowns for one body however many points it rests on. Constraints enter with a compliance
+EPSILON times the block's own; as each iteration starts from the impulses of the last, the
+compliance leaves no trace in the answer, and redundant contacts (two on one edge, three supports
+that all stick) are no special case.
 
-Source: Alart & Curnier (1991) for the map; the compliance is a proximal step as in Rockafellar (1976).
+Source: Alart & Curnier (1991) for the map; the compliance is a proximal step as in Rockafellar
+(1976).
 """
 
 import math
 
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
 
-EPSILON = 1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+EPSILON = (
+    1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+)
 FLOOR = 1e-11  # of a block's stiffness, added to its inertia: what nothing holds stays where it was
 
-# State of a contact in this iteration: what is held fast. With given friction limits a contact that is apart
-# may still drag.
+# State of a contact in this iteration: what is held fast. With given friction limits a contact
+# that is apart may still drag.
 _APART = 0
 _SLIDING = 1  # the normal velocity
 _HELD = 2  # the tangential velocity
 
 
 @kernel
-def newton(
-    problem: Problem, work: Workspace, tolerance: float, max_iterations: int
-) -> float:
+def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int) -> float:
     """Improve the problem's velocity and impulses until the map is below `tolerance`.
 
-    Returns the largest entry of the natural map at the last linearisation (impulse units of this module's
-    own scaling); above `tolerance` it has failed. For at most DENSE_LIMIT unknowns.
+    Returns the largest entry of the natural map at the last linearisation (impulse units of this
+    module's own scaling); above `tolerance` it has failed. For at most DENSE_LIMIT unknowns.
     """
     worst = math.inf
     for iteration in range(max_iterations + 1):
@@ -79,9 +81,9 @@ def linearise(
     dense : bool
         Whether to fill the whole matrix or what lies within `work.profile`.
     proximal : bool
-        False: Newton's method on the natural map in velocities and impulses. True: the impulses stay, and
-        the map is the momentum left over when each constraint answers like a spring of its own stiffness
-        (augmented Lagrangian) and each block is pulled towards `work.centre`.
+        False: Newton's method on the natural map in velocities and impulses. True: the impulses
+        stay, and the map is the momentum left over when each constraint answers like a spring of
+        its own stiffness (augmented Lagrangian) and each block is pulled towards `work.centre`.
     tresca : bool
         Friction limits from `work.contact_change`, in place of Coulomb's.
 
@@ -112,7 +114,8 @@ def linearise(
     for i in range(n_free, n_dof):
         matrix[i, i] = problem.inertia[i, 0]
         right[i] = problem.momentum[i] - problem.inertia[i, 0] * v[i]
-    # The spare entries are added to as well; no infinity of an iterate that ran away may stay there.
+    # The spare entries are added to as well; no infinity of an iterate that ran away may stay
+    # there.
     right[n_dof] = 0.0
     right[n_dof + 1] = 0.0
     for i in range(n_dof):
@@ -188,7 +191,8 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
                     kappa = stiff * limit / length
                     ratio = 0.0
                 else:
-                    # Impulse and velocity change together: the map's two derivatives, one eliminated.
+                    # Impulse and velocity change together: the map's two derivatives, one
+                    # eliminated.
                     kappa = min(rho * limit / (length - limit), stiff)
                     ratio = kappa / rho
                 along = fx * dx + fy * dy + fz * dz
@@ -410,8 +414,8 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
             uz += row[e, 2, k] * dv[o + k]
         kappa = change[e, 3]
         cross = ux * change[e, 4] + uy * change[e, 5] + uz * change[e, 6]
-        problem.element_impulse[e, 0] += (change[e, 0] - kappa * (ux - cross * change[e, 4]))
-        problem.element_impulse[e, 1] += (change[e, 1] - kappa * (uy - cross * change[e, 5]))
-        problem.element_impulse[e, 2] += (change[e, 2] - kappa * (uz - cross * change[e, 6]))
+        problem.element_impulse[e, 0] += change[e, 0] - kappa * (ux - cross * change[e, 4])
+        problem.element_impulse[e, 1] += change[e, 1] - kappa * (uy - cross * change[e, 5])
+        problem.element_impulse[e, 2] += change[e, 2] - kappa * (uz - cross * change[e, 6])
     for i in range(problem.size[0]):
         problem.velocity[i] += dv[i]

@@ -1,15 +1,16 @@
 """Proximal Newton: slower than `newton`, and far harder to lead astray.
 
-Outer loop: the method of multipliers. Every constraint answers like a spring of its own stiffness, with the
-impulse known so far as its preload; once the velocities are in balance with the springs, their answers are
-the next impulses. Every block is also pulled towards where it was, so that nothing runs away. Inner loop:
-Newton on that balance, with a line search that stops where the left-over momentum along the direction changes
-sign; for given friction limits the balance is the gradient of a convex function and this always arrives.
-Where Coulomb's coupling makes it stray, the friction limits are taken from the last impulses instead
-(Tresca), and brought up to date in the outer loop.
+Outer loop: the method of multipliers. Every constraint answers like a spring of its own
+stiffness, with the impulse known so far as its preload; once the velocities are in balance with
+the springs, their answers are the next impulses. Every block is also pulled towards where it was,
+so that nothing runs away. Inner loop: Newton on that balance, with a line search that stops where
+the left-over momentum along the direction changes sign; for given friction limits the balance is
+the gradient of a convex function and this always arrives. Where Coulomb's coupling makes it
+stray, the friction limits are taken from the last impulses instead (Tresca), and brought up to
+date in the outer loop.
 
-Source: Rockafellar (1976) for the multipliers, Haslinger (1983) for the friction limits, and Alart & Curnier
-(1991) for the springs.
+Source: Rockafellar (1976) for the multipliers, Haslinger (1983) for the friction limits, and
+Alart & Curnier (1991) for the springs.
 """
 
 import math
@@ -136,13 +137,11 @@ def proximal_newton(
 
 
 @kernel
-def _balance(
-    problem: Problem, work: Workspace, sigma: float, tresca: bool
-) -> tuple[float, bool]:
+def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> tuple[float, bool]:
     """Newton with a line search until velocities and springs balance.
 
-    Returns the largest difference between a spring's answer and the impulse it stands for, and whether the
-    balance was found.
+    Returns the largest difference between a spring's answer and the impulse it stands for, and
+    whether the balance was found.
     """
     n_dof = problem.size[0]
     v = problem.velocity
@@ -160,12 +159,9 @@ def _balance(
             for i in range(n_dof):
                 along -= work.right[i] * work.search[i, 1]
             tries += 1
-            if (
-                abs(along) > SLACK * abs(slope)
-                and tries < SEARCH
-                and (along > 0.0 or alpha < 1.0)
-            ):
-                # The balance is nearly linear piece by piece: Newton's root, unless it leaves the bracket.
+            if abs(along) > SLACK * abs(slope) and tries < SEARCH and (along > 0.0 or alpha < 1.0):
+                # The balance is nearly linear piece by piece: Newton's root, unless it leaves the
+                # bracket.
                 bend = _curvature(problem, work)
                 if along > 0.0:
                     high = alpha

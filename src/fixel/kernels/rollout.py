@@ -184,7 +184,8 @@ def _run(
             if method.adaptive == 0:
                 break
             if trial > pace.smallest and bounces(model, state, method.motion, time, trial, problem):
-                # A bounce turns the velocity round: step up to it, and take it in the smallest step.
+                # A bounce turns the velocity round: step up to it, and take it in the smallest
+                # step.
                 resumed = max(resumed, trial)
                 trial = max(pace.smallest, 0.25 * trial)
                 again = 0
@@ -236,7 +237,7 @@ def _run(
             model, before, state, time - trial, time, trial, problem, record, sample, every_step,
             pace.duration,
         )  # fmt: skip
-    if status != codes.CONVERGED and not every_step and 0 < taken and sample < record.time.size:
+    if status != codes.CONVERGED and not every_step and taken > 0 and sample < record.time.size:
         # Keep where it stopped as the last sample.
         # Without contacts and forces: the problem holds what could not be solved.
         record.time[sample] = time

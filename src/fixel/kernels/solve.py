@@ -21,8 +21,12 @@ from fixel.kernels.newton import newton
 from fixel.kernels.proximal import newton_any, proximal_newton
 from fixel.kernels.residual import residual
 
-TOLERANCE = 1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py
-NEWTON_TOLERANCE = 1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
+TOLERANCE = (
+    1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py
+)
+NEWTON_TOLERANCE = (
+    1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
+)
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 TRIALS = 25  # of the recovery: each starts where the last one got to, every eighth from nothing
 GIVE_UP = 4  # after this trial ask whether there is anything to find
@@ -35,7 +39,8 @@ def solve(
 ) -> tuple[float, int]:
     """Solve the problem in place; returns (residual, 1 if a fallback was needed).
 
-    Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can do.
+    Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can
+    do.
     """
     way = sweeps if solver == codes.GAUSS_SEIDEL else 0
     if way == 0 and problem.size[0] <= DENSE_LIMIT:
@@ -48,9 +53,7 @@ def solve(
 
 
 @spliced_kernel
-def finish(
-    problem: Problem, work: Workspace, guess: FloatArray, sweeps: int
-) -> tuple[float, int]:
+def finish(problem: Problem, work: Workspace, guess: FloatArray, sweeps: int) -> tuple[float, int]:
     """What is left to do where `solve` has not tried or not succeeded."""
     if sweeps > 0:
         sweep(problem, work, sweeps)
@@ -93,9 +96,7 @@ def solve_large(problem: Problem, work: Workspace, guess: FloatArray) -> tuple[f
 
 
 @large_kernel
-def recover(
-    problem: Problem, work: Workspace, guess: FloatArray, fresh: bool
-) -> tuple[float, int]:
+def recover(problem: Problem, work: Workspace, guess: FloatArray, fresh: bool) -> tuple[float, int]:
     """Solve a problem of any size by every means there are.
 
     `fresh`: quick Newton first. Otherwise that has failed, and `work` holds what it began with.

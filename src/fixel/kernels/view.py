@@ -11,7 +11,8 @@ from numba.np import arrayobj
 
 
 def _view(typing_context: Any, buffer: Any, start: Any, shape: Any) -> Any:
-    """The `shape` array that begins at entry `start` of the one-dimensional `buffer`, which must outlive it."""
+    """The `shape` array that begins at entry `start` of the one-dimensional `buffer`, which must
+    outlive it."""
     result = types.Array(buffer.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -40,4 +41,5 @@ def _view_in_python(buffer: Any, start: int, shape: tuple[int, ...]) -> Any:
     return buffer[start : start + math.prod(shape)].reshape(shape)
 
 
-view: Any = _view_in_python if numba.config.DISABLE_JIT else intrinsic(_view)
+_config: Any = numba.config
+view: Any = _view_in_python if _config.DISABLE_JIT else intrinsic(_view)

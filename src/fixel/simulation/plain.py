@@ -163,8 +163,8 @@ class _Samples:
             np.zeros(2),
         )
         written = single.sample(
-            loop.model, before, loop.state, loop.time - moved, loop.time, step, loop.problem, record,
-            self.every_step, self.duration,
+            loop.model, before, loop.state, loop.time - moved, loop.time, step, loop.problem,
+            record, self.every_step, self.duration,
         )  # fmt: skip
         if written:
             contact = record.contact[: record.count[1]]
