@@ -2,7 +2,8 @@
 
     python -m benchmarks.soak --n 1000000 --seed 0
 
-Every problem is a function of its seed (`fixel.testing.random_problems`), so a failure can be had again.
+Every problem is a function of its seed (`fixel.testing.random_problems`): a failure can be had
+again.
 """
 
 from __future__ import annotations
