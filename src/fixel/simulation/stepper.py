@@ -144,7 +144,7 @@ class Adaptive(AbstractStepper):
     Parameters
     ----------
     tolerance : float
-        Of position in one step [m]; angles count by the characteristic length. None: a thousandth
+        Of position in one step [m]; angles count by the characteristic length. None: 3e-5
         of the scene's characteristic length.
     largest_step : float
         In the time in which the fastest body moves by one characteristic length.
