@@ -132,6 +132,10 @@ def _run(
     step = min(pace.step, pace.duration)
     last_step = 0.0  # the step whose impulses the problem holds
     n_dof = problem.momentum.size - 2
+    elastic = False
+    for a in range(model.restitution.shape[0]):
+        for b in range(model.restitution.shape[1]):
+            elastic = elastic or model.restitution[a, b] > 0.0
     worst = 0.0
     status = codes.CONVERGED
     taken = 0
@@ -183,7 +187,11 @@ def _run(
                 break
             if method.adaptive == 0:
                 break
-            if trial > pace.smallest and bounces(model, state, method.motion, time, trial, problem):
+            if (
+                elastic
+                and trial > pace.smallest
+                and bounces(model, state, method.motion, time, trial, problem)
+            ):
                 # A bounce turns the velocity round: step up to it, and take it in the smallest
                 # step.
                 resumed = max(resumed, trial)
@@ -233,10 +241,12 @@ def _run(
             step = min(trial * growth, pace.largest)
             if resumed > 0.0 and (trial <= pace.smallest or again == 1):
                 step = min(resumed, pace.largest)
-        sample = write_samples(
-            model, before, state, time - trial, time, trial, problem, record, sample, every_step,
-            pace.duration,
-        )  # fmt: skip
+        due = time + SAMPLE_SLACK * pace.duration
+        if sample < record.time.size and (every_step or record.time[sample] <= due):
+            sample = write_samples(
+                model, before, state, time - trial, time, trial, problem, record, sample,
+                every_step, pace.duration,
+            )  # fmt: skip
     if status != codes.CONVERGED and not every_step and taken > 0 and sample < record.time.size:
         # Keep where it stopped as the last sample.
         # Without contacts and forces: the problem holds what could not be solved.
