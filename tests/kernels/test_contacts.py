@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fixel.kernels.allocate import empty_problem, empty_workspace
+from fixel.kernels import single
 from fixel.kernels.arrays import Model, Problem, Workspace
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.gap import FEATURES
@@ -18,7 +18,7 @@ N_FREE = 25
 N_MOVING = 32  # the rest is fixed
 SEEDS = range(1 if numba.config.DISABLE_JIT else 12)
 
-# The kernels are inlined into their callers, so Python reaches them through thin wrappers.
+# Python cannot call a kernel, only what is compiled around it.
 place_bodies_ = njit(lambda model, pose, n, work: place_bodies(model, pose, n, work))
 moved_ = njit(lambda model, pose, anchor, n: moved(model, pose, anchor, n))
 near_pairs_ = njit(
@@ -84,10 +84,10 @@ def model_of(pieces):
 def scene_of(pieces, pose, *, n_pair=2000, n_contact=2000):
     model = model_of(pieces)
     n_piece = len(pieces)
-    work = empty_workspace(3, n_contact, 0, len(model.vertex), n_piece, len(pose), n_pair)
+    problem, work = single.empty(3, n_contact, 0, len(model.vertex), n_piece, len(pose), n_pair)
     work.extent[:, 2] = model.piece_bound[:, 2]
     place_bodies_(model, pose, len(pose), work)
-    return Scene(model, pose, empty_problem(3, n_contact, 0), work)
+    return Scene(model, pose, problem, work)
 
 
 def random_scene(random, **room):

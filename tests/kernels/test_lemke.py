@@ -6,8 +6,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numba import njit
 
-from fixel.kernels.allocate import empty_problem, empty_workspace
+from fixel.kernels import single
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.lemke import (
     INACCURATE,
@@ -18,7 +19,6 @@ from fixel.kernels.lemke import (
     SOLVED,
     allocate_tableau,
     solve_linear_form,
-    tableau_size,
 )
 from fixel.kernels.measure_lcp import solve_lcp, solve_problem
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
@@ -54,6 +54,11 @@ def solutions(matrix: FloatArray, vector: FloatArray) -> list[FloatArray]:
         if min(z.min(), (matrix @ z + vector).min()) > -1e-9:
             found.append(z)
     return found
+
+
+@njit
+def in_tableau_of(rows: int, problem: Problem, work: Workspace) -> int:
+    return solve_linear_form(problem, work, allocate_tableau(rows), 0, PIVOTS)
 
 
 # --- the method ----------------------------------------------------------------------------------
@@ -164,9 +169,9 @@ def test_frictional_contact_always_has_a_solution(n_contact: int) -> None:
 def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Problem, Workspace]:
     """Problem and workspace without rows yet."""
     n_dof = 3 * n_free + n_drive
-    problem = empty_problem(n_dof, n_contact, n_element)
+    problem, work = single.empty(n_dof, n_contact, n_element, 0, 0, 0, 0)
     problem.size[:] = n_dof, n_contact, n_element, 3 * n_free
-    return problem, empty_workspace(n_dof, n_contact, n_element, 0, 0, 0, 0)
+    return problem, work
 
 
 def set_foot(problem: Problem, e: int, dof: int, r: FloatArray, limit: float, sides: int) -> None:
@@ -391,10 +396,8 @@ def test_ellipsoids_are_not_linear() -> None:
 
 def test_small_tableau_is_told() -> None:
     problem, work = pushed_block(16, False, 0.1, None)
-    rows = tableau_size(problem, 0)
-    assert rows == 4 + 3 * 17
-    tableau = allocate_tableau(rows - 1)
-    assert solve_linear_form(problem, work, tableau, 0, PIVOTS) == NO_ROOM
+    assert in_tableau_of(4 + 3 * 17 - 1, problem, work) == NO_ROOM
+    assert in_tableau_of(4 + 3 * 17, problem, work) == SOLVED
 
 
 def test_a_free_body_has_no_rows() -> None:

@@ -1,6 +1,8 @@
-"""Entries for the plain Python loop: the parts of one step, callable one by one."""
+"""Entries for the plain Python loop and for tests: the parts of one step, callable one by one."""
 
+from fixel.kernels import assembly as _assembly
 from fixel.kernels import rollout as _rollout
+from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, solve_linear_form, tableau_size
@@ -13,6 +15,27 @@ from fixel.kernels.step import move, prepare_bodies, prepare_contacts, prepare_r
 def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
     """See `rollout.allocate`."""
     return _rollout.allocate(model, max_contacts)
+
+
+@entry
+def empty(
+    n_dof: int,
+    n_contact: int,
+    n_element: int,
+    n_vertex: int,
+    n_piece: int,
+    n_body: int,
+    n_pair: int,
+) -> tuple[Problem, Workspace]:
+    """See `allocate.empty_problem` and `allocate.empty_workspace`."""
+    work = empty_workspace(n_dof, n_contact, n_element, n_vertex, n_piece, n_body, n_pair)
+    return empty_problem(n_dof, n_contact, n_element), work
+
+
+@entry
+def set_stiffness(problem: Problem, n_element: int) -> None:
+    """See `assembly.set_stiffness`."""
+    _assembly.set_stiffness(problem, n_element)
 
 
 @entry

@@ -17,9 +17,7 @@ import numpy as np
 import pytest
 
 from fixel.kernels import codes, single
-from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
-from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.solve import TOLERANCE
 from fixel.model import Scene
 from fixel.simulation.motion import AbstractMotionModel
@@ -51,8 +49,7 @@ def step_problem(
         Largest impulse of one support point at the centre of mass.
     """
     n, n_element = len(contacts), 0 if limit is None else 1
-    problem = empty_problem(3, n, n_element)
-    work = empty_workspace(3, n, n_element, 1, 1, 1, 1)
+    problem, work = single.empty(3, n, n_element, 1, 1, 1, 1)
     problem.size[:] = (3, n, n_element, 3)
     problem.inertia[:3, :3] = np.eye(3)
     problem.momentum[:3] = momentum
@@ -69,7 +66,7 @@ def step_problem(
         problem.element_sides[0] = SIDES
         problem.element_row[0, 0, 0] = problem.element_row[0, 1, 1] = 1.0
         problem.element_limit[0] = limit
-    set_stiffness(problem, n_element)
+    single.set_stiffness(problem, n_element)
     return problem, work
 
 
@@ -139,8 +136,7 @@ class SolverContract:
         assert velocity == pytest.approx([0.0, 0.0, 0.5], abs=1e-9)
 
     def test_problem_of_no_size(self, solver: AbstractSolver) -> None:
-        problem = empty_problem(0, 0, 0)
-        work = empty_workspace(0, 0, 0, 0, 0, 0, 0)
+        problem, work = single.empty(0, 0, 0, 0, 0, 0, 0)
         residual, _ = solver.solve(problem, work, np.zeros(2))
         assert residual == 0.0
 
