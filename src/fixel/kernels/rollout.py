@@ -203,7 +203,7 @@ def _run(
             change = largest_change(problem, guess)
             error = 0.5 * trial * change
             if again == 0 and error > EVENT * pace.tolerance:
-                closing = closing_time(problem, guess, trial, method.lead)
+                closing = closing_time(problem, guess, trial, method.lead, pace.tolerance)
                 if 0.02 * trial < closing < 0.98 * trial:
                     # A gap closes inside the step: end the step there, and go on as planned.
                     resumed = max(resumed, trial)
@@ -340,25 +340,38 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @kernel
-def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
-    """When the first open gap that ends up loaded would close at the guessed velocity."""
+def closing_time(
+    problem: Problem, guess: FloatArray, step: float, lead: float, least: float
+) -> float:
+    """When the first gap wider than `least` that ends up loaded would close at the guessed
+    velocity."""
     earliest = math.inf
     for i in range(problem.size[1]):
         if problem.impulse[i, 0] <= 0.0:
             continue
         motion = 0.0
+        slide = 0.0
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
+        spin = abs(guess[a + 2])
+        arm = math.hypot(problem.normal[i, 2], problem.tangent[i, 2])
         for k in range(3):
             motion += problem.normal[i, k] * guess[a + k]
+            slide += problem.tangent[i, k] * guess[a + k]
             if b >= 0:
                 motion += problem.normal[i, 3 + k] * guess[b + k]
+                slide += problem.tangent[i, 3 + k] * guess[b + k]
+        if 0 <= b < problem.size[3]:
+            spin += abs(guess[b + 2])
+            arm += math.hypot(problem.normal[i, 5], problem.tangent[i, 5])
         # bias is the gap at the step's end, over the step, were the bodies to stand still.
         end = step * (motion + problem.bias[i, 0])
         gap = problem.contact_place[i, 0]
         rate = (gap - end) / ((1.0 - lead) * step)
         start = gap + lead * step * rate
-        if rate > 0.0 and start > 0.0:
+        # Of the way from the start to the rows, what bends away from a line.
+        bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
+        if rate > 0.0 and start > least + bent:
             earliest = min(earliest, start / rate)
     return earliest
 

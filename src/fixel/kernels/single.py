@@ -149,9 +149,11 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @entry
-def closing_time(problem: Problem, guess: FloatArray, step: float, lead: float) -> float:
+def closing_time(
+    problem: Problem, guess: FloatArray, step: float, lead: float, least: float
+) -> float:
     """See `rollout.closing_time`."""
-    return _rollout.closing_time(problem, guess, step, lead)
+    return _rollout.closing_time(problem, guess, step, lead, least)
 
 
 @entry

@@ -197,7 +197,8 @@ class Adaptive(AbstractStepper):
                 continue
             error = 0.5 * trial * float(single.largest_change(problem, guess))
             if renewed == 0 and error > EVENT * limits.tolerance:
-                closing = float(single.closing_time(problem, guess, trial, self.lead))
+                least = limits.tolerance
+                closing = float(single.closing_time(problem, guess, trial, self.lead, least))
                 if 0.02 * trial < closing < 0.98 * trial:
                     resumed = max(resumed, trial)
                     trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
