@@ -63,9 +63,9 @@ class Growing(AbstractStepper):
     def first_step(self):
         return self.first
 
-    def advance(self, attempt, problem, velocity, step, limits):
+    def advance(self, attempt, problem, past, step, limits):
         trial = min(step, limits.left)
-        status, residual, _ = attempt(trial, 0.0, velocity)
+        status, residual, *_ = attempt(trial, 0.0, past.velocity)
         return Advance(status, trial, min(1.1 * step, 0.05), residual)
 
 
@@ -77,7 +77,7 @@ class Counting(AbstractSolver):
     name: ClassVar[str] = "counting"
     calls: list
 
-    def solve(self, problem, work, guess):
+    def solve(self, problem, work, guess, hasty=False):
         self.calls.append(1)
         return Newton().solve(problem, work, guess)
 

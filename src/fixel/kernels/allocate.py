@@ -6,6 +6,7 @@ import numpy as np
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
+from fixel.kernels.josephy import MOST_CONTACTS, MOST_DRIVES
 from fixel.kernels.linear import DENSE_LIMIT
 
 SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
@@ -52,6 +53,7 @@ def empty_workspace(
 ) -> Workspace:
     """Scratch for a problem of these sizes in a scene of these sizes."""
     wide = n_dof + SPARE
+    n_row = 4 * min(n_contact, MOST_CONTACTS) + 2 * MOST_DRIVES
     # Islands are for large problems only.
     n_float = 0
     n_index = 0
@@ -76,6 +78,8 @@ def empty_workspace(
         pull=np.zeros(wide),
         centre=np.zeros(wide),
         search=np.zeros((wide, 3)),
+        tableau=np.zeros((n_row, 2 * n_row + 2)),
+        basis=np.zeros(n_row),
         island_floats=np.zeros(n_float),
         island_indices=np.zeros(n_index, np.int64),
         near_count=np.full(1, -1, np.int64),

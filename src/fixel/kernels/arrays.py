@@ -113,6 +113,8 @@ class Workspace(NamedTuple):
     pull: FloatArray  # (n_dof + 2,) proximal mass
     centre: FloatArray  # (n_dof + 2,) proximal centre
     search: FloatArray  # (n_dof + 2, 3) line search: base, direction; saved velocity
+    tableau: FloatArray  # (n_row, 2 n_row + 2) of the contacts and drives, in pivoting
+    basis: FloatArray  # (n_row,) column that each of its rows stands for
     island_floats: FloatArray  # what islands.py keeps, see there; empty for few unknowns
     island_indices: IntArray
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet

@@ -18,7 +18,7 @@ from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
 
 EPSILON = (
-    1e-5  # compliance of a held constraint, relative to its block's; larger needs more iterations
+    1e-7  # compliance of a held constraint, relative to its block's; larger needs more iterations
 )
 FLOOR = 1e-11  # of a block's stiffness, added to its inertia: what nothing holds stays where it was
 

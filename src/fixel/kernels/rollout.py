@@ -19,13 +19,17 @@ from fixel.kernels.arrays import (
 from fixel.kernels.contacts import place_bodies
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
-from fixel.kernels.solve import TOLERANCE, locked, solve
+from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE, locked, solve
 from fixel.kernels.step import move, prepare_step
 
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
 CAUTION = 0.9  # aim at this part of the tolerance
-EVENT = 0.01  # of the tolerance: above it a gap that closes inside a step ends the step
+JUMP = 0.1  # of the velocity: a change from step to step that is no smooth motion's
+# Of the change from a velocity expected on a line, times half the step: what a second-order step is
+# wrong by. A twelfth for equal steps; twice that to be safe.
+SECOND_ORDER = 1.0 / 6.0
+EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
@@ -140,6 +144,7 @@ def _run(
     status = codes.CONVERGED
     taken = 0
     last_taken = 0.0
+    earlier_taken = 0.0
     sample = write_samples(
         model, before, state, time, time, step, problem, record, 0, every_step, pace.duration
     )
@@ -153,12 +158,18 @@ def _run(
             trial = 0.5 * left
         elif trial > left * (1.0 - 1e-9):
             trial = left
-        for i in range(n_dof):
-            guess[i] = state.velocity[i]
-        again = 0  # how often the guess was renewed at this trial step
-        growth = 1.0
+        again = 0  # whether the guess was renewed at this trial step
+        growth = GROWTH
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         off = 0.0
+        rate = 0.0
+        if method.adaptive == 1:
+            rate = predict(
+                state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
+            )
+        else:
+            for i in range(n_dof):
+                guess[i] = state.velocity[i]
         while True:
             ready = prepare_step(
                 model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem,
@@ -167,7 +178,16 @@ def _run(
             if not ready:
                 status = codes.CONTACT_OVERFLOW
                 break
-            off, fell_back = solve(problem, work, guess, method.solver, method.effort)
+            if method.adaptive == 1 and again == 0:
+                closing = closing_time(problem, guess, trial, method.lead, pace.tolerance)
+                if 0.02 * trial < closing < 0.98 * trial:
+                    # A gap closes inside the step: end the step there, and go on as planned.
+                    resumed = max(resumed, trial)
+                    trial = max(closing * (1.0 - 1e-6), pace.smallest)
+                    again = 1
+                    continue
+            trials = HASTY if method.adaptive == 1 and trial > pace.smallest else PATIENT
+            off, fell_back = solve(problem, work, guess, method.solver, method.effort, trials)
             last_step = trial
             record.count[3] += fell_back
             if not off <= TOLERANCE:
@@ -175,8 +195,10 @@ def _run(
                 if method.adaptive == 1 and trial > pace.smallest:
                     trial *= 0.25
                     again = 0
-                    for i in range(n_dof):
-                        guess[i] = state.velocity[i]
+                    rate = predict(
+                        state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken,
+                        guess,
+                    )  # fmt: skip
                     continue
                 if math.isinf(off):
                     status = codes.NON_FINITE
@@ -197,38 +219,39 @@ def _run(
                 resumed = max(resumed, trial)
                 trial = max(pace.smallest, 0.25 * trial)
                 again = 0
-                for i in range(n_dof):
-                    guess[i] = state.velocity[i]
+                rate = predict(
+                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
+                )
                 continue
             change = largest_change(problem, guess)
+            jumped = change > JUMP * largest_speed(problem)
             error = 0.5 * trial * change
-            if again == 0 and error > EVENT * pace.tolerance:
-                closing = closing_time(problem, guess, trial, method.lead, pace.tolerance)
-                if 0.02 * trial < closing < 0.98 * trial:
-                    # A gap closes inside the step: end the step there, and go on as planned.
-                    resumed = max(resumed, trial)
-                    trial = max(closing * (1.0 + 1e-6), pace.smallest)
-                    again = 1
-                    continue
+            if rate > 0.0 and not jumped:
+                error *= SECOND_ORDER
+            if method.motion == codes.DYNAMIC:
+                error = max(error, 0.5 * trial * untouched_change(problem, state.velocity))
             if error <= pace.tolerance or trial <= pace.smallest:
-                growth = min(GROWTH, CAUTION * math.sqrt(pace.tolerance / max(error, 1e-30)))
+                growth = min(growth, CAUTION * (pace.tolerance / max(error, 1e-30)) ** EXPONENT)
                 growth = max(growth, 0.5)
                 break
-            gliding = 0.0
-            if method.motion == codes.DYNAMIC:
-                gliding = 0.5 * trial * untouched_change(problem, guess)
-            if again < 2 and gliding <= pace.tolerance:
-                # The velocity jumped at the step's start: take the new one as the guess, once.
-                again = 2
+            if jumped:
+                rate = 0.0
                 for i in range(n_dof):
                     guess[i] = problem.velocity[i]
-                continue
-            again = 0
+                if again < 2:
+                    # It jumped at the step's start: take the new velocity as the guess, once.
+                    again = 2
+                    continue
+            growth = 1.0
             trial = max(
-                pace.smallest, trial * max(SHRINK, CAUTION * math.sqrt(pace.tolerance / error))
+                pace.smallest,
+                trial * max(SHRINK, CAUTION * (pace.tolerance / error) ** EXPONENT),
             )
-            for i in range(n_dof):
-                guess[i] = state.velocity[i]
+            if again < 2:
+                rate = predict(
+                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
+                )
+            again = 0
         if status != codes.CONVERGED:
             break
         worst = max(worst, off)
@@ -236,6 +259,7 @@ def _run(
         move(model, state, trial, problem, method.motion == codes.DYNAMIC and method.adaptive == 1)
         time += trial
         taken += 1
+        earlier_taken = last_taken
         last_taken = trial
         if method.adaptive == 1:
             step = min(trial * growth, pace.largest)
@@ -307,6 +331,35 @@ def bounces(
 
 
 @kernel
+def predict(
+    velocity: FloatArray,
+    before: FloatArray,
+    n_dof: int,
+    step: float,
+    last: float,
+    earlier: float,
+    guess: FloatArray,
+) -> float:
+    """Write the velocity expected over the next `step`.
+
+    On the line through the velocities of the last two steps, which lasted `last` and `earlier`;
+    where they differ by a jump, or there are no two, that of the last. Returns how far along that
+    line, zero for not at all.
+    """
+    change = 0.0
+    size = 0.0
+    for i in range(n_dof):
+        change = max(change, abs(velocity[i] - before[i]))
+        size = max(size, abs(velocity[i]), abs(before[i]))
+    rate = 0.0
+    if earlier > 0.0 and change < JUMP * size:
+        rate = (step + last) / (last + earlier)
+    for i in range(n_dof):
+        guess[i] = velocity[i] + rate * (velocity[i] - before[i])
+    return rate
+
+
+@kernel
 def largest_change(problem: Problem, guess: FloatArray) -> float:
     """Largest difference between the velocity found and the one guessed, over bodies and drives."""
     largest = 0.0
@@ -317,6 +370,19 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
         largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
     for o in range(problem.size[3], problem.size[0]):
         largest = max(largest, abs(v[o] - guess[o]))
+    return largest
+
+
+@kernel
+def largest_speed(problem: Problem) -> float:
+    """As `largest_change`, of the velocity found."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[3], 3):
+        speed = math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1])
+        largest = max(largest, speed + abs(v[o + 2]))
+    for o in range(problem.size[3], problem.size[0]):
+        largest = max(largest, abs(v[o]))
     return largest
 
 
@@ -347,8 +413,6 @@ def closing_time(
     velocity."""
     earliest = math.inf
     for i in range(problem.size[1]):
-        if problem.impulse[i, 0] <= 0.0:
-            continue
         motion = 0.0
         slide = 0.0
         a = problem.contact_dof[i, 0]

@@ -96,10 +96,10 @@ def rows(
 
 @entry
 def solve_problem(
-    problem: Problem, work: Workspace, guess: FloatArray, solver: int, effort: int
+    problem: Problem, work: Workspace, guess: FloatArray, solver: int, effort: int, trials: int
 ) -> tuple[float, int]:
     """See `solve.solve`."""
-    return solve(problem, work, guess, solver, effort)
+    return solve(problem, work, guess, solver, effort, trials)
 
 
 @entry
@@ -137,9 +137,29 @@ def bounces(
 
 
 @entry
+def predict(
+    velocity: FloatArray,
+    before: FloatArray,
+    n_dof: int,
+    step: float,
+    last: float,
+    earlier: float,
+    guess: FloatArray,
+) -> float:
+    """See `rollout.predict`."""
+    return _rollout.predict(velocity, before, n_dof, step, last, earlier, guess)
+
+
+@entry
 def largest_change(problem: Problem, guess: FloatArray) -> float:
     """See `rollout.largest_change`."""
     return _rollout.largest_change(problem, guess)
+
+
+@entry
+def largest_speed(problem: Problem) -> float:
+    """See `rollout.largest_speed`."""
+    return _rollout.largest_speed(problem)
 
 
 @entry

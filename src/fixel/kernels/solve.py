@@ -16,6 +16,7 @@ from fixel.kernels.islands import (
     scatter,
 )
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
+from fixel.kernels.josephy import josephy
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
 from fixel.kernels.proximal import newton_any, proximal_newton
@@ -28,19 +29,23 @@ NEWTON_TOLERANCE = (
     1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
 )
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
-TRIALS = 25  # of the recovery: each starts where the last one got to, every eighth from nothing
-GIVE_UP = 4  # after this trial ask whether there is anything to find
+ITERATIONS = 12  # Newton from where the recovery got to
+# Trials of the recovery: each starts where the last one got to, every eighth from nothing.
+PATIENT = 26
+HASTY = 8
+TURNS = 6  # of pivoting; one to three are the rule
+GIVE_UP = 5  # after this trial ask whether there is anything to find
 SWEEPS = 300  # of Gauss-Seidel before the second start from nothing, twice as many before the third
 
 
 @spliced_kernel
 def solve(
-    problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int
+    problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int, trials: int
 ) -> tuple[float, int]:
     """Solve the problem in place; returns (residual, 1 if a fallback was needed).
 
     Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can
-    do.
+    do in so many `trials`: HASTY where a shorter step may be tried instead, else PATIENT.
     """
     way = sweeps if solver == codes.GAUSS_SEIDEL else 0
     if way == 0 and problem.size[0] <= DENSE_LIMIT:
@@ -49,11 +54,13 @@ def solve(
         worst = residual(problem, work.right)
         if worst <= TOLERANCE:
             return worst, 0
-    return finish(problem, work, guess, way)
+    return finish(problem, work, guess, way, trials)
 
 
 @spliced_kernel
-def finish(problem: Problem, work: Workspace, guess: FloatArray, sweeps: int) -> tuple[float, int]:
+def finish(
+    problem: Problem, work: Workspace, guess: FloatArray, sweeps: int, trials: int
+) -> tuple[float, int]:
     """What is left to do where `solve` has not tried or not succeeded."""
     if sweeps > 0:
         sweep(problem, work, sweeps)
@@ -63,8 +70,8 @@ def finish(problem: Problem, work: Workspace, guess: FloatArray, sweeps: int) ->
         forget(problem, guess)
         save(problem, work)
     if problem.size[0] > DENSE_LIMIT:
-        return solve_large(problem, work, guess)
-    return recover(problem, work, guess, False)
+        return solve_large(problem, work, guess, trials)
+    return recover(problem, work, guess, False, trials)
 
 
 @large_kernel
@@ -74,7 +81,9 @@ def sweep(problem: Problem, work: Workspace, sweeps: int) -> float:
 
 
 @spliced_kernel
-def solve_large(problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
+def solve_large(
+    problem: Problem, work: Workspace, guess: FloatArray, trials: int
+) -> tuple[float, int]:
     """Solve island by island."""
     islands = islands_of(problem, work)
     fell_back = 0
@@ -89,48 +98,67 @@ def solve_large(problem: Problem, work: Workspace, guess: FloatArray) -> tuple[f
         for b in range(n_block):
             if islands.island[b] == b and islands.first[b] == 1:
                 gather(problem, work, islands, guess, b)
-                _, more = recover(islands.part, work, islands.guess, True)
+                _, more = recover(islands.part, work, islands.guess, True, trials)
                 fell_back = max(fell_back, more)
                 scatter(problem, islands, b)
     return residual(problem, work.right), fell_back
 
 
 @large_kernel
-def recover(problem: Problem, work: Workspace, guess: FloatArray, fresh: bool) -> tuple[float, int]:
+def recover(
+    problem: Problem, work: Workspace, guess: FloatArray, fresh: bool, trials: int
+) -> tuple[float, int]:
     """Solve a problem of any size by every means there are.
 
     `fresh`: quick Newton first. Otherwise that has failed, and `work` holds what it began with.
     Profiles must be set where there are more than DENSE_LIMIT unknowns.
     """
+    if fresh:
+        save(problem, work)
+        worst = polish(problem, work, QUICK_ITERATIONS, 1.0)
+        if worst <= TOLERANCE:
+            return worst, 0
+    else:
+        restore(problem, work)
     stiffness = 100.0
     worst = math.inf
-    for trial in range(-1 if fresh else 0, TRIALS):
-        iterations = 12
-        if trial == -1:
-            iterations = QUICK_ITERATIONS
-        elif trial == 0:
-            restore(problem, work)
-        elif trial % 8 == 1:
+    for trial in range(trials):
+        if trial % 8 == 1:
             forget(problem, guess)
             stiffness = 10.0
             if trial > 1:
                 sweep(problem, work, SWEEPS * (trial // 8))
-        if trial >= 0:
-            wait = -1 if trial == 0 or trial % 2 == 1 else 100
-            share = 1.0 / (1 + (trial - 1) % 8)
+            save(problem, work)
+        if trial == 0 or trial % 8 == 1:
+            josephy(problem, work, 1e-10, TURNS if trial == 0 else 5 * TURNS)
+        else:
+            wait = -1 if trial % 2 == 0 else 100
+            share = 1.0 / (1 + (trial - 2) % 8)
             stiffness = proximal_newton(
                 problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, share
             )
-        save(problem, work)
-        newton_any(problem, work, NEWTON_TOLERANCE, iterations, 10.0 * stiffness)
-        worst = residual(problem, work.right)
+            save(problem, work)
+        worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
         if worst <= TOLERANCE:
-            return worst, 0 if trial < 0 else 1
-        restore(problem, work)
+            return worst, 1
         if trial == GIVE_UP and locked(problem, work, guess):
             break
         stiffness = min(stiffness, 1e4)
     return worst, 1
+
+
+@large_kernel
+def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float) -> float:
+    """Newton from here; where it does not get there, back to what was saved. Returns the residual
+    it had."""
+    worst = residual(problem, work.right)
+    if worst <= TOLERANCE:
+        return worst
+    newton_any(problem, work, NEWTON_TOLERANCE, iterations, stiffness)
+    worst = residual(problem, work.right)
+    if not worst <= TOLERANCE:
+        restore(problem, work)
+    return worst
 
 
 @kernel

@@ -23,7 +23,7 @@ from fixel.kernels.solve import TOLERANCE
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import Packed
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Limits
+from fixel.simulation.stepper import AbstractStepper, Attempt, Limits, Past
 
 
 class _Loop:
@@ -55,7 +55,14 @@ class _Loop:
             self.model, self.state, batch.velocity, float(pace[1]), self.problem, self.work
         )
 
-    def attempt(self, step: float, lead: float, guess: FloatArray) -> Attempt:
+    def attempt(
+        self,
+        step: float,
+        lead: float,
+        guess: FloatArray,
+        least: float = math.inf,
+        hasty: bool = False,
+    ) -> Attempt:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
         ahead = lead * step
@@ -69,7 +76,11 @@ class _Loop:
             model, state, kind, self.time, step, ahead, guess, self.pose, problem, n_support,
             self.last_step,
         )  # fmt: skip
-        residual, fell_back = self.solver.solve(problem, work, guess)
+        if least < math.inf:
+            closing = float(single.closing_time(problem, guess, step, lead, least))
+            if 0.02 * step < closing < 0.98 * step:
+                return Attempt(codes.CONVERGED, math.inf, closing=closing)
+        residual, fell_back = self.solver.solve(problem, work, guess, hasty)
         self.fallbacks += fell_back
         solved = residual <= TOLERANCE
         self.last_step = step if solved else 0.0
@@ -94,15 +105,16 @@ def roll_plainly(
     status = codes.CONVERGED
     worst = 0.0
     steps = 0
+    before = State(*(np.array(a) for a in loop.state))
+    last_taken = earlier_taken = 0.0
     while loop.time < duration * (1.0 - 1e-12):
         if steps == method.max_steps:
             status = codes.MAX_STEPS
             break
         inertial = motion.kind == codes.DYNAMIC
         limits = Limits(duration - loop.time, tolerance, smallest, largest, inertial)
-        advance = stepper.advance(
-            loop.attempt, loop.problem, loop.state.velocity.copy(), step, limits
-        )
+        past = Past(loop.state.velocity.copy(), before.velocity, last_taken, earlier_taken)
+        advance = stepper.advance(loop.attempt, loop.problem, past, step, limits)
         if advance.status != codes.CONVERGED:
             status = _reason(loop, advance.status, advance.residual)
             break
@@ -113,6 +125,7 @@ def roll_plainly(
         motion.move(loop.model, loop.state, advance.step, loop.problem, glide)
         loop.time += advance.step
         steps += 1
+        earlier_taken, last_taken = last_taken, taken
         step = advance.next_step
         samples.take(before, taken, taken)
     if status != codes.CONVERGED and steps and not samples.every_step:

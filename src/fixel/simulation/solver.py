@@ -9,7 +9,7 @@ from typing import ClassVar, final
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
-from fixel.kernels.solve import TOLERANCE
+from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE
 
 
 class AbstractSolver(abc.ABC):
@@ -19,7 +19,9 @@ class AbstractSolver(abc.ABC):
     kind: ClassVar[int] = codes.EXTERNAL
 
     @abc.abstractmethod
-    def solve(self, problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
+    def solve(
+        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+    ) -> tuple[float, int]:
         """Improve `problem.velocity`, `problem.impulse` and `problem.element_impulse`.
 
         Parameters
@@ -30,6 +32,8 @@ class AbstractSolver(abc.ABC):
             Scratch.
         guess : (n_dof + 2,) float64
             The velocities expected, to start again from.
+        hasty : bool
+            A shorter step can be tried instead: do not insist.
 
         Returns
         -------
@@ -52,8 +56,10 @@ class Newton(AbstractSolver):
     name: ClassVar[str] = "newton"
     kind: ClassVar[int] = codes.NEWTON
 
-    def solve(self, problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
-        return single.solve_problem(problem, work, guess, self.kind, 0)
+    def solve(
+        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+    ) -> tuple[float, int]:
+        return single.solve_problem(problem, work, guess, self.kind, 0, _trials(hasty))
 
 
 @final
@@ -78,8 +84,12 @@ class GaussSeidel(AbstractSolver):
                 "GaussSeidel.max_sweeps", found=self.max_sweeps, expected="at least 1"
             )
 
-    def solve(self, problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
-        return single.solve_problem(problem, work, guess, self.kind, self.max_sweeps)
+    def solve(
+        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+    ) -> tuple[float, int]:
+        return single.solve_problem(
+            problem, work, guess, self.kind, self.max_sweeps, _trials(hasty)
+        )
 
 
 @final
@@ -100,12 +110,18 @@ class Lemke(AbstractSolver):
         if self.max_pivots < 1:
             raise InvalidInput("Lemke.max_pivots", found=self.max_pivots, expected="at least 1")
 
-    def solve(self, problem: Problem, work: Workspace, guess: FloatArray) -> tuple[float, int]:
+    def solve(
+        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+    ) -> tuple[float, int]:
         residual = float(single.solve_by_pivoting(problem, work, self.max_pivots))
         if residual <= TOLERANCE:
             return residual, 0
-        residual, _ = single.solve_problem(problem, work, guess, codes.NEWTON, 0)
+        residual, _ = single.solve_problem(problem, work, guess, codes.NEWTON, 0, _trials(hasty))
         return residual, 1
+
+
+def _trials(hasty: bool) -> int:
+    return HASTY if hasty else PATIENT
 
 
 SOLVERS: tuple[type[AbstractSolver], ...] = (Newton, GaussSeidel, Lemke)

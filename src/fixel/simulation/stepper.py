@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, final
+from typing import ClassVar, NamedTuple, Protocol, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem
-from fixel.kernels.rollout import CAUTION, EVENT, GROWTH, SHRINK
+from fixel.kernels.rollout import CAUTION, EXPONENT, GROWTH, JUMP, SECOND_ORDER, SHRINK
 from fixel.kernels.solve import TOLERANCE
 
 
@@ -23,6 +22,7 @@ class Attempt(NamedTuple):
     status: int  # codes.CONVERGED, CONTACT_OVERFLOW or MAX_ITERATIONS
     residual: float
     bounces: bool = False  # whether a contact gives back speed
+    closing: float = math.inf  # when a gap closes inside the step, which was then not solved
 
 
 class Advance(NamedTuple):
@@ -34,8 +34,32 @@ class Advance(NamedTuple):
     residual: float
 
 
-# Tries the step (length, lead, guessed velocity) and leaves the solution in the problem.
-Try = Callable[[float, float, FloatArray], Attempt]
+class Past(NamedTuple):
+    """What the last two steps were, scaled."""
+
+    velocity: FloatArray  # (n_dof + 2,) now
+    before: FloatArray  # (n_dof + 2,) one step earlier
+    last: float  # length of the last step, zero for none
+    earlier: float  # of the one before it
+
+
+class Try(Protocol):
+    """Tries a step and leaves the solution in the problem."""
+
+    def __call__(
+        self,
+        step: float,
+        lead: float,
+        guess: FloatArray,
+        least: float = math.inf,
+        hasty: bool = False,
+        /,
+    ) -> Attempt:
+        """Rows are taken `lead` of the step after its start, at the guessed velocity.
+
+        Where a gap wider than `least` closes inside the step at that velocity, nothing is solved,
+        and `Attempt.closing` tells when. `hasty`: a shorter step can be tried instead.
+        """
 
 
 class AbstractStepper(abc.ABC):
@@ -53,7 +77,7 @@ class AbstractStepper(abc.ABC):
 
     @abc.abstractmethod
     def advance(
-        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
     ) -> Advance:
         """Find the next step, at most `limits.left` long, with its solution in `problem`.
 
@@ -71,9 +95,9 @@ class Limits(NamedTuple):
     inertial: bool  # whether velocities are smooth where no contact acts
 
 
-def _fixed(attempt: Try, velocity: FloatArray, step: float, lead: float, limits: Limits) -> Advance:
+def _fixed(attempt: Try, past: Past, step: float, lead: float, limits: Limits) -> Advance:
     trial = limits.left if limits.left < step * (1.0 + 1e-9) else step
-    status, residual, _ = attempt(trial, lead, velocity)
+    status, residual, *_ = attempt(trial, lead, past.velocity)
     return Advance(status, trial, step, residual)
 
 
@@ -99,9 +123,9 @@ class StewartTrinkle(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
     ) -> Advance:
-        return _fixed(attempt, velocity, step, self.lead, limits)
+        return _fixed(attempt, past, step, self.lead, limits)
 
 
 @final
@@ -126,9 +150,9 @@ class Midpoint(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
     ) -> Advance:
-        return _fixed(attempt, velocity, step, self.lead, limits)
+        return _fixed(attempt, past, step, self.lead, limits)
 
 
 @final
@@ -172,52 +196,72 @@ class Adaptive(AbstractStepper):
         return None
 
     def advance(
-        self, attempt: Try, problem: Problem, velocity: FloatArray, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
     ) -> Advance:
         """As the compiled loop in kernels/rollout.py, decision by decision."""
         trial = min(step, limits.left)
         if trial < limits.left < 1.5 * trial:
             trial = 0.5 * limits.left
-        guess = velocity.copy()
+        rate, guess = _predict(past, trial)
         renewed = 0
+        growth = GROWTH
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         while True:
-            status, residual, bounces = attempt(trial, self.lead, guess)
+            least = limits.tolerance if renewed == 0 else math.inf
+            status, residual, bounces, closing = attempt(
+                trial, self.lead, guess, least, trial > limits.smallest
+            )
             if status == codes.CONTACT_OVERFLOW:
                 return Advance(status, trial, trial, residual)
+            if closing < math.inf:
+                resumed = max(resumed, trial)
+                trial, renewed = max(closing * (1.0 - 1e-6), limits.smallest), 1
+                continue
             if not residual <= TOLERANCE:
                 if trial > limits.smallest:
-                    trial, renewed, guess = 0.25 * trial, 0, velocity.copy()
+                    trial, renewed = 0.25 * trial, 0
+                    rate, guess = _predict(past, trial)
                     continue
                 return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
             if bounces and trial > limits.smallest:
                 resumed = max(resumed, trial)
                 trial, renewed = max(limits.smallest, 0.25 * trial), 0
-                guess = velocity.copy()
+                rate, guess = _predict(past, trial)
                 continue
-            error = 0.5 * trial * float(single.largest_change(problem, guess))
-            if renewed == 0 and error > EVENT * limits.tolerance:
-                least = limits.tolerance
-                closing = float(single.closing_time(problem, guess, trial, self.lead, least))
-                if 0.02 * trial < closing < 0.98 * trial:
-                    resumed = max(resumed, trial)
-                    trial, renewed = max(closing * (1.0 + 1e-6), limits.smallest), 1
-                    continue
+            change = float(single.largest_change(problem, guess))
+            jumped = change > JUMP * float(single.largest_speed(problem))
+            error = 0.5 * trial * change
+            if rate > 0.0 and not jumped:
+                error *= SECOND_ORDER
+            if limits.inertial:
+                change = float(single.untouched_change(problem, past.velocity))
+                error = max(error, 0.5 * trial * change)
             if error <= limits.tolerance or trial <= limits.smallest:
-                growth = CAUTION * math.sqrt(limits.tolerance / max(error, 1e-30))
-                growth = max(0.5, min(GROWTH, growth))
-                following = trial * growth
+                ratio = limits.tolerance / max(error, 1e-30)
+                growth = min(growth, CAUTION * ratio**EXPONENT)
+                following = trial * max(0.5, growth)
                 if resumed > 0.0 and (trial <= limits.smallest or renewed == 1):
                     following = resumed
                 return Advance(codes.CONVERGED, trial, min(following, limits.largest), residual)
-            gliding = 0.0
-            if limits.inertial:
-                gliding = 0.5 * trial * float(single.untouched_change(problem, guess))
-            if renewed < 2 and gliding <= limits.tolerance:
-                renewed, guess = 2, np.array(problem.velocity)
-                continue
-            shrink = max(SHRINK, CAUTION * math.sqrt(limits.tolerance / error))
-            trial, renewed, guess = max(limits.smallest, trial * shrink), 0, velocity.copy()
+            if jumped:
+                rate, guess = 0.0, np.array(problem.velocity)
+                if renewed < 2:
+                    renewed = 2
+                    continue
+            growth = 1.0
+            shrink = max(SHRINK, CAUTION * (limits.tolerance / error) ** EXPONENT)
+            trial = max(limits.smallest, trial * shrink)
+            if renewed < 2:
+                rate, guess = _predict(past, trial)
+            renewed = 0
+
+
+def _predict(past: Past, step: float) -> tuple[float, FloatArray]:
+    guess = past.velocity.copy()
+    rate = single.predict(
+        past.velocity, past.before, guess.size - 2, step, past.last, past.earlier, guess
+    )
+    return float(rate), guess
 
 
 def _refuse_step(where: str, step: float) -> None:

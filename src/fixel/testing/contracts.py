@@ -24,7 +24,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Limits, StewartTrinkle
+from fixel.simulation.stepper import AbstractStepper, Attempt, Limits, Past, StewartTrinkle
 from fixel.testing.scenes import free_push, grasp, row, sliding_block, touching_pose
 
 G = 9.81
@@ -227,24 +227,26 @@ class StepperContract:
         problem, _ = step_problem((1.0, 0.0, 0.0))
         tries = []
 
-        def attempt(step: float, lead: float, guess: FloatArray) -> Attempt:
+        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> Attempt:
             tries.append(step)
             assert len(tries) < 1000, "a stepper has to give up"
             return Attempt(status, math.inf)
 
+        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0)
         limits = Limits(1.0, 1e-3, 1e-7, 0.2, True)
-        advance = stepper.advance(attempt, problem, np.zeros(5), 0.1, limits)
+        advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
 
     def test_never_goes_beyond_what_is_left(self, stepper: AbstractStepper) -> None:
         problem, _ = step_problem((0.0, 0.0, 0.0))
 
-        def attempt(step: float, lead: float, guess: FloatArray) -> Attempt:
+        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> Attempt:
             assert step <= 0.05 * (1 + 1e-12)
             return Attempt(codes.CONVERGED, 0.0)
 
+        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0)
         limits = Limits(0.05, 1e-3, 1e-7, 0.2, True)
-        advance = stepper.advance(attempt, problem, np.zeros(5), 0.1, limits)
+        advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED
         assert 0.0 < advance.step <= 0.05 * (1 + 1e-12)
         assert advance.next_step > 0.0

@@ -21,7 +21,7 @@ from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, IntArray, Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.jit import allocating_kernel, entry, kernel
-from fixel.kernels.solve import TOLERANCE, solve
+from fixel.kernels.solve import PATIENT, TOLERANCE, solve
 
 MAX_BODIES = 6
 MAX_CONTACTS = 12
@@ -389,7 +389,7 @@ def solve_many(
                 shift(problem, aim, random, motion)
                 for i in range(problem.size[0]):
                     guess[i] = problem.velocity[i]
-            off, fell_back = solve(problem, work, guess, solver, effort)
+            off, fell_back = solve(problem, work, guess, solver, effort, PATIENT)
             tally[0] += 1.0
             tally[1] += fell_back
             if off <= TOLERANCE:

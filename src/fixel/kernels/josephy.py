@@ -1,0 +1,422 @@
+"""Newton's method for generalised equations: contacts by pivoting, friction elements linearised.
+
+Newton on the natural map guesses anew in each iteration which contacts press, slide and stick, and
+may go round in circles where one answer excludes the other: a part that seats between a pusher and
+a peg is held by forces a hundred times those of a moment before. Here only the support friction is
+linearised; for what is left, a linear complementarity problem in the few contacts and drives,
+Lemke's method follows a path to an answer. Three to five rounds are the rule, each tens of pivots
+of a small tableau.
+
+Source: Josephy (1979) for the method; Stewart & Trinkle (1996) for the linear problem, copositive,
+so that Lemke's method ends with an answer wherever prescribed motions do not squeeze a body.
+"""
+
+import math
+
+from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.gauss_seidel import nearest_in_polygon
+from fixel.kernels.jit import kernel, large_kernel
+from fixel.kernels.newton import FLOOR, linearise, step_all
+
+MOST_CONTACTS = 12
+MOST_DRIVES = 4
+MOST_UNKNOWNS = 36
+MOST_ROWS = 4 * MOST_CONTACTS + 2 * MOST_DRIVES
+COMPLIANCE = 1e-5  # of an element that sticks, relative to its block's
+PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, where a body
+LIGHT = 1e-3  # has less inertia than this
+SMALL = 1e-11  # of the largest entry of a pivot column: no pivot
+PIVOTS = 8  # a row, at most
+PATIENCE = 8  # rounds before steps are shortened
+
+
+@large_kernel
+def josephy(problem: Problem, work: Workspace, tolerance: float, rounds: int) -> bool:
+    """Improve velocity and impulses; False where pivoting ends without an answer, or does not
+    apply.
+
+    Ends early where a round changes no velocity by more than `tolerance`.
+    """
+    n_contact = problem.size[1]
+    n_element = problem.size[2]
+    n_drive = problem.size[0] - problem.size[3]
+    n_support = 0
+    while n_support < n_element and problem.element_dof[n_support] < problem.size[3]:
+        n_support += 1
+    if (
+        problem.size[0] > MOST_UNKNOWNS
+        or n_contact > MOST_CONTACTS
+        or n_drive > MOST_DRIVES
+        or n_element - n_support != n_drive
+        or 4 * n_contact + 2 * n_drive > work.tableau.shape[0]
+    ):
+        return False
+    pull = FLOOR
+    for o in range(0, problem.size[3], 3):
+        if problem.inertia[o, 0] < LIGHT * problem.stiffness[o]:
+            pull = PULL
+    before = math.inf
+    share = 1.0
+    for turn in range(rounds):
+        # Without contacts and drives: every body by itself on its supports.
+        problem.size[1] = 0
+        problem.size[2] = n_support
+        linearise(problem, work, COMPLIANCE, pull, True, False, False)
+        problem.size[1] = n_contact
+        problem.size[2] = n_element
+        _invert_blocks(problem, work)
+        _write_tableau(problem, work, n_support)
+        if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
+            return False
+        change = _take_answer(problem, work, n_support, share)
+        if not change > tolerance:
+            break
+        if turn >= PATIENCE and change > 0.5 * before:
+            # Two linearisations each lead to the other: meet half way.
+            share = max(0.25, 0.5 * share)
+        before = change
+    return True
+
+
+@kernel
+def _invert_blocks(problem: Problem, work: Workspace) -> None:
+    """Inverse of every body's block of the matrix, in `work.inverse`."""
+    inverse = work.inverse
+    m = work.matrix
+    for o in range(0, problem.size[3], 3):
+        a00 = m[o, o]
+        a01 = m[o, o + 1]
+        a02 = m[o, o + 2]
+        a11 = m[o + 1, o + 1]
+        a12 = m[o + 1, o + 2]
+        a22 = m[o + 2, o + 2]
+        c00 = a11 * a22 - a12 * a12
+        c01 = a02 * a12 - a01 * a22
+        c02 = a01 * a12 - a02 * a11
+        determinant = a00 * c00 + a01 * c01 + a02 * c02
+        inverse[o, 0] = c00 / determinant
+        inverse[o, 1] = c01 / determinant
+        inverse[o, 2] = c02 / determinant
+        inverse[o + 1, 0] = inverse[o, 1]
+        inverse[o + 1, 1] = (a00 * a22 - a02 * a02) / determinant
+        inverse[o + 1, 2] = (a01 * a02 - a00 * a12) / determinant
+        inverse[o + 2, 0] = inverse[o, 2]
+        inverse[o + 2, 1] = inverse[o + 1, 2]
+        inverse[o + 2, 2] = (a00 * a11 - a01 * a01) / determinant
+
+
+@kernel
+def _coupling(
+    problem: Problem, work: Workspace, first: FloatArray, i: int, second: FloatArray, j: int
+) -> float:
+    """Velocity along row i of `first` that a unit impulse along row j of `second` gives."""
+    total = 0.0
+    for side in range(2):
+        o = problem.contact_dof[i, side]
+        if o < 0 or o >= problem.size[3]:
+            continue
+        for other in range(2):
+            if problem.contact_dof[j, other] == o:
+                for k in range(3):
+                    for m in range(3):
+                        total += (
+                            first[i, 3 * side + k]
+                            * work.inverse[o + k, m]
+                            * second[j, 3 * other + m]
+                        )
+    return total
+
+
+@kernel
+def _write_tableau(problem: Problem, work: Workspace, n_support: int) -> None:
+    """The linear complementarity problem, as Lemke's method begins.
+
+    Unknowns of contact i from 4 i: normal impulse, tangential impulse forwards and backwards, slip
+    speed. Of drive d from 4 n + 2 d: how much slower, and how much faster, than commanded. Rows of
+    a drive: what is left of its force.
+    """
+    n_contact = problem.size[1]
+    n_free = problem.size[3]
+    n_drive = problem.size[0] - n_free
+    n = 4 * n_contact + 2 * n_drive
+    t = work.tableau
+    v = problem.velocity
+    for r in range(n):
+        for c in range(2 * n + 2):
+            t[r, c] = 0.0
+        t[r, r] = 1.0
+        t[r, 2 * n] = -1.0
+    q = 2 * n + 1
+    unit = work.contact_change
+    least = math.inf
+    for i in range(n_contact):
+        give = _coupling(problem, work, problem.normal, i, problem.normal, i) + _coupling(
+            problem, work, problem.tangent, i, problem.tangent, i
+        )
+        unit[i, 0] = 1.0 / give if give > 0.0 else 1.0
+        least = min(least, unit[i, 0])
+    # Velocities without contact impulses, the drives at the commanded speed.
+    free = work.centre
+    for o in range(0, n_free, 3):
+        for k in range(3):
+            free[o + k] = v[o + k]
+            for m in range(3):
+                free[o + k] += work.inverse[o + k, m] * work.right[o + m]
+    for d in range(n_drive):
+        free[n_free + d] = -problem.element_bias[n_support + d, 0]
+    for i in range(n_contact):
+        r = 4 * i
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o < 0:
+                continue
+            for k in range(3):
+                t[r, q] += problem.normal[i, 3 * side + k] * free[o + k]
+                t[r + 1, q] += problem.tangent[i, 3 * side + k] * free[o + k]
+            if o >= n_free:
+                r_drive = 4 * n_contact + 2 * (o - n_free)
+                _couple_drive(problem, t, i, r_drive, side, n, unit[i, 0] / least)
+        t[r, q] += problem.bias[i, 0]
+        t[r + 1, q] += problem.bias[i, 1]
+        t[r + 2, q] = -t[r + 1, q]
+        for j in range(n_contact):
+            c = n + 4 * j
+            scale = unit[j, 0]
+            nn = scale * _coupling(problem, work, problem.normal, i, problem.normal, j)
+            nt = scale * _coupling(problem, work, problem.normal, i, problem.tangent, j)
+            tn = scale * _coupling(problem, work, problem.tangent, i, problem.normal, j)
+            tt = scale * _coupling(problem, work, problem.tangent, i, problem.tangent, j)
+            t[r, c] = -nn
+            t[r, c + 1] = -nt
+            t[r, c + 2] = nt
+            t[r + 1, c] = -tn
+            t[r + 1, c + 1] = -tt
+            t[r + 1, c + 2] = tt
+            t[r + 2, c] = tn
+            t[r + 2, c + 1] = tt
+            t[r + 2, c + 2] = -tt
+        c = n + r
+        t[r + 1, c + 3] = -1.0
+        t[r + 2, c + 3] = -1.0
+        t[r + 3, c] = -problem.friction[i]
+        t[r + 3, c + 1] = 1.0
+        t[r + 3, c + 2] = 1.0
+    for d in range(n_drive):
+        r = 4 * n_contact + 2 * d
+        o = n_free + d
+        inertia = problem.inertia[o, 0] / least
+        force = inertia * free[o] - problem.momentum[o] / least
+        t[r, q] = problem.element_limit[n_support + d] / least - force
+        t[r + 1, q] = problem.element_limit[n_support + d] / least + force
+        t[r, n + r] -= inertia
+        t[r, n + r + 1] += inertia
+        t[r + 1, n + r] += inertia
+        t[r + 1, n + r + 1] -= inertia
+
+
+@kernel
+def _couple_drive(
+    problem: Problem, t: FloatArray, i: int, r: int, side: int, n: int, scale: float
+) -> None:
+    """The contact feels how the drive's speed departs from the commanded; the drive, its impulses,
+    in a unit of its own."""
+    along = problem.normal[i, 3 * side]
+    across = problem.tangent[i, 3 * side]
+    c = 4 * i
+    for sign in range(2):
+        way = 1.0 if sign == 0 else -1.0  # slower, faster
+        t[c, n + r + sign] += way * along
+        t[c + 1, n + r + sign] += way * across
+        t[c + 2, n + r + sign] -= way * across
+        t[r + sign, n + c] -= way * scale * along
+        t[r + sign, n + c + 1] -= way * scale * across
+        t[r + sign, n + c + 2] += way * scale * across
+
+
+@kernel
+def _lemke(t: FloatArray, basis: FloatArray, n: int) -> bool:
+    """Pivot the tableau ``w - M z - z0 = q`` until z0 leaves; lexicographic, so it never circles.
+
+    ``basis[r]`` is the column that row r stands for: w from 0, z from n, z0 is 2 n.
+    """
+    q = 2 * n + 1
+    row = -1
+    scale = 0.0
+    for r in range(n):
+        scale = max(scale, abs(t[r, q]))
+    for r in range(n):
+        basis[r] = r
+        if t[r, q] < 0.0 and (row < 0 or t[r, q] < t[row, q]):
+            row = r
+    if row < 0:
+        return True
+    column = 2 * n
+    for _ in range(PIVOTS * n):
+        leaving = int(basis[row])
+        _pivot(t, row, column, n)
+        basis[row] = column
+        if leaving == 2 * n:
+            return True
+        column = leaving + n if leaving < n else leaving - n
+        largest = 0.0
+        for r in range(n):
+            largest = max(largest, abs(t[r, column]))
+        row = -1
+        for r in range(n):
+            if t[r, column] > SMALL * largest and (
+                row < 0 or _comes_first(t, r, row, column, basis, n, scale)
+            ):
+                row = r
+        if row < 0:
+            return False
+    return False
+
+
+@kernel
+def _comes_first(
+    t: FloatArray, r: int, row: int, column: int, basis: FloatArray, n: int, scale: float
+) -> bool:
+    """Whether row r blocks before `row` does: by the quotients of q, then of the first columns."""
+    q = 2 * n + 1
+    a = t[r, q] / t[r, column]
+    b = t[row, q] / t[row, column]
+    slack = 1e-13 * scale * (1.0 / t[r, column] + 1.0 / t[row, column])
+    if a < b - slack:
+        return True
+    if a > b + slack:
+        return False
+    if basis[r] == 2 * n:
+        return True
+    if basis[row] == 2 * n:
+        return False
+    for k in range(n):
+        a = t[r, k] / t[r, column]
+        b = t[row, k] / t[row, column]
+        slack = 1e-13 * (1.0 / t[r, column] + 1.0 / t[row, column])
+        if a < b - slack:
+            return True
+        if a > b + slack:
+            return False
+    return False
+
+
+@kernel
+def _pivot(t: FloatArray, row: int, column: int, n: int) -> None:
+    inverse = 1.0 / t[row, column]
+    for c in range(2 * n + 2):
+        t[row, c] *= inverse
+    for r in range(n):
+        factor = t[r, column]
+        if r != row and factor != 0.0:
+            for c in range(2 * n + 2):
+                t[r, c] -= factor * t[row, c]
+    # Exactly, where rounding would leave a trace.
+    for r in range(n):
+        t[r, column] = 1.0 if r == row else 0.0
+
+
+@kernel
+def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float) -> float:
+    """Impulses of the tableau's answer, and this share of the way to its velocities; returns the
+    largest change of velocity."""
+    n_contact = problem.size[1]
+    n_free = problem.size[3]
+    n_drive = problem.size[0] - n_free
+    n_element = problem.size[2]
+    n = 4 * n_contact + 2 * n_drive
+    t = work.tableau
+    v = problem.velocity
+    right = work.right
+    for i in range(n_contact):
+        problem.impulse[i, 0] = 0.0
+        problem.impulse[i, 1] = 0.0
+    for d in range(n_drive):
+        work.search[n_free + d, 0] = work.centre[n_free + d]
+    for r in range(n):
+        c = int(work.basis[r]) - n
+        value = t[r, 2 * n + 1]
+        if c < 0 or c >= n:
+            continue
+        if c >= 4 * n_contact:
+            d = (c - 4 * n_contact) // 2
+            work.search[n_free + d, 0] += -value if c % 2 == 0 else value
+        elif c % 4 == 0:
+            problem.impulse[c // 4, 0] = work.contact_change[c // 4, 0] * max(0.0, value)
+        elif c % 4 == 1:
+            problem.impulse[c // 4, 1] += work.contact_change[c // 4, 0] * value
+        elif c % 4 == 2:
+            problem.impulse[c // 4, 1] -= work.contact_change[c // 4, 0] * value
+    change = 0.0
+    for d in range(n_drive):
+        o = n_free + d
+        change = max(change, abs(work.search[o, 0] - v[o]))
+        v[o] = work.search[o, 0]
+        problem.element_impulse[n_support + d, 0] = (
+            problem.inertia[o, 0] * v[o] - problem.momentum[o]
+        )
+    for i in range(n_contact):
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o < 0:
+                continue
+            pn = problem.impulse[i, 0]
+            pt = problem.impulse[i, 1]
+            if o >= n_free:
+                problem.element_impulse[n_support + o - n_free, 0] -= (
+                    problem.normal[i, 3 * side] * pn + problem.tangent[i, 3 * side] * pt
+                )
+                continue
+            for k in range(3):
+                right[o + k] += (
+                    problem.normal[i, 3 * side + k] * pn + problem.tangent[i, 3 * side + k] * pt
+                )
+    for o in range(0, n_free, 3):
+        x = right[o]
+        y = right[o + 1]
+        z = right[o + 2]
+        for k in range(3):
+            right[o + k] = (
+                work.inverse[o + k, 0] * x + work.inverse[o + k, 1] * y + work.inverse[o + k, 2] * z
+            )
+            change = max(change, abs(right[o + k]))
+            right[o + k] *= share
+    for o in range(n_free, problem.size[0]):
+        right[o] = 0.0
+    # The elements' impulses follow their velocities; the contacts' are there already.
+    problem.size[1] = 0
+    problem.size[2] = n_support
+    step_all(problem, work, COMPLIANCE)
+    problem.size[1] = n_contact
+    problem.size[2] = n_element
+    for e in range(n_support):
+        _hold_to_limit(problem, e)
+    return change if math.isfinite(change) else math.inf
+
+
+@kernel
+def _hold_to_limit(problem: Problem, e: int) -> None:
+    """Take an element's impulse back to what its law allows at its slip velocity.
+
+    Linearised where it sticks, an element answers with far more than its limit; linearised there
+    again, with next to nothing.
+    """
+    row = problem.element_row
+    p = problem.element_impulse
+    v = problem.velocity
+    o = problem.element_dof[e]
+    rho = problem.stiffness[o]
+    limit = problem.element_limit[e]
+    for k in range(3):
+        p[e, k] -= rho * (
+            problem.element_bias[e, k]
+            + row[e, k, 0] * v[o]
+            + row[e, k, 1] * v[o + 1]
+            + row[e, k, 2] * v[o + 2]
+        )
+    if problem.element_sides[e] > 0:
+        p[e, 0], p[e, 1] = nearest_in_polygon(p[e, 0], p[e, 1], limit, problem.element_sides[e])
+        return
+    length = math.sqrt(p[e, 0] ** 2 + p[e, 1] ** 2 + p[e, 2] ** 2)
+    if length > limit:
+        for k in range(3):
+            p[e, k] *= limit / length
