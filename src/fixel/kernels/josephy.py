@@ -27,15 +27,16 @@ PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, 
 LIGHT = 1e-3  # has less inertia than this
 SMALL = 1e-11  # of the largest entry of a pivot column: no pivot
 PIVOTS = 8  # a row, at most
-PATIENCE = 8  # rounds before steps are shortened
+WHOLE_STEPS = 8  # turns before steps are shortened
+ARRIVED = 1e-10  # change of velocity
 
 
 @large_kernel
-def josephy(problem: Problem, work: Workspace, tolerance: float, rounds: int) -> bool:
-    """Improve velocity and impulses; False where pivoting ends without an answer, or does not
-    apply.
+def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
+    """Take one step of the method, the `turn`-th; False where it cannot, or has arrived.
 
-    Ends early where a round changes no velocity by more than `tolerance`.
+    Where several answers of the linear problem lead to each other in a circle, later turns look
+    for others, and go part of the way only.
     """
     n_contact = problem.size[1]
     n_element = problem.size[2]
@@ -55,27 +56,17 @@ def josephy(problem: Problem, work: Workspace, tolerance: float, rounds: int) ->
     for o in range(0, problem.size[3], 3):
         if problem.inertia[o, 0] < LIGHT * problem.stiffness[o]:
             pull = PULL
-    before = math.inf
-    share = 1.0
-    for turn in range(rounds):
-        # Without contacts and drives: every body by itself on its supports.
-        problem.size[1] = 0
-        problem.size[2] = n_support
-        linearise(problem, work, COMPLIANCE, pull, True, False, False)
-        problem.size[1] = n_contact
-        problem.size[2] = n_element
-        _invert_blocks(problem, work)
-        _write_tableau(problem, work, n_support)
-        if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
-            return False
-        change = _take_answer(problem, work, n_support, share)
-        if not change > tolerance:
-            break
-        if turn >= PATIENCE and change > 0.5 * before:
-            # Two linearisations each lead to the other: meet half way.
-            share = max(0.25, 0.5 * share)
-        before = change
-    return True
+    # Without contacts and drives: every body by itself on its supports.
+    problem.size[1] = 0
+    problem.size[2] = n_support
+    linearise(problem, work, COMPLIANCE, pull, True, False, False)
+    problem.size[1] = n_contact
+    problem.size[2] = n_element
+    _invert_blocks(problem, work)
+    _write_tableau(problem, work, n_support, turn)
+    if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
+        return False
+    return _take_answer(problem, work, n_support, 1.0 if turn < WHOLE_STEPS else 0.25) > ARRIVED
 
 
 @kernel
@@ -128,12 +119,12 @@ def _coupling(
 
 
 @kernel
-def _write_tableau(problem: Problem, work: Workspace, n_support: int) -> None:
+def _write_tableau(problem: Problem, work: Workspace, n_support: int, turn: int) -> None:
     """The linear complementarity problem, as Lemke's method begins.
 
     Unknowns of contact i from 4 i: normal impulse, tangential impulse forwards and backwards, slip
     speed. Of drive d from 4 n + 2 d: how much slower, and how much faster, than commanded. Rows of
-    a drive: what is left of its force.
+    a drive: what is left of its force. Where there are several answers, the `turn` decides which.
     """
     n_contact = problem.size[1]
     n_free = problem.size[3]
@@ -145,7 +136,7 @@ def _write_tableau(problem: Problem, work: Workspace, n_support: int) -> None:
         for c in range(2 * n + 2):
             t[r, c] = 0.0
         t[r, r] = 1.0
-        t[r, 2 * n] = -1.0
+        t[r, 2 * n] = -1.0 / (1 + (7 * r * turn) % 11)
     q = 2 * n + 1
     unit = work.contact_change
     least = math.inf
@@ -246,7 +237,7 @@ def _lemke(t: FloatArray, basis: FloatArray, n: int) -> bool:
         scale = max(scale, abs(t[r, q]))
     for r in range(n):
         basis[r] = r
-        if t[r, q] < 0.0 and (row < 0 or t[r, q] < t[row, q]):
+        if t[r, q] < 0.0 and (row < 0 or t[r, q] * t[row, 2 * n] > t[row, q] * t[r, 2 * n]):
             row = r
     if row < 0:
         return True

@@ -114,7 +114,6 @@ def recover(
     Profiles must be set where there are more than DENSE_LIMIT unknowns.
     """
     if fresh:
-        save(problem, work)
         worst = polish(problem, work, QUICK_ITERATIONS, 1.0)
         if worst <= TOLERANCE:
             return worst, 0
@@ -128,19 +127,24 @@ def recover(
             stiffness = 10.0
             if trial > 1:
                 sweep(problem, work, SWEEPS * (trial // 8))
-            save(problem, work)
-        if trial == 0 or trial % 8 == 1:
-            josephy(problem, work, 1e-10, TURNS if trial == 0 else 5 * TURNS)
+        turns = 1
+        if trial == 0:
+            turns = TURNS
+        elif trial % 8 == 1:
+            turns = 5 * TURNS
         else:
             wait = -1 if trial % 2 == 0 else 100
             share = 1.0 / (1 + (trial - 2) % 8)
             stiffness = proximal_newton(
                 problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, share
             )
-            save(problem, work)
-        worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
-        if worst <= TOLERANCE:
-            return worst, 1
+        for turn in range(turns):
+            more = turns > 1 and josephy(problem, work, turn)
+            worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
+            if worst <= TOLERANCE:
+                return worst, 1
+            if not more:
+                break
         if trial == GIVE_UP and locked(problem, work, guess):
             break
         stiffness = min(stiffness, 1e4)
@@ -149,11 +153,11 @@ def recover(
 
 @large_kernel
 def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float) -> float:
-    """Newton from here; where it does not get there, back to what was saved. Returns the residual
-    it had."""
+    """Newton from here, and back to here where it does not arrive; returns the residual it had."""
     worst = residual(problem, work.right)
     if worst <= TOLERANCE:
         return worst
+    save(problem, work)
     newton_any(problem, work, NEWTON_TOLERANCE, iterations, stiffness)
     worst = residual(problem, work.right)
     if not worst <= TOLERANCE:
