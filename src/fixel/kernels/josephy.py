@@ -33,7 +33,7 @@ ARRIVED = 1e-10  # change of velocity
 
 @large_kernel
 def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
-    """Take one step of the method, the `turn`-th; False where it cannot, or has arrived.
+    """Take one step of the method, the `turn`-th; False where there is no use in another.
 
     Where several answers of the linear problem lead to each other in a circle, later turns look
     for others, and go part of the way only.
@@ -65,7 +65,7 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     _invert_blocks(problem, work)
     _write_tableau(problem, work, n_support, turn)
     if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
-        return False
+        return True
     return _take_answer(problem, work, n_support, 1.0 if turn < WHOLE_STEPS else 0.25) > ARRIVED
 
 

@@ -29,6 +29,7 @@ JUMP = 0.1  # of the velocity: a change from step to step that is no smooth moti
 # Of the change from a velocity expected on a line, times half the step: what a second-order step is
 # wrong by. A twelfth for equal steps; twice that to be safe.
 SECOND_ORDER = 1.0 / 6.0
+INSIST = 3  # one of so many unsolved trials of a step is not given up early
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
@@ -160,6 +161,7 @@ def _run(
             trial = left
         again = 0  # whether the guess was renewed at this trial step
         growth = GROWTH
+        unsolved = 0  # trials of this step that no solver could solve
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         off = 0.0
         rate = 0.0
@@ -186,12 +188,15 @@ def _run(
                     trial = max(closing * (1.0 - 1e-6), pace.smallest)
                     again = 1
                     continue
-            trials = HASTY if method.adaptive == 1 and trial > pace.smallest else PATIENT
+            trials = PATIENT
+            if method.adaptive == 1 and trial > pace.smallest and unsolved % INSIST != INSIST - 1:
+                trials = HASTY
             off, fell_back = solve(problem, work, guess, method.solver, method.effort, trials)
             last_step = trial
             record.count[3] += fell_back
             if not off <= TOLERANCE:
                 last_step = 0.0
+                unsolved += 1
                 if method.adaptive == 1 and trial > pace.smallest:
                     trial *= 0.25
                     again = 0

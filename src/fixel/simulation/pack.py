@@ -37,7 +37,7 @@ TYPICAL_STEP = 0.01
 
 # Of position in one adaptive step, in characteristic lengths: with it 95 % of random grasps end
 # within 0.1 mm and 0.1 degree of converged (docs/theory/stepping.md).
-TOLERANCE = 3e-5
+TOLERANCE = 1e-5
 
 
 class Units(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem
-from fixel.kernels.rollout import CAUTION, EXPONENT, GROWTH, JUMP, SECOND_ORDER, SHRINK
+from fixel.kernels.rollout import CAUTION, EXPONENT, GROWTH, INSIST, JUMP, SECOND_ORDER, SHRINK
 from fixel.kernels.solve import TOLERANCE
 
 
@@ -168,7 +168,7 @@ class Adaptive(AbstractStepper):
     Parameters
     ----------
     tolerance : float
-        Of position in one step [m]; angles count by the characteristic length. None: 3e-5
+        Of position in one step [m]; angles count by the characteristic length. None: 1e-5
         of the scene's characteristic length.
     largest_step : float
         In the time in which the fastest body moves by one characteristic length.
@@ -205,12 +205,12 @@ class Adaptive(AbstractStepper):
         rate, guess = _predict(past, trial)
         renewed = 0
         growth = GROWTH
+        unsolved = 0
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         while True:
             least = limits.tolerance if renewed == 0 else math.inf
-            status, residual, bounces, closing = attempt(
-                trial, self.lead, guess, least, trial > limits.smallest
-            )
+            hasty = trial > limits.smallest and unsolved % INSIST != INSIST - 1
+            status, residual, bounces, closing = attempt(trial, self.lead, guess, least, hasty)
             if status == codes.CONTACT_OVERFLOW:
                 return Advance(status, trial, trial, residual)
             if closing < math.inf:
@@ -218,6 +218,7 @@ class Adaptive(AbstractStepper):
                 trial, renewed = max(closing * (1.0 - 1e-6), limits.smallest), 1
                 continue
             if not residual <= TOLERANCE:
+                unsolved += 1
                 if trial > limits.smallest:
                     trial, renewed = 0.25 * trial, 0
                     rate, guess = _predict(past, trial)
