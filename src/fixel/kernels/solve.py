@@ -49,6 +49,9 @@ def solve(
     """
     way = sweeps if solver == codes.GAUSS_SEIDEL else 0
     if way == 0 and problem.size[0] <= DENSE_LIMIT:
+        worst = residual(problem, work.right)
+        if worst <= NEWTON_TOLERANCE:
+            return worst, 0  # at rest, the answer of the step before
         save(problem, work)
         newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
         worst = residual(problem, work.right)

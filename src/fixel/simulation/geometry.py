@@ -136,10 +136,14 @@ def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
 
 
 def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]) -> Piece:
-    before = corners - np.roll(corners, 1, axis=0)
-    after = np.roll(corners, -1, axis=0) - corners
+    around = np.concatenate((corners[-1:], corners, corners[:1]))
+    edges = around[1:] - around[:-1]
+    before, after = edges[:-1], edges[1:]
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    kept = np.flatnonzero(turn > STRAIGHT * np.hypot(*before.T) * np.hypot(*after.T))
+    length = np.hypot(*edges.T)
+    kept = np.flatnonzero(turn > STRAIGHT * length[:-1] * length[1:])
+    if len(kept) == len(corners):
+        return corners, on_outline
     if len(kept) < 3:  # a sliver without a corner to speak of
         return corners, on_outline
     # A kept corner's new edge is made of all the old ones up to the next kept corner.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +66,14 @@ def characteristic_units(scene: Scene) -> Units:
     """Units of a scene: radius of gyration, fastest prescribed or initial motion, mass or
     friction."""
     bodies = scene.bodies
-    length = float(np.median([math.sqrt(b.moment_of_inertia / b.mass) for b in bodies]))
+    length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in bodies)
     speed = max(
         [_fastest(p, length) for p in scene.pushers]
         + [math.hypot(*b.velocity[:2]) + abs(b.velocity[2]) * length for b in bodies]
     )
-    mass = float(np.median([b.mass for b in bodies]))
+    mass = median(b.mass for b in bodies)
     forces = [_friction_force(b, scene.gravity) + math.hypot(*b.force[:2]) for b in bodies]
-    force = float(np.median(forces))
+    force = median(forces)
     if speed == 0.0:
         # Nothing is asked to move: the speed that the forces would give over one length.
         speed = math.sqrt((force / mass if force > 0.0 else 1.0) * length)
