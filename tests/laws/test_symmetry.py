@@ -95,7 +95,8 @@ def test_a_grasp_of_millimetres_is_a_grasp_of_centimetres(motion):
     small = rescaled(scene, 1.6e-3 / 0.1075, 1e-7, 1.0)
     a = _poses(scene, motion, Adaptive())["object"]
     b = _poses(small, motion, Adaptive())["object"] / [1.6e-3 / 0.1075, 1.6e-3 / 0.1075, 1.0]
-    assert np.abs(a - b).max() < 1e-9
+    # Rounding, ten events later: where a step ends decides where the next one does.
+    assert np.abs(a - b).max() < 1e-8
 
 
 def test_the_micro_part_at_the_size_of_a_brick():
