@@ -16,7 +16,8 @@ import math
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.gauss_seidel import nearest_in_polygon
 from fixel.kernels.jit import kernel, large_kernel
-from fixel.kernels.newton import FLOOR, linearise, step_all
+from fixel.kernels.newton import FLOOR, step_all
+from fixel.kernels.proximal import linearise_any
 
 MOST_CONTACTS = 12
 MOST_DRIVES = 4
@@ -59,7 +60,7 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     # Without contacts and drives: every body by itself on its supports.
     problem.size[1] = 0
     problem.size[2] = n_support
-    linearise(problem, work, COMPLIANCE, pull, True, False, False)
+    linearise_any(problem, work, COMPLIANCE, pull, False, False)
     problem.size[1] = n_contact
     problem.size[2] = n_element
     _invert_blocks(problem, work)

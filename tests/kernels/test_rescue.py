@@ -1,0 +1,120 @@
+"""What stands behind Newton: sweeps, proximal steps, islands, the certificate of a squeeze."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numba import njit
+
+from fixel.kernels import codes, single
+from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
+from fixel.kernels.proximal import proximal_newton
+from fixel.kernels.solve import PATIENT, TOLERANCE
+from fixel.testing.contracts import step_problem
+
+FLOOR = math.pi / 2
+WALLS = ((FLOOR, 0.0, 0.3), (0.0, 0.1, 0.5))
+
+swept = njit(lambda problem, work, sweeps: gauss_seidel(problem, work, 1e-14, sweeps))
+proximal = njit(
+    lambda problem, work, rounds: proximal_newton(problem, work, 10.0, 1e6, rounds, 1e-12, -1, 1.0)
+)
+polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
+
+
+def test_sweeps_settle_on_the_answer():
+    problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
+    assert swept(problem, work, 1000) <= 1e-14
+    assert single.judge(problem, work.right) <= TOLERANCE
+
+
+def test_sweeps_of_a_body_without_inertia():
+    problem, work = step_problem((-0.6, -2.0, 0.0), WALLS, limit=2.0)
+    problem.inertia[:] = 0.0
+    single.set_stiffness(problem, 1)
+    swept(problem, work, 100_000)
+    assert single.judge(problem, work.right) <= TOLERANCE
+
+
+def test_proximal_steps_arrive_as_well():
+    problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
+    proximal(problem, work, 30)
+    assert single.judge(problem, work.right) <= 1e-6
+
+
+@pytest.mark.parametrize("sides", [4, 7, 16])
+def test_nearest_point_of_a_polygon(sides):
+    corner = 2.0 * math.pi * np.arange(sides + 1) / sides
+    ring = np.column_stack([np.cos(corner), np.sin(corner)])
+    along = np.linspace(0.0, 1.0, 4001)[:, None]
+    border = np.concatenate([a + along * (b - a) for a, b in pairwise(ring)])
+    rng = np.random.default_rng(sides)
+    for x, y in rng.normal(size=(50, 2)) * 2.0:
+        nearest = np.array(polygon(x, y, 1.0, sides))
+        best = np.hypot(*(border - [x, y]).T).min()
+        inside = np.array_equal(nearest, [x, y])
+        assert inside or np.hypot(*(nearest - [x, y])) == pytest.approx(best, abs=1e-6)
+        assert np.hypot(*nearest) <= 1.0 + 1e-12
+
+
+def test_no_certificate_where_there_is_a_way_out():
+    problem, work = step_problem((0.0, 0.0, 0.0), ((0.0, -1.0, 0.2), (2.0, -1.0, 0.2)))
+    assert not single.has_no_solution(problem, work, np.zeros(5))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_certificate_where_there_is_none(friction):
+    jaws = ((0.0, -1.0, friction), (math.pi, -1.0, friction))
+    problem, work = step_problem((0.0, 0.0, 0.0), jaws)
+    assert single.has_no_solution(problem, work, np.zeros(5))
+
+
+def test_friction_holds_a_wedge_that_would_slip_out_without():
+    # Jaws that close at an angle of 20 degrees to each other: the body squeezes out sideways
+    # unless friction exceeds the tangent of half of that.
+    half = math.radians(10)
+    for friction, held in ((0.1, False), (0.25, True)):
+        jaws = ((half, -1.0, friction), (math.pi - half, -1.0, friction))
+        problem, work = step_problem((0.0, 0.0, 0.0), jaws)
+        assert single.has_no_solution(problem, work, np.zeros(5)) is held
+
+
+def many_bodies(n: int, coupled: bool):
+    """A row of bodies that fall on a floor; neighbours push each other sideways where coupled."""
+    n_contact = n + (n - 1 if coupled else 0)
+    problem, work = single.empty(3 * n, n_contact, 0, 0, 0, 0, 0)
+    problem.size[:] = 3 * n, n_contact, 0, 3 * n
+    for b in range(n):
+        problem.inertia[3 * b : 3 * b + 3] = np.eye(3)
+        problem.momentum[3 * b : 3 * b + 3] = 1.0 - 0.3 * b, -1.0, 0.1 * b
+        problem.contact_dof[b] = 3 * b, -1
+        problem.normal[b, :3] = 0.0, 1.0, 0.1
+        problem.tangent[b, :3] = -1.0, 0.0, 0.5
+        problem.friction[b] = 0.4
+    for c in range(n, n_contact):
+        a = c - n
+        problem.contact_dof[c] = 3 * a, 3 * (a + 1)
+        problem.normal[c] = -1.0, 0.0, 0.1, 1.0, 0.0, 0.1
+        problem.tangent[c] = 0.0, -1.0, 0.5, 0.0, 1.0, 0.5
+        problem.friction[c] = 0.2
+    single.set_stiffness(problem, 0)
+    return problem, work
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("n", [3, 8, 20])
+def test_rows_of_bodies_island_by_island(n, coupled):
+    problem, work = many_bodies(n, coupled)
+    residual, _ = single.solve_problem(problem, work, np.zeros(3 * n + 2), codes.NEWTON, 0, PATIENT)
+    assert residual <= TOLERANCE
+
+
+def test_an_island_is_solved_as_if_it_were_alone():
+    many, work = many_bodies(8, coupled=False)
+    single.solve_problem(many, work, np.zeros(26), codes.NEWTON, 0, PATIENT)
+    for b in range(8):
+        one, own = many_bodies(1, coupled=False)
+        one.momentum[:3] = many.momentum[3 * b : 3 * b + 3]
+        single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT)
+        assert many.velocity[3 * b : 3 * b + 3] == pytest.approx(one.velocity[:3], abs=1e-9)

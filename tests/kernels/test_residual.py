@@ -1,0 +1,105 @@
+"""The judge: zero for answers, and as large as what is wrong otherwise, row by row."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.kernels import single
+from fixel.testing.contracts import step_problem
+
+OFF = 1e-3
+
+
+def solved():
+    """A body pressed on a wall and dragged along it: every impulse known."""
+    problem, work = step_problem((0.0, -2.0, 0.0), ((math.pi / 2, 0.0, 0.5),), limit=0.25)
+    problem.velocity[:3] = 0.0
+    problem.impulse[0] = 2.0, 0.0
+    return problem, work
+
+
+def judged(problem, work):
+    return single.judge(problem, work.right)
+
+
+def test_an_answer_has_none():
+    assert judged(*solved()) <= 1e-15
+
+
+@pytest.mark.parametrize("dof", range(3))
+def test_momentum(dof):
+    problem, work = solved()
+    problem.momentum[dof] += OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_an_overlap_at_the_end():
+    problem, work = solved()
+    problem.bias[0, 0] = -OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_a_pull():
+    problem, work = solved()
+    problem.impulse[0] = -OFF, 0.0
+    problem.momentum[1] = OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_a_push_across_a_gap():
+    problem, work = solved()
+    problem.bias[0, 0] = OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_more_friction_than_there_is():
+    problem, work = solved()
+    problem.impulse[0, 1] = 1.0 + OFF
+    problem.momentum[0] = 1.0 + OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_slip_without_friction_against_it():
+    problem, work = solved()
+    problem.bias[0, 1] = OFF
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("where", ["velocity", "impulse", "element_impulse"])
+def test_no_number_is_infinitely_wrong(where, value):
+    problem, work = solved()
+    getattr(problem, where).flat[0] = value
+    assert judged(problem, work) == math.inf
+
+
+@pytest.mark.parametrize("sides", [0, 4, 16])
+def test_a_support_impulse_beyond_its_limit(sides):
+    problem, work = solved()
+    problem.element_sides[0] = sides
+    # Towards a corner of the polygon, which lies on the circle.
+    problem.element_impulse[0, 0] = 0.25 + OFF
+    problem.momentum[0] = -(0.25 + OFF)
+    problem.velocity[0] = 0.0
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+@pytest.mark.parametrize("sides", [0, 8])
+def test_a_support_that_slips_the_way_it_is_pushed(sides):
+    problem, work = solved()
+    problem.element_sides[0] = sides
+    problem.velocity[0] = OFF
+    problem.momentum[0] = OFF
+    problem.impulse[0, 1] = 1.0
+    problem.momentum[0] += 1.0
+    problem.bias[0, 1] = OFF  # the wall goes along
+    # The support should drag with up to 0.25, and does not at all.
+    assert judged(problem, work) == pytest.approx(OFF)
+
+
+def test_scratch_holds_what_is_left_over():
+    problem, work = solved()
+    problem.momentum[:3] += [0.1, -0.2, 0.3]
+    judged(problem, work)
+    assert np.abs(work.right[:3]) == pytest.approx([0.1, 0.2, 0.3])
