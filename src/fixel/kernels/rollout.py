@@ -29,6 +29,10 @@ JUMP = 0.1  # of the velocity: a change from step to step that is no smooth moti
 # Of the change from a velocity expected on a line, times half the step: what a second-order step is
 # wrong by. A twelfth for equal steps; twice that to be safe.
 SECOND_ORDER = 1.0 / 6.0
+# Where the expected velocity of a trial comes from.
+PREDICTED = 0  # the steps before
+CUT = 1  # the same, for a step that ends where a gap closes
+RENEWED = 2  # the solution of the same trial, which begins with a jump
 INSIST = 3  # one of so many unsolved trials of a step is not given up early
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
@@ -159,7 +163,7 @@ def _run(
             trial = 0.5 * left
         elif trial > left * (1.0 - 1e-9):
             trial = left
-        again = 0  # whether the guess was renewed at this trial step
+        guessed = PREDICTED
         growth = GROWTH
         unsolved = 0  # trials of this step that no solver could solve
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
@@ -180,13 +184,13 @@ def _run(
             if not ready:
                 status = codes.CONTACT_OVERFLOW
                 break
-            if method.adaptive == 1 and again == 0:
+            if method.adaptive == 1 and guessed == PREDICTED:
                 closing = closing_time(problem, guess, trial, method.lead, pace.tolerance)
                 if 0.02 * trial < closing < 0.98 * trial:
                     # A gap closes inside the step: end the step there, and go on as planned.
                     resumed = max(resumed, trial)
                     trial = max(closing * (1.0 - 1e-6), pace.smallest)
-                    again = 1
+                    guessed = CUT
                     continue
             trials = PATIENT
             if method.adaptive == 1 and trial > pace.smallest and unsolved % INSIST != INSIST - 1:
@@ -199,7 +203,7 @@ def _run(
                 unsolved += 1
                 if method.adaptive == 1 and trial > pace.smallest:
                     trial *= 0.25
-                    again = 0
+                    guessed = PREDICTED
                     rate = predict(
                         state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken,
                         guess,
@@ -223,7 +227,7 @@ def _run(
                 # step.
                 resumed = max(resumed, trial)
                 trial = max(pace.smallest, 0.25 * trial)
-                again = 0
+                guessed = PREDICTED
                 rate = predict(
                     state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
                 )
@@ -243,20 +247,20 @@ def _run(
                 rate = 0.0
                 for i in range(n_dof):
                     guess[i] = problem.velocity[i]
-                if again < 2:
+                if guessed != RENEWED:
                     # It jumped at the step's start: take the new velocity as the guess, once.
-                    again = 2
+                    guessed = RENEWED
                     continue
             growth = 1.0
             trial = max(
                 pace.smallest,
                 trial * max(SHRINK, CAUTION * (pace.tolerance / error) ** EXPONENT),
             )
-            if again < 2:
+            if guessed != RENEWED:
                 rate = predict(
                     state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
                 )
-            again = 0
+            guessed = PREDICTED
         if status != codes.CONVERGED:
             break
         worst = max(worst, off)
@@ -268,7 +272,7 @@ def _run(
         last_taken = trial
         if method.adaptive == 1:
             step = min(trial * growth, pace.largest)
-            if resumed > 0.0 and (trial <= pace.smallest or again == 1):
+            if resumed > 0.0 and (trial <= pace.smallest or guessed == CUT):
                 step = min(resumed, pace.largest)
         due = time + SAMPLE_SLACK * pace.duration
         if sample < record.time.size and (every_step or record.time[sample] <= due):

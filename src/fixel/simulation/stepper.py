@@ -12,7 +12,18 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import FloatArray, Problem
-from fixel.kernels.rollout import CAUTION, EXPONENT, GROWTH, INSIST, JUMP, SECOND_ORDER, SHRINK
+from fixel.kernels.rollout import (
+    CAUTION,
+    CUT,
+    EXPONENT,
+    GROWTH,
+    INSIST,
+    JUMP,
+    PREDICTED,
+    RENEWED,
+    SECOND_ORDER,
+    SHRINK,
+)
 from fixel.kernels.solve import TOLERANCE
 
 
@@ -203,30 +214,30 @@ class Adaptive(AbstractStepper):
         if trial < limits.left < 1.5 * trial:
             trial = 0.5 * limits.left
         rate, guess = _predict(past, trial)
-        renewed = 0
+        guessed = PREDICTED
         growth = GROWTH
         unsolved = 0
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         while True:
-            least = limits.tolerance if renewed == 0 else math.inf
+            least = limits.tolerance if guessed == PREDICTED else math.inf
             hasty = trial > limits.smallest and unsolved % INSIST != INSIST - 1
             status, residual, bounces, closing = attempt(trial, self.lead, guess, least, hasty)
             if status == codes.CONTACT_OVERFLOW:
                 return Advance(status, trial, trial, residual)
             if closing < math.inf:
                 resumed = max(resumed, trial)
-                trial, renewed = max(closing * (1.0 - 1e-6), limits.smallest), 1
+                trial, guessed = max(closing * (1.0 - 1e-6), limits.smallest), CUT
                 continue
             if not residual <= TOLERANCE:
                 unsolved += 1
                 if trial > limits.smallest:
-                    trial, renewed = 0.25 * trial, 0
+                    trial, guessed = 0.25 * trial, PREDICTED
                     rate, guess = _predict(past, trial)
                     continue
                 return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
             if bounces and trial > limits.smallest:
                 resumed = max(resumed, trial)
-                trial, renewed = max(limits.smallest, 0.25 * trial), 0
+                trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
                 rate, guess = _predict(past, trial)
                 continue
             change = float(single.largest_change(problem, guess))
@@ -241,20 +252,20 @@ class Adaptive(AbstractStepper):
                 ratio = limits.tolerance / max(error, 1e-30)
                 growth = min(growth, CAUTION * ratio**EXPONENT)
                 following = trial * max(0.5, growth)
-                if resumed > 0.0 and (trial <= limits.smallest or renewed == 1):
+                if resumed > 0.0 and (trial <= limits.smallest or guessed == CUT):
                     following = resumed
                 return Advance(codes.CONVERGED, trial, min(following, limits.largest), residual)
             if jumped:
                 rate, guess = 0.0, np.array(problem.velocity)
-                if renewed < 2:
-                    renewed = 2
+                if guessed != RENEWED:
+                    guessed = RENEWED
                     continue
             growth = 1.0
             shrink = max(SHRINK, CAUTION * (limits.tolerance / error) ** EXPONENT)
             trial = max(limits.smallest, trial * shrink)
-            if renewed < 2:
+            if guessed != RENEWED:
                 rate, guess = _predict(past, trial)
-            renewed = 0
+            guessed = PREDICTED
 
 
 def _predict(past: Past, step: float) -> tuple[float, FloatArray]:
