@@ -45,13 +45,7 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     n_support = 0
     while n_support < n_element and problem.element_dof[n_support] < problem.size[3]:
         n_support += 1
-    if (
-        problem.size[0] > MOST_UNKNOWNS
-        or n_contact > MOST_CONTACTS
-        or n_drive > MOST_DRIVES
-        or n_element - n_support != n_drive
-        or 4 * n_contact + 2 * n_drive > work.tableau.shape[0]
-    ):
+    if not is_small(problem, work) or n_element - n_support != n_drive:
         return False
     pull = FLOOR
     for o in range(0, problem.size[3], 3):
@@ -68,6 +62,18 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
         return True
     return _take_answer(problem, work, n_support, 1.0 if turn < WHOLE_STEPS else 0.25) > ARRIVED
+
+
+@kernel
+def is_small(problem: Problem, work: Workspace) -> bool:
+    """Whether there are few enough contacts, drives and unknowns."""
+    n_drive = problem.size[0] - problem.size[3]
+    return (
+        problem.size[0] <= MOST_UNKNOWNS
+        and problem.size[1] <= MOST_CONTACTS
+        and n_drive <= MOST_DRIVES
+        and 4 * problem.size[1] + 2 * n_drive <= work.tableau.shape[0]
+    )
 
 
 @kernel

@@ -16,7 +16,7 @@ from fixel.kernels.islands import (
     scatter,
 )
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
-from fixel.kernels.josephy import josephy
+from fixel.kernels.josephy import is_small, josephy
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
 from fixel.kernels.proximal import newton_any, proximal_newton
@@ -124,6 +124,7 @@ def recover(
             return worst, 0
     else:
         restore(problem, work)
+    small = is_small(problem, work)
     stiffness = 100.0
     worst = math.inf
     for trial in range(trials):
@@ -133,16 +134,17 @@ def recover(
             if trial > 1:
                 sweep(problem, work, SWEEPS * (trial // 8))
         turns = 1
-        if trial == 0:
+        if small and trial == 0:
             turns = TURNS
-        elif trial % 8 == 1:
+        elif small and trial % 8 == 1:
             turns = 5 * TURNS
         else:
-            wait = -1 if trial % 2 == 0 else 100
-            share = 1.0 / (1 + (trial - 2) % 8)
-            stiffness = proximal_newton(
-                problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, share
-            )
+            age = trial - (2 if small else 1)  # since the last start from nothing
+            # Impulses travel through a heap from body to body.
+            rounds = (3 if small else 10) + trial // 2
+            wait = -1 if trial == 0 or age % 2 == 0 else 100
+            share = 1.0 / (1 + age % 8)
+            stiffness = proximal_newton(problem, work, stiffness, 1e4, rounds, 1e-6, wait, share)
         for turn in range(turns):
             more = turns > 1 and josephy(problem, work, turn)
             worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
