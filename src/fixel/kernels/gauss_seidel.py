@@ -12,6 +12,7 @@ import math
 
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.jit import kernel
+from fixel.kernels.linear import invert_block
 
 
 @kernel
@@ -43,25 +44,10 @@ def _prepare(problem: Problem, work: Workspace) -> None:
         for k in range(3):
             work.pull[o + k] = pull
         d = problem.inertia
-        a00 = d[o, 0] + pull
-        a11 = d[o + 1, 1] + pull
-        a22 = d[o + 2, 2] + pull
-        a01 = d[o, 1]
-        a02 = d[o, 2]
-        a12 = d[o + 1, 2]
-        c00 = a11 * a22 - a12 * a12
-        c01 = a02 * a12 - a01 * a22
-        c02 = a01 * a12 - a02 * a11
-        determinant = a00 * c00 + a01 * c01 + a02 * c02
-        inverse[o, 0] = c00 / determinant
-        inverse[o, 1] = c01 / determinant
-        inverse[o, 2] = c02 / determinant
-        inverse[o + 1, 0] = c01 / determinant
-        inverse[o + 1, 1] = (a00 * a22 - a02 * a02) / determinant
-        inverse[o + 1, 2] = (a01 * a02 - a00 * a12) / determinant
-        inverse[o + 2, 0] = c02 / determinant
-        inverse[o + 2, 1] = inverse[o + 1, 2]
-        inverse[o + 2, 2] = (a00 * a11 - a01 * a01) / determinant
+        invert_block(
+            inverse, o, d[o, 0] + pull, d[o, 1], d[o, 2], d[o + 1, 1] + pull, d[o + 1, 2],
+            d[o + 2, 2] + pull,
+        )  # fmt: skip
     for o in range(n_free, n_dof):
         work.pull[o] = problem.stiffness[o]
         inverse[o, 0] = 1.0 / (problem.inertia[o, 0] + work.pull[o])
@@ -197,7 +183,6 @@ def _sweep_contacts(problem: Problem, work: Workspace) -> float:
 
 @kernel
 def _sweep_elements(problem: Problem, work: Workspace) -> float:
-    v = problem.velocity
     row = problem.element_row
     p = problem.element_impulse
     largest = 0.0
@@ -208,34 +193,7 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
             c = _compliance(problem, work, row[e], j, 0, o)
             if c > 0.0:
                 stiff = min(stiff, 1.0 / c)
-        x = p[e, 0] - stiff * (
-            problem.element_bias[e, 0]
-            + row[e, 0, 0] * v[o]
-            + row[e, 0, 1] * v[o + 1]
-            + row[e, 0, 2] * v[o + 2]
-        )
-        y = p[e, 1] - stiff * (
-            problem.element_bias[e, 1]
-            + row[e, 1, 0] * v[o]
-            + row[e, 1, 1] * v[o + 1]
-            + row[e, 1, 2] * v[o + 2]
-        )
-        z = p[e, 2] - stiff * (
-            problem.element_bias[e, 2]
-            + row[e, 2, 0] * v[o]
-            + row[e, 2, 1] * v[o + 1]
-            + row[e, 2, 2] * v[o + 2]
-        )
-        limit = problem.element_limit[e]
-        sides = problem.element_sides[e]
-        if sides == 0:
-            length = math.sqrt(x * x + y * y + z * z)
-            if length > limit:
-                x *= limit / length
-                y *= limit / length
-                z *= limit / length
-        else:
-            x, y = nearest_in_polygon(x, y, limit, sides)
+        x, y, z = friction_answer(problem, e, stiff)
         dx = x - p[e, 0]
         dy = y - p[e, 1]
         dz = z - p[e, 2]
@@ -252,6 +210,43 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
         )
         largest = max(largest, moved)
     return largest
+
+
+@kernel
+def friction_answer(problem: Problem, e: int, stiffness: float) -> tuple[float, float, float]:
+    """Impulse of element e after a spring of this stiffness has met its slip, held to its limit."""
+    row = problem.element_row
+    p = problem.element_impulse
+    v = problem.velocity
+    o = problem.element_dof[e]
+    x = p[e, 0] - stiffness * (
+        problem.element_bias[e, 0]
+        + row[e, 0, 0] * v[o]
+        + row[e, 0, 1] * v[o + 1]
+        + row[e, 0, 2] * v[o + 2]
+    )
+    y = p[e, 1] - stiffness * (
+        problem.element_bias[e, 1]
+        + row[e, 1, 0] * v[o]
+        + row[e, 1, 1] * v[o + 1]
+        + row[e, 1, 2] * v[o + 2]
+    )
+    z = p[e, 2] - stiffness * (
+        problem.element_bias[e, 2]
+        + row[e, 2, 0] * v[o]
+        + row[e, 2, 1] * v[o + 1]
+        + row[e, 2, 2] * v[o + 2]
+    )
+    limit = problem.element_limit[e]
+    if problem.element_sides[e] > 0:
+        x, y = nearest_in_polygon(x, y, limit, problem.element_sides[e])
+        return x, y, z
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > limit:
+        x *= limit / length
+        y *= limit / length
+        z *= limit / length
+    return x, y, z
 
 
 @kernel

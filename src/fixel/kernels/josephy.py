@@ -4,8 +4,8 @@ Newton on the natural map guesses anew in each iteration which contacts press, s
 may go round in circles where one answer excludes the other: a part that seats between a pusher and
 a peg is held by forces a hundred times those of a moment before. Here only the support friction is
 linearised; for what is left, a linear complementarity problem in the few contacts and drives,
-Lemke's method follows a path to an answer. Three to five rounds are the rule, each tens of pivots
-of a small tableau.
+Lemke's method follows a path to an answer. One or two turns are the rule, each tens of pivots of
+a small tableau.
 
 Source: Josephy (1979) for the method; Stewart & Trinkle (1996) for the linear problem, copositive,
 so that Lemke's method ends with an answer wherever prescribed motions do not squeeze a body.
@@ -14,15 +14,15 @@ so that Lemke's method ends with an answer wherever prescribed motions do not sq
 import math
 
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
-from fixel.kernels.gauss_seidel import nearest_in_polygon
+from fixel.kernels.gauss_seidel import friction_answer
 from fixel.kernels.jit import kernel, large_kernel
+from fixel.kernels.linear import invert_block
 from fixel.kernels.newton import FLOOR, step_all
 from fixel.kernels.proximal import linearise_any
 
 MOST_CONTACTS = 12
 MOST_DRIVES = 4
 MOST_UNKNOWNS = 36
-MOST_ROWS = 4 * MOST_CONTACTS + 2 * MOST_DRIVES
 COMPLIANCE = 1e-5  # of an element that sticks, relative to its block's
 PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, where a body
 LIGHT = 1e-3  # has less inertia than this
@@ -45,7 +45,7 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     n_support = 0
     while n_support < n_element and problem.element_dof[n_support] < problem.size[3]:
         n_support += 1
-    if not is_small(problem, work) or n_element - n_support != n_drive:
+    if not is_small(problem) or n_element - n_support != n_drive:
         return False
     pull = FLOOR
     for o in range(0, problem.size[3], 3):
@@ -57,7 +57,12 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
     linearise_any(problem, work, COMPLIANCE, pull, False, False)
     problem.size[1] = n_contact
     problem.size[2] = n_element
-    _invert_blocks(problem, work)
+    m = work.matrix
+    for o in range(0, problem.size[3], 3):
+        invert_block(
+            work.inverse, o, m[o, o], m[o, o + 1], m[o, o + 2], m[o + 1, o + 1], m[o + 1, o + 2],
+            m[o + 2, o + 2],
+        )  # fmt: skip
     _write_tableau(problem, work, n_support, turn)
     if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
         return True
@@ -65,42 +70,14 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
 
 
 @kernel
-def is_small(problem: Problem, work: Workspace) -> bool:
+def is_small(problem: Problem) -> bool:
     """Whether there are few enough contacts, drives and unknowns."""
     n_drive = problem.size[0] - problem.size[3]
     return (
         problem.size[0] <= MOST_UNKNOWNS
         and problem.size[1] <= MOST_CONTACTS
         and n_drive <= MOST_DRIVES
-        and 4 * problem.size[1] + 2 * n_drive <= work.tableau.shape[0]
     )
-
-
-@kernel
-def _invert_blocks(problem: Problem, work: Workspace) -> None:
-    """Inverse of every body's block of the matrix, in `work.inverse`."""
-    inverse = work.inverse
-    m = work.matrix
-    for o in range(0, problem.size[3], 3):
-        a00 = m[o, o]
-        a01 = m[o, o + 1]
-        a02 = m[o, o + 2]
-        a11 = m[o + 1, o + 1]
-        a12 = m[o + 1, o + 2]
-        a22 = m[o + 2, o + 2]
-        c00 = a11 * a22 - a12 * a12
-        c01 = a02 * a12 - a01 * a22
-        c02 = a01 * a12 - a02 * a11
-        determinant = a00 * c00 + a01 * c01 + a02 * c02
-        inverse[o, 0] = c00 / determinant
-        inverse[o, 1] = c01 / determinant
-        inverse[o, 2] = c02 / determinant
-        inverse[o + 1, 0] = inverse[o, 1]
-        inverse[o + 1, 1] = (a00 * a22 - a02 * a02) / determinant
-        inverse[o + 1, 2] = (a01 * a02 - a00 * a12) / determinant
-        inverse[o + 2, 0] = inverse[o, 2]
-        inverse[o + 2, 1] = inverse[o + 1, 2]
-        inverse[o + 2, 2] = (a00 * a11 - a01 * a01) / determinant
 
 
 @kernel
@@ -386,35 +363,10 @@ def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float
     step_all(problem, work, COMPLIANCE)
     problem.size[1] = n_contact
     problem.size[2] = n_element
-    for e in range(n_support):
-        _hold_to_limit(problem, e)
-    return change if math.isfinite(change) else math.inf
-
-
-@kernel
-def _hold_to_limit(problem: Problem, e: int) -> None:
-    """Take an element's impulse back to what its law allows at its slip velocity.
-
-    Linearised where it sticks, an element answers with far more than its limit; linearised there
-    again, with next to nothing.
-    """
-    row = problem.element_row
+    # Linearised where it sticks, an element answers with far more than its limit; linearised there
+    # again, with next to nothing. So back to what its law allows at its slip velocity.
     p = problem.element_impulse
-    v = problem.velocity
-    o = problem.element_dof[e]
-    rho = problem.stiffness[o]
-    limit = problem.element_limit[e]
-    for k in range(3):
-        p[e, k] -= rho * (
-            problem.element_bias[e, k]
-            + row[e, k, 0] * v[o]
-            + row[e, k, 1] * v[o + 1]
-            + row[e, k, 2] * v[o + 2]
-        )
-    if problem.element_sides[e] > 0:
-        p[e, 0], p[e, 1] = nearest_in_polygon(p[e, 0], p[e, 1], limit, problem.element_sides[e])
-        return
-    length = math.sqrt(p[e, 0] ** 2 + p[e, 1] ** 2 + p[e, 2] ** 2)
-    if length > limit:
-        for k in range(3):
-            p[e, k] *= limit / length
+    for e in range(n_support):
+        rho = problem.stiffness[problem.element_dof[e]]
+        p[e, 0], p[e, 1], p[e, 2] = friction_answer(problem, e, rho)
+    return change if math.isfinite(change) else math.inf

@@ -84,3 +84,30 @@ def solve_envelope(
             total -= matrix[k, j] * right[j]
         right[k] = total / matrix[k, k]
     return True
+
+
+@kernel
+def invert_block(
+    inverse: FloatArray,
+    o: int,
+    a00: float,
+    a01: float,
+    a02: float,
+    a11: float,
+    a12: float,
+    a22: float,
+) -> None:
+    """Write the inverse of a symmetric 3 x 3 matrix into three rows of `inverse`, from row o."""
+    c00 = a11 * a22 - a12 * a12
+    c01 = a02 * a12 - a01 * a22
+    c02 = a01 * a12 - a02 * a11
+    determinant = a00 * c00 + a01 * c01 + a02 * c02
+    inverse[o, 0] = c00 / determinant
+    inverse[o, 1] = c01 / determinant
+    inverse[o, 2] = c02 / determinant
+    inverse[o + 1, 0] = inverse[o, 1]
+    inverse[o + 1, 1] = (a00 * a22 - a02 * a02) / determinant
+    inverse[o + 1, 2] = (a01 * a02 - a00 * a12) / determinant
+    inverse[o + 2, 0] = inverse[o, 2]
+    inverse[o + 2, 1] = inverse[o + 1, 2]
+    inverse[o + 2, 2] = (a00 * a11 - a01 * a01) / determinant

@@ -169,14 +169,13 @@ def _run(
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         off = 0.0
         rate = 0.0
-        if method.adaptive == 1:
-            rate = predict(
-                state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
-            )
-        else:
-            for i in range(n_dof):
-                guess[i] = state.velocity[i]
+        predicting = True
         while True:
+            if predicting:
+                rate = predict(
+                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
+                )
+                predicting = False
             ready = prepare_step(
                 model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem,
                 work, last_step,
@@ -186,7 +185,7 @@ def _run(
                 break
             if method.adaptive == 1 and guessed == PREDICTED:
                 closing = closing_time(problem, guess, trial, method.lead, pace.tolerance)
-                if 0.02 * trial < closing < 0.98 * trial:
+                if closing < math.inf:
                     # A gap closes inside the step: end the step there, and go on as planned.
                     resumed = max(resumed, trial)
                     trial = max(closing * (1.0 - 1e-6), pace.smallest)
@@ -204,10 +203,7 @@ def _run(
                 if method.adaptive == 1 and trial > pace.smallest:
                     trial *= 0.25
                     guessed = PREDICTED
-                    rate = predict(
-                        state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken,
-                        guess,
-                    )  # fmt: skip
+                    predicting = True
                     continue
                 if math.isinf(off):
                     status = codes.NON_FINITE
@@ -228,9 +224,7 @@ def _run(
                 resumed = max(resumed, trial)
                 trial = max(pace.smallest, 0.25 * trial)
                 guessed = PREDICTED
-                rate = predict(
-                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
-                )
+                predicting = True
                 continue
             change = largest_change(problem, guess)
             jumped = change > JUMP * largest_speed(problem)
@@ -256,10 +250,7 @@ def _run(
                 pace.smallest,
                 trial * max(SHRINK, CAUTION * (pace.tolerance / error) ** EXPONENT),
             )
-            if guessed != RENEWED:
-                rate = predict(
-                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
-                )
+            predicting = guessed != RENEWED
             guessed = PREDICTED
         if status != codes.CONVERGED:
             break
@@ -268,12 +259,12 @@ def _run(
         move(model, state, trial, problem, method.motion == codes.DYNAMIC and method.adaptive == 1)
         time += trial
         taken += 1
-        earlier_taken = last_taken
-        last_taken = trial
         if method.adaptive == 1:
+            earlier_taken = last_taken
             step = min(trial * growth, pace.largest)
             if resumed > 0.0 and (trial <= pace.smallest or guessed == CUT):
                 step = min(resumed, pace.largest)
+        last_taken = trial
         due = time + SAMPLE_SLACK * pace.duration
         if sample < record.time.size and (every_step or record.time[sample] <= due):
             sample = write_samples(
@@ -418,8 +409,8 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 def closing_time(
     problem: Problem, guess: FloatArray, step: float, lead: float, least: float
 ) -> float:
-    """When the first gap wider than `least` that ends up loaded would close at the guessed
-    velocity."""
+    """When the first gap wider than `least` closes at the guessed velocity; infinite where that is
+    not inside the step, or next to one of its ends."""
     earliest = math.inf
     for i in range(problem.size[1]):
         motion = 0.0
@@ -446,7 +437,7 @@ def closing_time(
         bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
         if rate > 0.0 and start > least + bent:
             earliest = min(earliest, start / rate)
-    return earliest
+    return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
 
 
 @large_kernel

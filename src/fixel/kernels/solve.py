@@ -124,7 +124,7 @@ def recover(
             return worst, 0
     else:
         restore(problem, work)
-    small = is_small(problem, work)
+    small = is_small(problem)
     stiffness = 100.0
     worst = math.inf
     for trial in range(trials):

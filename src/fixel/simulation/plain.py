@@ -78,7 +78,7 @@ class _Loop:
         )  # fmt: skip
         if least < math.inf:
             closing = float(single.closing_time(problem, guess, step, lead, least))
-            if 0.02 * step < closing < 0.98 * step:
+            if closing < math.inf:
                 return Attempt(codes.CONVERGED, math.inf, closing=closing)
         residual, fell_back = self.solver.solve(problem, work, guess, hasty)
         self.fallbacks += fell_back

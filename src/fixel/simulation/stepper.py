@@ -213,12 +213,16 @@ class Adaptive(AbstractStepper):
         trial = min(step, limits.left)
         if trial < limits.left < 1.5 * trial:
             trial = 0.5 * limits.left
-        rate, guess = _predict(past, trial)
+        rate, guess = 0.0, past.velocity
         guessed = PREDICTED
+        predicting = True
         growth = GROWTH
         unsolved = 0
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         while True:
+            if predicting:
+                rate, guess = _predict(past, trial)
+                predicting = False
             least = limits.tolerance if guessed == PREDICTED else math.inf
             hasty = trial > limits.smallest and unsolved % INSIST != INSIST - 1
             status, residual, bounces, closing = attempt(trial, self.lead, guess, least, hasty)
@@ -231,14 +235,13 @@ class Adaptive(AbstractStepper):
             if not residual <= TOLERANCE:
                 unsolved += 1
                 if trial > limits.smallest:
-                    trial, guessed = 0.25 * trial, PREDICTED
-                    rate, guess = _predict(past, trial)
+                    trial, guessed, predicting = 0.25 * trial, PREDICTED, True
                     continue
                 return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
             if bounces and trial > limits.smallest:
                 resumed = max(resumed, trial)
                 trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
-                rate, guess = _predict(past, trial)
+                predicting = True
                 continue
             change = float(single.largest_change(problem, guess))
             jumped = change > JUMP * float(single.largest_speed(problem))
@@ -263,8 +266,7 @@ class Adaptive(AbstractStepper):
             growth = 1.0
             shrink = max(SHRINK, CAUTION * (limits.tolerance / error) ** EXPONENT)
             trial = max(limits.smallest, trial * shrink)
-            if guessed != RENEWED:
-                rate, guess = _predict(past, trial)
+            predicting = guessed != RENEWED
             guessed = PREDICTED
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, IntArray, Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
+from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
 from fixel.kernels.solve import PATIENT, TOLERANCE, solve
 
@@ -28,10 +29,6 @@ MAX_CONTACTS = 12
 MAX_DRIVES = 2
 MAX_DOF = 3 * MAX_BODIES + MAX_DRIVES
 MAX_ELEMENTS = 3 * MAX_BODIES + MAX_DRIVES
-
-DYNAMIC = 0
-QUASI_STATIC = 1
-FIRST_ORDER = 2
 
 
 @kernel
