@@ -19,7 +19,7 @@ STIFF_DRIVE = 90.0  # largest impulse of the drive, a hundred times what sliding
 def turns_of(problem: Problem, work: Workspace, n: int) -> bool:
     more = True
     for turn in range(n):
-        more = josephy(problem, work, turn)
+        more = josephy(problem, work, turn, turn)
         if not more:
             break
     return more

@@ -33,11 +33,11 @@ ARRIVED = 1e-10  # change of velocity
 
 
 @large_kernel
-def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
+def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
     """Take one step of the method, the `turn`-th; False where there is no use in another.
 
-    Where several answers of the linear problem lead to each other in a circle, later turns look
-    for others, and go part of the way only.
+    Several answers of the linear problem may lead to each other in a circle: another `way` looks
+    for others, and later turns go part of the way only.
     """
     n_contact = problem.size[1]
     n_element = problem.size[2]
@@ -63,7 +63,7 @@ def josephy(problem: Problem, work: Workspace, turn: int) -> bool:
             work.inverse, o, m[o, o], m[o, o + 1], m[o, o + 2], m[o + 1, o + 1], m[o + 1, o + 2],
             m[o + 2, o + 2],
         )  # fmt: skip
-    _write_tableau(problem, work, n_support, turn)
+    _write_tableau(problem, work, n_support, way)
     if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
         return True
     return _take_answer(problem, work, n_support, 1.0 if turn < WHOLE_STEPS else 0.25) > ARRIVED
@@ -103,12 +103,12 @@ def _coupling(
 
 
 @kernel
-def _write_tableau(problem: Problem, work: Workspace, n_support: int, turn: int) -> None:
+def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) -> None:
     """The linear complementarity problem, as Lemke's method begins.
 
     Unknowns of contact i from 4 i: normal impulse, tangential impulse forwards and backwards, slip
     speed. Of drive d from 4 n + 2 d: how much slower, and how much faster, than commanded. Rows of
-    a drive: what is left of its force. Where there are several answers, the `turn` decides which.
+    a drive: what is left of its force. Where there are several answers, the `way` decides which.
     """
     n_contact = problem.size[1]
     n_free = problem.size[3]
@@ -120,7 +120,7 @@ def _write_tableau(problem: Problem, work: Workspace, n_support: int, turn: int)
         for c in range(2 * n + 2):
             t[r, c] = 0.0
         t[r, r] = 1.0
-        t[r, 2 * n] = -1.0 / (1 + (7 * r * turn) % 11)
+        t[r, 2 * n] = -1.0 / (1 + (7 * r * way) % 11)
     q = 2 * n + 1
     unit = work.contact_change
     least = math.inf

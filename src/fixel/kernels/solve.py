@@ -31,14 +31,14 @@ NEWTON_TOLERANCE = (
 STILL = 1e-9  # velocity below which the answer of the step before is tried as it is
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 ITERATIONS = 12  # Newton from where the recovery got to
-# Trials of the recovery: each starts where the last one got to, every eighth from nothing.
-PATIENT = 50
+# Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
+PATIENT = 98
 HASTY = 8
 TURNS = 6  # of pivoting; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether there is anything to find
 CLOSE = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
-SWEEPS = 300  # of Gauss-Seidel before the second start from nothing, twice as many before the third
+SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
 
 
 @spliced_kernel
@@ -132,9 +132,11 @@ def recover(
     for trial in range(trials):
         if trial % 8 == 1:
             forget(problem, guess)
+            if trial > 9:
+                wander(problem, trial // 8)
             stiffness = 10.0
             if trial > 1:
-                sweep(problem, work, SWEEPS * (trial // 8))
+                sweep(problem, work, SWEEPS * min(trial // 8, 3))
         turns = 1
         if small and trial == 0:
             turns = TURNS
@@ -148,7 +150,7 @@ def recover(
             share = 1.0 / (1 + age % 8)
             stiffness = proximal_newton(problem, work, stiffness, 1e4, rounds, 1e-6, wait, share)
         for turn in range(turns):
-            more = turns > 1 and josephy(problem, work, turn)
+            more = turns > 1 and josephy(problem, work, turn, trial + turn)
             worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
             if worst <= TOLERANCE:
                 return worst, 1
@@ -225,6 +227,17 @@ def forget(problem: Problem, guess: FloatArray) -> None:
     for e in range(problem.size[2]):
         for k in range(3):
             problem.element_impulse[e, k] = 0.0
+
+
+@kernel
+def wander(problem: Problem, turn: int) -> None:
+    """Move the velocities to somewhere else of the same size, another place each turn."""
+    size = 0.1
+    for i in range(problem.size[0]):
+        size = max(size, abs(problem.velocity[i]))
+    for i in range(problem.size[0]):
+        place = (i + 1) * turn * 0.6180339887498949
+        problem.velocity[i] += size * (2.0 * (place - math.floor(place)) - 1.0)
 
 
 @large_kernel
