@@ -94,8 +94,9 @@ def allocating_kernel(function: Function) -> Function:
 def spliced_kernel(function: Function) -> Function:
     """A helper that becomes part of its caller before anything is compiled.
 
-    For the few levels between an entry and the loop of steps: compiled one by one, each would
-    optimise the whole loop again, six seconds a level.
+    For the few levels between an entry and the loop of steps, and between that and the solvers:
+    compiled one by one, each would optimise again what it calls, six seconds a level at the top.
+    Not for more than that: long functions take Numba longer than the short ones they are made of.
     """
     return _inner(function, _nrt=False, inline="always")
 

@@ -2,13 +2,8 @@
 
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
 from fixel.kernels.jit import entry
-from fixel.kernels.lemke import (
-    NOT_LINEAR,
-    allocate_tableau,
-    lemke,
-    solve_linear_form,
-    tableau_size,
-)
+from fixel.kernels.lemke import allocate_tableau, lemke
+from fixel.kernels.linear_form import NOT_LINEAR, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
 
 

@@ -1,0 +1,365 @@
+"""Step problems as linear complementarity problems, for Lemke's method.
+
+Polygons and intervals of friction impulses, the velocities eliminated:
+
+    A = [ W_n'D^-1 W_n  W_n'D^-1 W_f  0 ]      z = (p_n, p_f, s)
+        [ W_f'D^-1 W_n  W_f'D^-1 W_f  E ]      D inertia, W rows of the impulses,
+        [ U             -E'           0 ]      U friction coefficients, s slip speeds
+
+Blocks with little inertia of their own (quasi-static bodies, drives) are given some, and pulled
+towards where they were one solve before: a proximal-point iteration, as in gauss_seidel.py.
+
+Source: Stewart & Trinkle (1996) and Anitescu & Potra (1997) for the form and why Lemke's method
+ends at a solution of it; Rockafellar (1976) for the proximal pull.
+"""
+
+import math
+from typing import Final
+
+from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.jit import kernel, large_kernel
+from fixel.kernels.lemke import SOLVED, Tableau, lemke, resolve
+
+# How a solve ended, besides the codes of `lemke`.
+NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
+NO_ROOM: Final = 5  # the tableau has too few rows
+UNSETTLED: Final = 6  # the proximal iteration did not come to rest
+
+# Proximal mass over stiffness, tried in turn: small settles sooner, large is better scaled.
+PULLS = (1e-2, 1.0, 1e-4)
+MAX_PULLS = 100
+ATTEMPTS = 2
+SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum residual
+
+
+@kernel
+def tableau_size(problem: Problem, sides_for_discs: int) -> int:
+    """Rows of the linear form of the present step; -1 where it has none."""
+    rows = 4 * problem.size[1]
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        if m == 0:
+            return -1
+        rows += m + 1
+    return int(rows)
+
+
+@kernel
+def _directions(problem: Problem, e: int, sides_for_discs: int) -> int:
+    """Directions that span the impulses of element e; 0 where they cannot."""
+    row = problem.element_row
+    if row[e, 2, 0] != 0.0 or row[e, 2, 1] != 0.0 or row[e, 2, 2] != 0.0:
+        return 0
+    if problem.element_sides[e] > 0:
+        return int(problem.element_sides[e])
+    if row[e, 1, 0] == 0.0 and row[e, 1, 1] == 0.0 and row[e, 1, 2] == 0.0:
+        return 2
+    return sides_for_discs
+
+
+@large_kernel
+def solve_linear_form(
+    problem: Problem, work: Workspace, tableau: Tableau, sides_for_discs: int, max_pivots: int
+) -> int:
+    """Solve a step whose friction is polygons and intervals; returns one of the codes above.
+
+    Parameters
+    ----------
+    problem : Problem
+        In: `velocity` holds the guess, towards which blocks without inertia are pulled first.
+        Out: `velocity`, `impulse` and `element_impulse`, where SOLVED or UNSETTLED is returned.
+    work : Workspace
+        `inverse`, `pull`, `centre` and `right` are used.
+    tableau : Tableau
+        With room for `tableau_size` rows.
+    sides_for_discs : int
+        Sides of the polygon that stands in for an exact disc, whose answer is then a starting
+        point for another solver; 0 refuses discs with NOT_LINEAR.
+    max_pivots : int
+        Of each call of `lemke`.
+
+    Source: Stewart & Trinkle (1996), condensed; Anitescu & Potra (1997), theorem 3.1.
+    """
+    n = tableau_size(problem, sides_for_discs)
+    if n < 0:
+        return NOT_LINEAR
+    if n > tableau.vector.size:
+        return NO_ROOM
+    _write_rows(problem, tableau, sides_for_discs)
+    code = UNSETTLED
+    for share in PULLS:
+        pulled = _invert_blocks(problem, work, share)
+        _write_matrix(problem, work, tableau, n, sides_for_discs)
+        code = _settle(problem, work, tableau, n, sides_for_discs, max_pivots)
+        if code == SOLVED or not pulled:
+            break
+    return code
+
+
+@kernel
+def _settle(
+    problem: Problem,
+    work: Workspace,
+    tableau: Tableau,
+    n: int,
+    sides_for_discs: int,
+    max_pivots: int,
+) -> int:
+    """Solve, pull, and solve again until nothing pulls any more."""
+    for attempt in range(MAX_PULLS):
+        _write_vector(problem, work, tableau, n)
+        # Between pulls only q changes, and soon the basis does not: try the last one first.
+        if attempt == 0 or not resolve(tableau, n):
+            code = _insist(tableau, n, max_pivots)
+            if code != SOLVED:
+                return code
+        _read_impulses(problem, tableau, sides_for_discs)
+        if _read_velocity(problem, work, tableau, n) <= SETTLED:
+            return SOLVED
+    return UNSETTLED
+
+
+@kernel
+def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
+    """`lemke`, and where it fails once more with an uneven covering vector.
+
+    A step with a solution ends on a ray only by rounding, when ties between symmetric rows go
+    wrong; an uneven vector has other ties. A step without one (a seated grasp) ends on a ray twice.
+    """
+    code = SOLVED
+    for attempt in range(ATTEMPTS):
+        for i in range(n):
+            # Multiples of the golden ratio modulo one: spread evenly, no two alike.
+            tableau.cover[i] = (
+                1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
+            )
+        code = lemke(tableau, n, max_pivots)
+        if code == SOLVED:
+            break
+    return code
+
+
+@kernel
+def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
+    """Proximal masses, whether there are any, and the inverse of every block with them."""
+    n_free = problem.size[3]
+    d = problem.inertia
+    pulled = False
+    for o in range(problem.size[0]):
+        own = d[o, o % 3] if o < n_free else d[o, 0]
+        pull = share * problem.stiffness[o]
+        work.pull[o] = 0.0 if own > pull else pull
+        pulled = pulled or work.pull[o] > 0.0
+        work.centre[o] = problem.velocity[o]
+    block = work.matrix
+    for o in range(0, n_free, 3):
+        for i in range(3):
+            for j in range(3):
+                block[i, j] = d[o + i, j]
+            block[i, i] += work.pull[o + i]
+        for i in range(3):
+            # Cofactors, in cyclic order so that no sign is needed.
+            p = (i + 1) % 3
+            q = (i + 2) % 3
+            for j in range(3):
+                a = (j + 1) % 3
+                b = (j + 2) % 3
+                work.inverse[o + j, i] = block[p, a] * block[q, b] - block[p, b] * block[q, a]
+        determinant = 0.0
+        for j in range(3):
+            determinant += block[0, j] * work.inverse[o + j, 0]
+        for i in range(3):
+            for j in range(3):
+                work.inverse[o + i, j] /= determinant
+    for o in range(n_free, problem.size[0]):
+        work.inverse[o, 0] = 1.0 / (d[o, 0] + work.pull[o])
+        work.inverse[o, 1] = 0.0
+        work.inverse[o, 2] = 0.0
+    return pulled
+
+
+@kernel
+def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
+    """Lever, block and bias of every row: normal, two tangents, slip; or directions, slip."""
+    for i in range(problem.size[1]):
+        r = 4 * i
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            for k in range(3 * side, 3 * side + 3):
+                tableau.lever[r, k] = problem.normal[i, k]
+                tableau.lever[r + 1, k] = problem.tangent[i, k]
+                tableau.lever[r + 2, k] = -problem.tangent[i, k]
+            for j in range(3):
+                tableau.block[r + j, side] = o
+            tableau.block[r + 3, side] = -1
+        tableau.bias[r] = problem.bias[i, 0]
+        tableau.bias[r + 1] = problem.bias[i, 1]
+        tableau.bias[r + 2] = -problem.bias[i, 1]
+        tableau.bias[r + 3] = 0.0
+    r = 4 * problem.size[1]
+    row = problem.element_row
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        for j in range(m):
+            c = math.cos(2.0 * math.pi * j / m)
+            s = math.sin(2.0 * math.pi * j / m)
+            for k in range(3):
+                tableau.lever[r, k] = c * row[e, 0, k] + s * row[e, 1, k]
+                tableau.lever[r, 3 + k] = 0.0
+            tableau.bias[r] = c * problem.element_bias[e, 0] + s * problem.element_bias[e, 1]
+            tableau.block[r, 0] = problem.element_dof[e]
+            tableau.block[r, 1] = -1
+            r += 1
+        tableau.bias[r] = problem.element_limit[e]
+        tableau.block[r, 0] = -1
+        tableau.block[r, 1] = -1
+        r += 1
+
+
+@kernel
+def _write_matrix(
+    problem: Problem, work: Workspace, tableau: Tableau, n: int, sides_for_discs: int
+) -> None:
+    """The matrix A, scaled from both sides: the block of each contact or element has size one.
+
+    Impulses are measured in 1 / sqrt(compliance) and slips in its inverse, so that the coupling
+    entries (one, minus one, friction) stay what they are.
+    """
+    for r in range(n):
+        for c in range(r, n):
+            tableau.matrix[r, c] = 0.0
+            tableau.matrix[c, r] = 0.0
+        _write_compliance(problem, work, tableau, n, r)
+    r = 0
+    for i in range(problem.size[1]):
+        _scale_group(tableau, r, 3)
+        for j in range(1, 3):
+            tableau.matrix[r + j, r + 3] = 1.0
+            tableau.matrix[r + 3, r + j] = -1.0
+        tableau.matrix[r + 3, r] = problem.friction[i]
+        r += 4
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        _scale_group(tableau, r, m)
+        for j in range(m):
+            tableau.matrix[r + j, r + m] = 1.0
+            tableau.matrix[r + m, r + j] = -1.0
+        r += m + 1
+    for r in range(n):
+        for c in range(n):
+            if tableau.block[r, 0] >= 0 and tableau.block[c, 0] >= 0:
+                tableau.matrix[r, c] *= tableau.scale[r] * tableau.scale[c]
+
+
+@kernel
+def _write_compliance(problem: Problem, work: Workspace, tableau: Tableau, n: int, r: int) -> None:
+    """Row r of W' D^-1 W: the velocity along every row that a unit impulse along row r gives."""
+    lever = tableau.lever
+    for side in range(2):
+        o = tableau.block[r, side]
+        if o < 0:
+            continue
+        s = 3 * side
+        x, y, z = _respond(problem, work, o, lever[r, s], lever[r, s + 1], lever[r, s + 2])
+        for c in range(n):
+            for other in range(2):
+                if tableau.block[c, other] == o:
+                    k = 3 * other
+                    tableau.matrix[r, c] += (
+                        lever[c, k] * x + lever[c, k + 1] * y + lever[c, k + 2] * z
+                    )
+
+
+@kernel
+def _respond(
+    problem: Problem, work: Workspace, o: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Velocity of block o under the impulse (x, y, z)."""
+    inverse = work.inverse
+    if o >= problem.size[3]:
+        return inverse[o, 0] * x, 0.0, 0.0
+    return (
+        inverse[o, 0] * x + inverse[o, 1] * y + inverse[o, 2] * z,
+        inverse[o + 1, 0] * x + inverse[o + 1, 1] * y + inverse[o + 1, 2] * z,
+        inverse[o + 2, 0] * x + inverse[o + 2, 1] * y + inverse[o + 2, 2] * z,
+    )
+
+
+@kernel
+def _scale_group(tableau: Tableau, start: int, m: int) -> None:
+    """One unit for the m impulses of a contact or element, from its largest compliance."""
+    largest = 0.0
+    for j in range(start, start + m):
+        largest = max(largest, tableau.matrix[j, j])
+    unit = 1.0 / math.sqrt(largest) if largest > 0.0 else 1.0
+    for j in range(start, start + m):
+        tableau.scale[j] = unit
+    tableau.scale[start + m] = 1.0 / unit
+
+
+@kernel
+def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> None:
+    """The vector b: velocities along every row without impulses, and the limits."""
+    n_free = problem.size[3]
+    v = problem.velocity
+    right = work.right
+    for o in range(problem.size[0]):
+        right[o] = problem.momentum[o] + work.pull[o] * work.centre[o]
+    for o in range(0, n_free, 3):
+        v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
+    for o in range(n_free, problem.size[0]):
+        v[o] = work.inverse[o, 0] * right[o]
+    for r in range(n):
+        u = tableau.bias[r]
+        for side in range(2):
+            o = tableau.block[r, side]
+            if o >= 0:
+                for k in range(3):
+                    u += tableau.lever[r, 3 * side + k] * v[o + k]
+        tableau.vector[r] = tableau.scale[r] * u
+
+
+@kernel
+def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
+    """Impulses of contacts and elements from the answer."""
+    z = tableau.answer
+    for i in range(problem.size[1]):
+        r = 4 * i
+        problem.impulse[i, 0] = tableau.scale[r] * z[r]
+        problem.impulse[i, 1] = tableau.scale[r] * (z[r + 1] - z[r + 2])
+    r = 4 * problem.size[1]
+    for e in range(problem.size[2]):
+        m = _directions(problem, e, sides_for_discs)
+        for k in range(3):
+            problem.element_impulse[e, k] = 0.0
+        for j in range(m):
+            if z[r] != 0.0:
+                p = tableau.scale[r] * z[r]
+                problem.element_impulse[e, 0] += p * math.cos(2.0 * math.pi * j / m)
+                problem.element_impulse[e, 1] += p * math.sin(2.0 * math.pi * j / m)
+            r += 1
+        r += 1
+
+
+@kernel
+def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> float:
+    """Velocities from the answer; moves the proximal centres there, returns the largest pull."""
+    n_free = problem.size[3]
+    v = problem.velocity
+    right = work.right
+    for r in range(n):
+        p = tableau.scale[r] * tableau.answer[r]
+        for side in range(2):
+            o = tableau.block[r, side]
+            if o >= 0 and p != 0.0:
+                for k in range(3):
+                    right[o + k] += p * tableau.lever[r, 3 * side + k]
+    for o in range(0, n_free, 3):
+        v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
+    for o in range(n_free, problem.size[0]):
+        v[o] = work.inverse[o, 0] * right[o]
+    left = 0.0
+    for o in range(problem.size[0]):
+        left = max(left, work.pull[o] * abs(v[o] - work.centre[o]))
+        work.centre[o] = v[o]
+    return left
