@@ -330,7 +330,7 @@ def bounces(
     return False
 
 
-@kernel
+@large_kernel
 def predict(
     velocity: FloatArray,
     before: FloatArray,
