@@ -18,6 +18,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba import types
 
+from fixel.kernels.linking import KNOWN_NUMBA, HelperCompiler
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Not all that is used of Numba is in its type information.
@@ -31,6 +33,9 @@ _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # The code that would unpack NamedTuples for calls from Python is longer than most helpers: without
 # it the first simulation ever waits 46 s in place of 64 s.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_FLAGS}
+# Where Numba is not the one that `linking` was written for, helpers compile as any function does.
+if numba.version_info.short in KNOWN_NUMBA:
+    _INNER["pipeline_class"] = HelperCompiler
 
 
 def source_digest() -> str:
@@ -94,9 +99,8 @@ def allocating_kernel(function: Function) -> Function:
 def spliced_kernel(function: Function) -> Function:
     """A helper that becomes part of its caller before anything is compiled.
 
-    For the few levels between an entry and the loop of steps, and between that and the solvers:
-    compiled one by one, each would optimise again what it calls, six seconds a level at the top.
-    Not for more than that: long functions take Numba longer than the short ones they are made of.
+    For the few levels between an entry and the loop of steps, and between that and the solvers. Not
+    for more than that: long functions take Numba longer than the short ones they are made of.
     """
     return _inner(function, _nrt=False, inline="always")
 
