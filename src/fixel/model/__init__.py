@@ -1,6 +1,13 @@
 """What there is: shapes, bodies, pushers, fixels, scenes; checked when built."""
 
 from fixel.model.body import Body, Spring
+from fixel.model.experiment import (
+    Channel,
+    Experiment,
+    Flag,
+    PlannedExperiment,
+    Provenance,
+)
 from fixel.model.fixel import Fixel
 from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
 from fixel.model.plane import FrictionMap, Plane
@@ -21,10 +28,13 @@ from fixel.model.trajectory import Trajectory, pose_error, wrapped
 __all__ = [
     "KNOWN_PARAMETERS",
     "Body",
+    "Channel",
     "Disk",
     "Drive",
     "Ellipsoid",
+    "Experiment",
     "Fixel",
+    "Flag",
     "FrictionMap",
     "LineDrive",
     "NoSupport",
@@ -33,7 +43,9 @@ __all__ = [
     "Parameters",
     "PathDrive",
     "Plane",
+    "PlannedExperiment",
     "Polygon",
+    "Provenance",
     "Pusher",
     "Scene",
     "Shape",

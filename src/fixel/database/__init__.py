@@ -1,0 +1,1 @@
+"""Where experiments are kept: a project folder, its database and its media."""

@@ -1,0 +1,300 @@
+"""Experiments: what was on the plate, what was measured, and how far to believe it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import (
+    Comparable,
+    FloatArray,
+    frozen,
+    instance,
+    name_of,
+    optional_positive,
+    settle,
+)
+from fixel.model.scene import Scene
+from fixel.model.trajectory import Trajectory
+
+# What a channel's columns are measured in. A column is named for what it is and its unit: `fx_n`.
+UNITS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "s": "s",
+        "m": "m",
+        "rad": "rad",
+        "n": "N",
+        "nm": "N m",
+        "m_s": "m/s",
+        "rad_s": "rad/s",
+        "bool": "-",
+        "count": "-",
+        "ratio": "-",
+    }
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Channel(Comparable):
+    """Something measured against a clock of its own.
+
+    Parameters
+    ----------
+    name : str
+        What measured it: `"force"`, `"tactile"`.
+    time : (n,) array_like
+        Not decreasing [s], on the clock of the experiment.
+    columns : tuple of str
+        One a value; each ends with its unit, out of `UNITS`: `"fx_n"`, `"fixel_1_bool"`.
+    values : (n, n_column) array_like
+        NaN where there was no reading.
+    """
+
+    name: str
+    time: FloatArray
+    columns: tuple[str, ...]
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        where = f"channel {name_of(self.name, 'channel.name')!r}"
+        columns = tuple(self.columns)
+        time, values = frozen(self.time), frozen(self.values)
+        for column in columns:
+            unit_of(column)
+        if time.ndim != 1 or values.shape != (len(time), len(columns)):
+            raise InvalidInput(
+                where,
+                found=f"values of shape {values.shape} at {time.shape} instants",
+                expected=f"a row of {len(columns)} values an instant",
+            )
+        if not np.isfinite(time).all() or (np.diff(time) < 0.0).any():
+            raise InvalidInput(f"{where}.time", found="time going back", expected="instants [s]")
+        if np.isinf(values).any():
+            raise InvalidInput(where, found="infinite values", expected="numbers, or NaN for none")
+        settle(self, columns=columns, time=time, values=values)
+
+
+def unit_of(column: str) -> str:
+    """The unit at the end of a column's name, or a refusal."""
+    for ending in sorted(UNITS, key=len, reverse=True):
+        if re.fullmatch(rf"\w+_{ending}", column):
+            return UNITS[ending]
+    raise InvalidInput(
+        "channel.columns",
+        found=repr(column),
+        expected="a name that ends with its unit, one of _" + ", _".join(UNITS),
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, order=True)
+class Flag:
+    """Something about the data of an experiment that one should know before using it.
+
+    Parameters
+    ----------
+    name : str
+        Short, the same for all experiments it befell: `"misregistered"`.
+    detail : str
+        What was found in this one: `"starts 4.2 mm inside the pusher"`.
+    """
+
+    name: str
+    detail: str = ""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z][a-z0-9-]*", name_of(self.name, "flag.name")):
+            raise InvalidInput("flag.name", found=repr(self.name), expected="a-z, 0-9 and dashes")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Provenance:
+    """Where a record comes from, and what would make it again.
+
+    Parameters
+    ----------
+    version : str
+        Of fixel.
+    command : str
+        What was typed or called.
+    source : str
+        Name of the file it was read from; empty for none.
+    sha256 : str
+        Checksum of that file.
+    seed : int, optional
+        Of whatever was random.
+    created : str
+        When, as ISO 8601 in UTC; empty until it is stored.
+    """
+
+    version: str
+    command: str = ""
+    source: str = ""
+    sha256: str = ""
+    seed: int | None = None
+    created: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Experiment(Comparable):
+    """One run on a plate, real or simulated.
+
+    Parameters
+    ----------
+    dataset, name : str
+        Together the name of the experiment: `"rpi-2dgad"` and `"141"`.
+    real : bool
+        False for anything no camera has seen. For ever.
+    simulated_by : str
+        What made it, where it is not real.
+    provenance : Provenance
+    object_name : str
+        The body of `scene` whose motion was measured.
+    trajectory : Trajectory
+        Measured poses, in the world.
+    pusher : Trajectory, optional
+        Measured poses of the pusher, on the same clock.
+    scene : Scene, optional
+        What was on the plate, with nominal friction, at the first measured pose; none where not all
+        of it is known.
+    height, pusher_height, fixel_height : float, optional
+        Above the plane [m]: what a camera must know, and no angle.
+    channels : tuple of Channel
+        Tactile signals, forces, raw readings.
+    contact_mode : str
+        At the end, a digit a fixel: `"010"` where the second of three touches the object; empty for
+        unknown.
+    effective : (float, float), optional
+        First and last instant of useful data [s].
+    conditions : mapping of str to str or float
+        What else was written down: `{"surface": "plywood", "speed_m_s": 0.02}`.
+    flags : tuple of Flag
+        Sorted.
+    video : str
+        Checksum of a file in the media folder; empty for none.
+    """
+
+    dataset: str
+    name: str
+    real: bool
+    provenance: Provenance
+    trajectory: Trajectory
+    object_name: str = "object"
+    simulated_by: str = ""
+    pusher: Trajectory | None = None
+    scene: Scene | None = None
+    height: float | None = None
+    pusher_height: float | None = None
+    fixel_height: float | None = None
+    channels: tuple[Channel, ...] = ()
+    contact_mode: str = ""
+    effective: tuple[float, float] | None = None
+    conditions: Mapping[str, str | float] = field(default_factory=dict)
+    flags: tuple[Flag, ...] = ()
+    video: str = ""
+
+    def __post_init__(self) -> None:
+        name_of(self.dataset, "experiment.dataset")
+        where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
+        instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
+        if self.real == bool(self.simulated_by):
+            raise InvalidInput(
+                f"{where}.simulated_by",
+                found=repr(self.simulated_by),
+                expected="nothing for a real experiment, what made it for another",
+            )
+        for label in ("height", "pusher_height", "fixel_height"):
+            settle(self, **{label: optional_positive(getattr(self, label), label, "m")})
+        if not re.fullmatch(r"[01]*", self.contact_mode):
+            raise InvalidInput(
+                f"{where}.contact_mode", found=repr(self.contact_mode), expected="a 0 or 1 a fixel"
+            )
+        if self.scene is not None:
+            self._check_scene(where, self.scene)
+        if self.effective is not None:
+            first, last = (float(instant) for instant in self.effective)
+            if not first <= last:
+                raise InvalidInput(
+                    f"{where}.effective", found=(first, last), expected="the first instant first"
+                )
+            settle(self, effective=(first, last))
+        settle(
+            self,
+            channels=tuple(self.channels),
+            conditions=MappingProxyType(dict(sorted(self.conditions.items()))),
+            flags=tuple(sorted(self.flags)),
+        )
+
+    def _check_scene(self, where: str, scene: Scene) -> None:
+        if self.object_name not in [body.name for body in scene.bodies]:
+            raise InvalidInput(
+                f"{where}.object_name",
+                found=repr(self.object_name),
+                expected="a body of the scene: " + ", ".join(body.name for body in scene.bodies),
+            )
+        if self.contact_mode and len(self.contact_mode) != len(scene.fixels):
+            raise InvalidInput(
+                f"{where}.contact_mode",
+                found=f"{len(self.contact_mode)} digits",
+                expected=f"{len(scene.fixels)}, one a fixel",
+            )
+
+    @property
+    def key(self) -> str:
+        """The whole name: dataset/name."""
+        return f"{self.dataset}/{self.name}"
+
+    @property
+    def duration(self) -> float:
+        """From the first measured pose to the last [s]."""
+        return float(self.trajectory.time[-1] - self.trajectory.time[0])
+
+    def channel(self, name: str) -> Channel | None:
+        """The channel of this name, if there is one."""
+        return next((channel for channel in self.channels if channel.name == name), None)
+
+    def flagged(self, *flags: Flag) -> Experiment:
+        """The same, with these flags too."""
+        return replace(self, flags=(*self.flags, *flags))
+
+    def _compared(self) -> tuple[Any, ...]:
+        # A mapping has no hash.
+        compared = super(Experiment, self)._compared()
+        return tuple(tuple(x.items()) if isinstance(x, Mapping) else x for x in compared)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedExperiment(Comparable):
+    """One line of a sampling plan: what to put on the plate, and how it is called.
+
+    Parameters
+    ----------
+    name : str
+        Unique in its plan, such that names in alphabetical order are in the plan's order.
+    scene : Scene
+        With one free body, one pusher with a force-limited drive, and fixels.
+    conditions : mapping of str to str or float
+        Which shape, layout, offset and repetition it is.
+    """
+
+    name: str
+    scene: Scene
+    conditions: Mapping[str, str | float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "planned.name")
+        instance(self.scene, Scene, "planned.scene", "a Scene")
+        settle(self, conditions=MappingProxyType(dict(sorted(self.conditions.items()))))
+
+    def _compared(self) -> tuple[Any, ...]:
+        return (self.name, self.scene, tuple(self.conditions.items()))

@@ -1,0 +1,1 @@
+"""Plans of experiments: which configurations to try."""

@@ -1,0 +1,1 @@
+"""The bench: instruments, and a simulated laboratory that stands in for one."""

@@ -1,0 +1,94 @@
+"""Experiments refuse what would mislead later, and compare by content."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.model.experiment import unit_of
+from fixel.testing.scenes import grasp
+
+PATH = Trajectory(time=[0.0, 0.5, 1.0], pose=[[0, 0, 0], [1e-3, 0, 0], [2e-3, 0, 0.1]])
+
+
+def experiment(**more):
+    given = {
+        "dataset": "lab",
+        "name": "1",
+        "real": True,
+        "provenance": Provenance(version="1.0"),
+        "trajectory": PATH,
+    }
+    return Experiment(**(given | more))
+
+
+def test_equal_by_content_and_hashable():
+    a, b = experiment(conditions={"b": 1.0, "a": "x"}), experiment(conditions={"a": "x", "b": 1.0})
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a != experiment(conditions={"a": "y", "b": 1.0})
+    assert a.key == "lab/1"
+    assert a.duration == 1.0
+
+
+def test_simulated_for_ever():
+    with pytest.raises(InvalidInput, match="what made it"):
+        experiment(real=False)
+    with pytest.raises(InvalidInput, match="nothing for a real experiment"):
+        experiment(simulated_by="a testbed")
+    assert not experiment(real=False, simulated_by="a testbed").real
+
+
+def test_flags_are_sorted_and_named_plainly():
+    more = experiment().flagged(Flag("late"), Flag("early", "by 2 s"))
+    assert [flag.name for flag in more.flags] == ["early", "late"]
+    with pytest.raises(InvalidInput, match="dashes"):
+        Flag("Mis registered")
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("fx_n", "N"), ("v_m_s", "m/s"), ("t_s", "s"), ("tau_nm", "N m"), ("fixel_1_bool", "-")],
+)
+def test_columns_carry_units(column, unit):
+    assert unit_of(column) == unit
+
+
+@pytest.mark.parametrize("column", ["fx", "n", "force_mm", "_n_"])
+def test_columns_without_units_are_refused(column):
+    with pytest.raises(InvalidInput, match="ends with its unit"):
+        unit_of(column)
+
+
+def test_channels_check_their_arrays():
+    force = Channel(name="force", time=[0, 0.1], columns=("fx_n",), values=[[1.0], [math.nan]])
+    assert np.isnan(force.values[1, 0])
+    assert experiment(channels=[force]).channel("force") is force
+    assert experiment().channel("force") is None
+    with pytest.raises(InvalidInput, match="a row of 2 values"):
+        Channel(name="force", time=[0.0], columns=("fx_n", "fy_n"), values=[[1.0]])
+    with pytest.raises(InvalidInput, match="going back"):
+        Channel(name="force", time=[1.0, 0.0], columns=("fx_n",), values=[[1.0], [1.0]])
+    with pytest.raises(InvalidInput, match="infinite"):
+        Channel(name="force", time=[1.0], columns=("fx_n",), values=[[math.inf]])
+
+
+def test_scene_and_contact_mode_agree():
+    scene = grasp("seated")
+    good = experiment(scene=scene, object_name=scene.bodies[0].name, contact_mode="010")
+    assert good.contact_mode == "010"
+    with pytest.raises(InvalidInput, match="one a fixel"):
+        experiment(scene=scene, object_name=scene.bodies[0].name, contact_mode="01")
+    with pytest.raises(InvalidInput, match="a body of the scene"):
+        experiment(scene=scene, object_name="nothing")
+    with pytest.raises(InvalidInput, match="0 or 1"):
+        experiment(contact_mode="2")
+
+
+def test_heights_and_times_are_checked():
+    with pytest.raises(InvalidInput, match="height"):
+        experiment(height=-0.04)
+    with pytest.raises(InvalidInput, match="first instant first"):
+        experiment(effective=(1.0, 0.5))
