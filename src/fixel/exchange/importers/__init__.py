@@ -1,1 +1,1 @@
-"""From recorded data to experiments: one reader a public dataset, and one for tables of your own."""
+"""From recorded data to experiments: a reader for each dataset, and one for your own tables."""
