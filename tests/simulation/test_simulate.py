@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput, SolveFailed
-from fixel.model import Parameters
+from fixel.model import Parameters, PathDrive
 from fixel.simulation import (
     Adaptive,
     Dynamic,
@@ -161,3 +161,16 @@ def test_a_step_longer_than_the_whole_is_the_whole():
     run = simulate(sliding_block(duration=0.01), stepper=StewartTrinkle(step=5.0))
     assert run.steps == 1
     assert run.time[-1] == pytest.approx(0.01, rel=1e-12)
+
+
+@pytest.mark.parametrize("force_limit", [None, 34.3])
+@pytest.mark.parametrize("stepper", [Adaptive(), StewartTrinkle(step=0.01)])
+def test_a_measured_path_may_rest(force_limit, stepper):
+    scene = grasp("seated")
+    pusher = scene.pushers[0]
+    x, y, angle = pusher.pose
+    rows = [(0.0, x), (0.5, x), (1.0, x + 0.005), (1.5, x + 0.005), (2.0, x + 0.0135)]
+    path = PathDrive(waypoints=[(t, at, y, angle) for t, at in rows], force_limit=force_limit)
+    moved = replace(pusher, pose=None, drive=path)
+    run = simulate(replace(scene, pushers=[moved]), stepper=stepper, duration=2.5)
+    assert run.pushers[pusher.name].travel == pytest.approx(0.0135, abs=1e-9)

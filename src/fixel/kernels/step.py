@@ -285,8 +285,8 @@ def move(model: Model, state: State, step: float, problem: Problem, glide: bool)
             dof = model.drive_dof[d]
             speed = path_direction(model.path_start, model.path, d, state.path_time[d], step)[3]
             last = model.path[model.path_start[d + 1] - 1, 0]
-            if speed > 0.0:
-                own = state.path_time[d] + step * v[dof] / speed
-                state.path_time[d] = min(last, own)
+            # A drive that stalls falls behind; while it is told to rest, its clock goes on.
+            share = v[dof] / speed if speed > 0.0 else 1.0
+            state.path_time[d] = min(last, state.path_time[d] + step * share)
     for i in range(problem.size[0]):
         state.velocity[i] = v[i]
