@@ -3,7 +3,9 @@
     FixelError
     ├── InvalidInput(ValueError)        a shape, scene, parameter or option that cannot be
     ├── SolveFailed(RuntimeError)       a simulation did not finish and the caller asked to raise
-    └── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
+    ├── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
+    ├── NotStored(LookupError)          a project has no such record
+    └── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
 
 Numerical failure is a value first: `simulate(...)` records a status, and raises `SolveFailed` only
 when asked.
@@ -142,6 +144,49 @@ class DatasetMissing(FixelError, LookupError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return DatasetMissing, (self.folder, self.expected, self.hint)
+
+
+@final
+class NotStored(FixelError, LookupError):
+    """A project has no such record.
+
+    Parameters
+    ----------
+    what : str
+        What was asked for: `"experiment 12"`.
+    hint : str
+        How to see what there is.
+    """
+
+    def __init__(self, what: str, hint: str | None = None) -> None:
+        self.what = what
+        self.hint = hint
+        sentence = f"found no {what}"
+        super().__init__(f"{sentence}; {hint}" if hint else sentence)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NotStored, (self.what, self.hint)
+
+
+@final
+class StoreRefused(FixelError, RuntimeError):
+    """A project cannot be opened, read or written.
+
+    Parameters
+    ----------
+    reason : str
+        What is in the way: locked by another process, read-only, too new, on a network file system.
+    hint : str
+        The command that helps.
+    """
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        self.reason = reason
+        self.hint = hint
+        super().__init__(f"{reason}; {hint}" if hint else reason)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return StoreRefused, (self.reason, self.hint)
 
 
 def _invalid_input(

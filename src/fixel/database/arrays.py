@@ -1,0 +1,105 @@
+"""Tables of numbers as rows of `series`: in the database, or beyond a size as files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from fixel.database.tables import MEDIA_BYTES, series
+from fixel.errors import StoreRefused
+
+FloatArray = NDArray[np.float64]
+
+
+def bytes_of(values: FloatArray) -> bytes:
+    """(n, k) numbers, row after row, little-endian."""
+    return np.ascontiguousarray(values, dtype="<f8").tobytes()
+
+
+def array_of(data: bytes, n_row: int, n_column: int) -> FloatArray:
+    """The other way round."""
+    return np.frombuffer(data, dtype="<f8").reshape(n_row, n_column).astype(np.float64)
+
+
+def row_of(
+    owner: str, place: int, name: str, columns: tuple[str, ...], values: FloatArray, media: Path
+) -> dict[str, Any]:
+    """A row of `series` without its owner's id; writes the file of one that is too long."""
+    data = bytes_of(values)
+    row = {
+        "owner": owner,
+        "place": place,
+        "name": name,
+        "columns": list(columns),
+        "n_row": len(values),
+        "data": data,
+        "media_sha256": None,
+    }
+    if len(data) > MEDIA_BYTES:
+        row |= {"data": None, "media_sha256": keep(data, media)}
+    return row
+
+
+def read_all(
+    connection: sa.Connection, owner: str, owner_id: int, media: Path
+) -> list[tuple[str, tuple[str, ...], FloatArray]]:
+    """Name, columns and (n, k) values of all series of a record, in order."""
+    rows = connection.execute(
+        sa.select(series)
+        .where(series.c.owner == owner, series.c.owner_id == owner_id)
+        .order_by(series.c.place)
+    )
+    return [
+        (
+            row.name,
+            tuple(row.columns),
+            array_of(
+                fetch(row.media_sha256, media) if row.data is None else row.data,
+                row.n_row,
+                len(row.columns),
+            ),
+        )
+        for row in rows
+    ]
+
+
+def keep(data: bytes, media: Path) -> str:
+    """Write bytes into the media folder under their checksum, once; returns the checksum."""
+    digest = hashlib.sha256(data).hexdigest()
+    path = media_path(digest, media)
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{digest}.{os.getpid()}")
+        with open(temporary, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    return digest
+
+
+def fetch(digest: str, media: Path) -> bytes:
+    """The bytes of a checksum, or a refusal if they are gone or have changed."""
+    path = media_path(digest, media)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        raise StoreRefused(
+            f"the file {path} is missing", hint="restore it from a backup of the media folder"
+        ) from None
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise StoreRefused(
+            f"the file {path} has changed", hint="restore it from a backup of the media folder"
+        )
+    return data
+
+
+def media_path(digest: str, media: Path) -> Path:
+    """Where the file of a checksum is."""
+    return media / digest[:2] / digest

@@ -1,0 +1,182 @@
+"""Opening a database: the same behaviour from a file and from a server, and refusals that help."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import sqlalchemy as sa
+from sqlalchemy import event, exc
+
+from fixel.errors import StoreRefused
+
+# File systems on which the locks of several machines do not see each other.
+NETWORK: Final = frozenset(
+    {"nfs", "nfs4", "cifs", "smb", "smb2", "smb3", "smbfs", "ncpfs", "afs", "fuse.sshfs"}
+    | {"lustre", "gpfs", "beegfs", "ceph", "fuse.ceph", "fuse.glusterfs", "orangefs"}
+    | {"davfs", "fuse.davfs2"}
+)
+_WRITERS: Final = 5130624061  # number of the lock that writers hold; any would do
+WAIT_S: Final = 20.0  # for another process to finish its transaction
+
+
+def open_engine(url: str) -> sa.Engine:
+    """An engine for a database that exists or, for SQLite, can be made.
+
+    Raises
+    ------
+    StoreRefused
+        On a network file system; no driver; not a database URL.
+    """
+    try:
+        parsed = sa.make_url(url)
+        if parsed.get_backend_name() == "sqlite":
+            return _sqlite(parsed)
+        return sa.create_engine(parsed, pool_pre_ping=True, pool_size=2, max_overflow=8)
+    except exc.ArgumentError:
+        raise StoreRefused(
+            f"{url!r} is not a database URL",
+            hint="write sqlite:///FILE or postgresql+psycopg://USER@HOST/DATABASE",
+        ) from None
+    except ModuleNotFoundError as missing:
+        raise StoreRefused(
+            f"the driver {missing.name} is not installed", hint="run: pip install 'fixel[postgres]'"
+        ) from None
+
+
+def _sqlite(url: sa.URL) -> sa.Engine:
+    if url.database and url.database != ":memory:":
+        refuse_network(Path(url.database))
+    engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
+
+    @event.listens_for(engine, "connect")
+    def set_up(connection: Any, _: object) -> None:
+        # Transactions begin where we say so, below; the driver would begin them late.
+        connection.isolation_level = None
+        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute("PRAGMA synchronous = FULL")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: sa.Connection) -> None:
+        # A reader that turns writer may be refused at once; a writer from the start waits.
+        writing = connection.get_execution_options().get("writing", False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
+
+    return engine
+
+
+def set_journal(engine: sa.Engine) -> None:
+    """Let readers read while one writes; kept in the file, so set once."""
+    if engine.dialect.name == "sqlite":
+        with engine.connect() as connection:
+            raw: Any = connection.connection.dbapi_connection
+            raw.execute("PRAGMA journal_mode = WAL")
+
+
+@contextmanager
+def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """One transaction: all of it durable after the block, or none of it."""
+    with (
+        translated(engine),
+        engine.connect().execution_options(writing=True) as connection,
+        connection.begin(),
+    ):
+        if engine.dialect.name == "postgresql":
+            # One writer at a time, as in SQLite: looking and then writing is one act.
+            connection.execute(sa.text(f"SET LOCAL lock_timeout = {int(1e3 * WAIT_S)}"))
+            connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({_WRITERS})"))
+        yield connection
+
+
+@contextmanager
+def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """One consistent view, whatever others write meanwhile."""
+    with translated(engine), engine.connect() as connection:
+        if engine.dialect.name == "postgresql":
+            connection = connection.execution_options(isolation_level="REPEATABLE READ")
+        with connection.begin():
+            yield connection
+
+
+@contextmanager
+def translated(engine: sa.Engine) -> Iterator[None]:
+    """Say what the database complained about, and what helps."""
+    place = engine.url.render_as_string(hide_password=True)
+    try:
+        yield
+    except exc.DBAPIError as problem:
+        raise StoreRefused(*_reason(place, str(problem.orig))) from problem
+
+
+def _reason(place: str, said: str) -> tuple[str, str | None]:
+    said = " ".join(said.split())
+    low = said.lower()
+    known = {
+        "cannot change": ("finished records cannot change", "add a new one: it takes the place"),
+        "lock timeout": (
+            f"{place} is locked by another process for more than {WAIT_S:g} s",
+            "wait for it to finish",
+        ),
+        "locked": (
+            f"{place} is locked by another process for more than {WAIT_S:g} s",
+            "wait for it to finish, or find it with: fuser FILE",
+        ),
+        "readonly": (f"{place} is read-only", "make the file and its folder writable"),
+        "full": (f"the disk of {place} is full", "make room, then repeat the command"),
+        "no space left": (f"the disk of {place} is full", "make room, then repeat the command"),
+        "unable to open": (
+            f"{place} cannot be opened",
+            "check that its folder exists and may be written to",
+        ),
+        "not a database": (f"{place} is no SQLite database", "restore it with: fixel db backup"),
+        "malformed": (f"{place} is damaged", "see how far with: fixel db check"),
+        "no such table": (f"{place} has no tables yet", "run: fixel db upgrade"),
+        "does not exist": (f"{place}: {said}", "create the database, then run: fixel db upgrade"),
+        "connection": (f"no connection to {place}: {said}", "check that the server runs"),
+        "terminating": (f"the server of {place} went away", "repeat the command once it is back"),
+    }
+    for word, answer in known.items():
+        if word in low:
+            return answer
+    return f"{place}: {said}", None
+
+
+def refuse_network(path: Path, mounts: str | None = None) -> None:
+    """Refuse a file on a network file system: two machines would write over each other.
+
+    Parameters
+    ----------
+    path : Path
+        Need not exist yet.
+    mounts : str, optional
+        In place of the text of /proc/self/mounts, which other systems do not have.
+    """
+    if mounts is None:
+        try:
+            mounts = Path("/proc/self/mounts").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return
+    kind = _file_system(os.path.realpath(path), mounts)
+    if kind in NETWORK:
+        raise StoreRefused(
+            f"{path} lies on a network file system ({kind}), where SQLite loses data: the locks of"
+            " one machine are not seen by another",
+            hint="keep the project on a local disk, or set a PostgreSQL server in its settings",
+        )
+
+
+def _file_system(path: str, mounts: str) -> str:
+    """Type of the file system of the longest mount point above a path."""
+    best, kind = "", ""
+    for line in mounts.splitlines():
+        fields = line.split()
+        if len(fields) < 3:
+            continue
+        point = fields[1].encode().decode("unicode_escape")  # a space is \\040 there
+        inside = path == point or path.startswith(point.rstrip("/") + "/")
+        if inside and len(point) >= len(best):
+            best, kind = point, fields[2]
+    return kind

@@ -1,0 +1,13 @@
+"""Run by Alembic: migrations over a connection that `schema.py` has opened, in its transaction."""
+
+from alembic import context
+
+from fixel.database.tables import METADATA
+
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=METADATA,
+    render_as_batch=True,
+)
+with context.begin_transaction():
+    context.run_migrations()

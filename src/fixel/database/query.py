@@ -1,0 +1,130 @@
+"""Which experiments: what a listing may ask for, and what it shows of each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
+
+import sqlalchemy as sa
+
+from fixel.database.tables import experiment, flag
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Query:
+    """What experiments must have in common.
+
+    Parameters
+    ----------
+    dataset : str, optional
+    name : str, optional
+        `*` stands for anything.
+    real : bool, optional
+        Only real ones, or only simulated ones.
+    contact_mode : str, optional
+    conditions : mapping of str to str or float
+        Exact values.
+    flag : str, optional
+        Only those with this flag; then flagged ones are not left out.
+    flagged : bool
+        Also those whose data has been found wanting.
+    deleted : bool
+        Only those deleted.
+    replaced : bool
+        Also those that a correction has replaced.
+    """
+
+    dataset: str | None = None
+    name: str | None = None
+    real: bool | None = None
+    contact_mode: str | None = None
+    conditions: Mapping[str, str | float] = field(default_factory=dict)
+    flag: str | None = None
+    flagged: bool = False
+    deleted: bool = False
+    replaced: bool = False
+
+
+class Summary(NamedTuple):
+    """One line of a listing."""
+
+    id: int
+    dataset: str
+    name: str
+    is_real: bool
+    n_frame: int
+    duration_s: float
+    start_x_m: float
+    start_y_m: float
+    start_theta_rad: float
+    end_x_m: float
+    end_y_m: float
+    end_theta_rad: float
+    contact_mode: str
+    conditions_json: str
+    created_at_utc: str
+
+    @property
+    def conditions(self) -> dict[str, str | float]:
+        """What else was written down."""
+        found: dict[str, str | float] = json.loads(self.conditions_json)
+        return found
+
+    @property
+    def key(self) -> str:
+        """Dataset and name."""
+        return f"{self.dataset}/{self.name}"
+
+
+# Most listings are longer than what anybody reads of them: conditions stay text until asked for.
+COLUMNS = [
+    sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
+    for name in Summary._fields
+]
+
+_LIVE_FLAG = sa.exists().where(
+    flag.c.experiment_id == experiment.c.id, flag.c.deleted_at_utc.is_(None)
+)
+
+
+def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
+    """The query but for `flagged`."""
+    found: list[sa.ColumnElement[bool]] = []
+    gone = experiment.c.deleted_at_utc
+    found.append(gone.is_not(None) if query.deleted else gone.is_(None))
+    if not query.replaced:
+        newer = experiment.alias("newer")
+        found.append(
+            ~sa.exists().where(
+                newer.c.replaces_id == experiment.c.id, newer.c.deleted_at_utc.is_(None)
+            )
+        )
+    if query.dataset is not None:
+        found.append(experiment.c.dataset == query.dataset)
+    if query.name is not None:
+        found.append(experiment.c.name.like(_pattern(query.name), escape="\\"))
+    if query.real is not None:
+        found.append(experiment.c.is_real.is_(query.real))
+    if query.contact_mode is not None:
+        found.append(experiment.c.contact_mode == query.contact_mode)
+    for name, value in query.conditions.items():
+        entry = experiment.c.conditions[name]
+        found.append(
+            entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
+        )
+    if query.flag is not None:
+        found.append(_LIVE_FLAG.where(flag.c.name == query.flag))
+    return found
+
+
+def only_clean(query: Query) -> list[sa.ColumnElement[bool]]:
+    """What leaves out flagged rows, where the query does."""
+    return [] if query.flagged or query.flag is not None or query.deleted else [~_LIVE_FLAG]
+
+
+def _pattern(name: str) -> str:
+    escaped = name.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_")
+    return escaped.replace("*", "%")

@@ -1,0 +1,222 @@
+"""Between records and rows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from fixel.database import arrays
+from fixel.exchange.scene_build import scene_of
+from fixel.exchange.scene_content import scene_content
+from fixel.exchange.scene_schema import SceneRecord
+from fixel.model import (
+    Channel,
+    Experiment,
+    Flag,
+    Parameters,
+    Provenance,
+    Scene,
+    Trajectory,
+)
+
+FloatArray = NDArray[np.float64]
+Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
+
+PATH = ("time_s", "x_m", "y_m", "theta_rad")
+WITH_COLUMN = ("mu_support", "mu_fixel", "mu_pusher")
+
+
+def now() -> str:
+    """This instant in UTC, as it is stored."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def digest(content: object, *values: FloatArray) -> str:
+    """Checksum of plain content and arrays."""
+    total = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=True).encode())
+    for array in values:
+        total.update(repr(array.shape).encode())
+        total.update(arrays.bytes_of(array))
+    return total.hexdigest()
+
+
+def provenance_row(provenance: Provenance) -> dict[str, Any]:
+    """Columns of a record's provenance."""
+    return {
+        "created_at_utc": provenance.created or now(),
+        "fixel_version": provenance.version,
+        "command": provenance.command,
+        "source_file": provenance.source,
+        "source_sha256": provenance.sha256,
+        "seed": provenance.seed,
+    }
+
+
+def provenance_of(row: sa.Row[Any]) -> Provenance:
+    """The other way round."""
+    return Provenance(
+        version=row.fixel_version,
+        command=row.command,
+        source=row.source_file,
+        sha256=row.source_sha256,
+        seed=row.seed,
+        created=row.created_at_utc,
+    )
+
+
+def path_table(trajectory: Trajectory) -> FloatArray:
+    """(n, 4) instants and poses."""
+    return np.column_stack((trajectory.time, trajectory.pose))
+
+
+def trajectory_of(values: FloatArray) -> Trajectory:
+    """The other way round."""
+    return Trajectory(time=values[:, 0], pose=values[:, 1:])
+
+
+def series_of(experiment: Experiment) -> list[Measured]:
+    """Name, columns and values of all that was measured in an experiment."""
+    found: list[Measured] = [("object", PATH, path_table(experiment.trajectory))]
+    if experiment.pusher is not None:
+        found.append(("pusher", PATH, path_table(experiment.pusher)))
+    for channel in experiment.channels:
+        values = np.column_stack((channel.time, channel.values))
+        found.append((f"channel {channel.name}", ("time_s", *channel.columns), values))
+    return found
+
+
+def experiment_row(experiment: Experiment) -> dict[str, Any]:
+    """Columns of an experiment but for its geometries and what it replaces."""
+    trajectory = experiment.trajectory
+    start, end = trajectory.pose[0].tolist(), trajectory.pose[-1].tolist()
+    effective = experiment.effective or (None, None)
+    scene = None if experiment.scene is None else scene_content(experiment.scene)
+    row = {
+        "dataset": experiment.dataset,
+        "name": experiment.name,
+        "is_real": experiment.real,
+        "simulated_by": experiment.simulated_by,
+        "object_name": experiment.object_name,
+        "scene": scene,
+        "object_height_m": experiment.height,
+        "pusher_height_m": experiment.pusher_height,
+        "fixel_height_m": experiment.fixel_height,
+        "n_frame": len(trajectory.time),
+        "duration_s": experiment.duration,
+        "start_x_m": start[0],
+        "start_y_m": start[1],
+        "start_theta_rad": start[2],
+        "end_x_m": end[0],
+        "end_y_m": end[1],
+        "end_theta_rad": end[2],
+        "effective_start_s": effective[0],
+        "effective_end_s": effective[1],
+        "contact_mode": experiment.contact_mode,
+        "conditions": dict(experiment.conditions),
+        "video_sha256": experiment.video,
+        "n_import_flag": len(experiment.flags),
+    }
+    flags = [[flag.name, flag.detail] for flag in experiment.flags]
+    measured = series_of(experiment)
+    names = [[name, list(columns)] for name, columns, _ in measured]
+    row["content_sha256"] = digest([row, flags, names], *(values for _, _, values in measured))
+    return row | provenance_row(experiment.provenance)
+
+
+def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+    """Columns of the object's and the pusher's geometry, where they are known."""
+    if experiment.scene is None:
+        return None, None
+    content = scene_content(experiment.scene)
+    body = next(b for b in content["bodies"] if b["name"] == experiment.object_name)
+    com = body.get("centre_of_mass") or [None, None]
+    object_row = _geometry(
+        is_object=True,
+        shape=body["shape"],
+        height_m=experiment.height,
+        mass_kg=body.get("mass"),
+        inertia_kg_m2=body.get("inertia"),
+        centre_of_mass_x_m=com[0],
+        centre_of_mass_y_m=com[1],
+    )
+    pushers = content.get("pushers") or []
+    if not pushers:
+        return object_row, None
+    pusher = _geometry(
+        is_object=False, shape=pushers[0]["shape"], height_m=experiment.pusher_height
+    )
+    return object_row, pusher
+
+
+def _geometry(**columns: Any) -> dict[str, Any]:
+    return columns | {"content_sha256": digest(columns)}
+
+
+def scene_of_row(content: Any) -> Scene | None:
+    """The scene of a stored experiment."""
+    return None if content is None else scene_of(SceneRecord.model_validate(content))
+
+
+def experiment_of(
+    row: sa.Row[Any],
+    flags: tuple[Flag, ...],
+    measured: list[Measured],
+) -> Experiment:
+    """The record of a row, its flags and its series."""
+    paths = {name: trajectory_of(values) for name, columns, values in measured if columns == PATH}
+    channels = tuple(
+        Channel(
+            name=name.removeprefix("channel "),
+            time=values[:, 0],
+            columns=columns[1:],
+            values=values[:, 1:],
+        )
+        for name, columns, values in measured
+        if name.startswith("channel ")
+    )
+    effective = (row.effective_start_s, row.effective_end_s)
+    return Experiment(
+        dataset=row.dataset,
+        name=row.name,
+        real=row.is_real,
+        simulated_by=row.simulated_by,
+        provenance=provenance_of(row),
+        object_name=row.object_name,
+        trajectory=paths["object"],
+        pusher=paths.get("pusher"),
+        scene=scene_of_row(row.scene),
+        height=row.object_height_m,
+        pusher_height=row.pusher_height_m,
+        fixel_height=row.fixel_height_m,
+        channels=channels,
+        contact_mode=row.contact_mode,
+        effective=None if effective[0] is None else effective,
+        conditions=row.conditions,
+        flags=flags,
+        video=row.video_sha256,
+    )
+
+
+def parameters_row(parameters: Mapping[str, float]) -> dict[str, Any]:
+    """Columns of a set of parameters."""
+    values = dict(sorted(parameters.items()))
+    row: dict[str, Any] = {name: values.get(name) for name in WITH_COLUMN}
+    row["tripod_radius_m"] = values.get("tripod_radius")
+    known = (*WITH_COLUMN, "tripod_radius")
+    row["others"] = {name: x for name, x in values.items() if name not in known}
+    return row | {"content_sha256": digest(values)}
+
+
+def parameters_of(row: sa.Row[Any]) -> Parameters:
+    """The other way round."""
+    values = {name: getattr(row, name) for name in WITH_COLUMN}
+    values["tripod_radius"] = row.tripod_radius_m
+    given = {name: x for name, x in values.items() if x is not None}
+    return Parameters(given | dict(row.others))

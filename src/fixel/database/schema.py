@@ -1,0 +1,74 @@
+"""Which version of the schema a database has, and how it gets to this program's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import sqlalchemy as sa
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+from fixel.errors import StoreRefused
+
+MIGRATIONS: Final = Path(__file__).with_name("migrations")
+
+
+def _config(connection: sa.Connection | None = None) -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    config.attributes["connection"] = connection
+    return config
+
+
+def newest() -> str:
+    """Version of the schema this program knows."""
+    head = ScriptDirectory.from_config(_config()).get_current_head()
+    assert head is not None
+    return head
+
+
+def versions() -> tuple[str, ...]:
+    """All versions this program knows, the oldest first."""
+    scripts = ScriptDirectory.from_config(_config()).walk_revisions()
+    return tuple(reversed([script.revision for script in scripts]))
+
+
+def version_of(connection: sa.Connection) -> str | None:
+    """Version of a database; none for an empty one."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def upgrade(connection: sa.Connection, version: str = "head") -> None:
+    """Bring a database to a version, or leave it as it was.
+
+    Raises
+    ------
+    StoreRefused
+        The database is newer than this program.
+    """
+    refuse_newer(connection)
+    command.upgrade(_config(connection), version)
+
+
+def refuse_newer(connection: sa.Connection) -> None:
+    """Refuse a database whose version this program does not know."""
+    found = version_of(connection)
+    if found is not None and found not in versions():
+        raise StoreRefused(
+            f"the database has schema {found}, and this fixel knows {newest()} at most",
+            hint="install the fixel that wrote it, or a newer one",
+        )
+
+
+def refuse_old(connection: sa.Connection) -> None:
+    """Refuse a database that must be upgraded first."""
+    refuse_newer(connection)
+    found = version_of(connection)
+    if found != newest():
+        what = "is empty" if found is None else f"has schema {found}"
+        raise StoreRefused(
+            f"the database {what}, and this fixel needs {newest()}", hint="run: fixel db upgrade"
+        )

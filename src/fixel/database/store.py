@@ -1,0 +1,556 @@
+"""The one door to a project's database: it speaks records, not rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+import numpy as np
+import sqlalchemy as sa
+
+from fixel.database import arrays, rows, schema, tables
+from fixel.database.engine import open_engine, reading, set_journal, writing
+from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
+from fixel.errors import NotStored
+from fixel.model import Experiment, Flag, Parameters
+from fixel.model.records import (
+    CalibrationRecord,
+    Evaluations,
+    FilterParameters,
+    FilterRun,
+    Member,
+    SimulationRecord,
+)
+
+
+class Added(NamedTuple):
+    """What became of a record."""
+
+    id: int
+    new: bool  # False where the same was there already
+
+
+class Listing(NamedTuple):
+    """One page of experiments."""
+
+    summaries: list[Summary]
+    total: int  # that match, on this page or not
+    left_out: int  # that match but for a flag on their data
+
+
+@final
+class Store:
+    """Experiments, simulations, parameters, calibrations and filter runs of one project.
+
+    Guarantees, on SQLite and PostgreSQL alike:
+
+    - Atomic: a record is there whole or not at all, whenever the power fails.
+    - Durable: once a method that adds has returned, the record survives the power failing.
+    - Shared: several processes may read and write at a time. Readers never wait; a writer waits for
+      another up to 20 s, then is refused.
+    - Frozen: what has been added never changes. The database itself refuses to. A correction is a
+      new record, which listings show in place of the old one; a deletion can be taken back.
+    - Idempotent: adding an experiment that is there already adds nothing.
+
+    Parameters
+    ----------
+    url : str
+        ``sqlite:///FILE`` or ``postgresql+psycopg://USER@HOST/DATABASE``.
+    media : Path
+        Folder of what is too long for the database. Several projects may share it.
+
+    Raises
+    ------
+    StoreRefused
+        From here and from every method: what is in the way, and the command that helps.
+    """
+
+    def __init__(self, url: str, media: Path) -> None:
+        self._engine = open_engine(url)
+        self._media = media
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self._engine.dispose()
+
+    # --- the schema -----------------------------------------------------------------------------
+
+    @property
+    def engine_name(self) -> str:
+        """`sqlite` or `postgresql`."""
+        return self._engine.dialect.name
+
+    def upgrade(self, version: str = "head") -> tuple[str | None, str | None]:
+        """Bring the tables to this program's version; returns the version before and after."""
+        set_journal(self._engine)
+        with writing(self._engine) as connection:
+            before = schema.version_of(connection)
+            schema.upgrade(connection, version)
+            return before, schema.version_of(connection)
+
+    def check_version(self) -> None:
+        """Refuse tables of another version than this program's."""
+        with reading(self._engine) as connection:
+            schema.refuse_old(connection)
+
+    # --- experiments ----------------------------------------------------------------------------
+
+    def add_experiment(self, experiment: Experiment) -> Added:
+        """Store an experiment in a transaction of its own.
+
+        Where its dataset and name are taken, it is a correction of the newest of that name.
+        """
+        row = rows.experiment_row(experiment)
+        measured = [
+            arrays.row_of("experiment", place, *series, self._media)
+            for place, series in enumerate(rows.series_of(experiment))
+        ]
+        with writing(self._engine) as connection:
+            known = self._known(connection, row["content_sha256"])
+            if known is not None:
+                return Added(known, False)
+            return Added(self._insert(connection, experiment, row, measured), True)
+
+    def add_experiments(self, experiments: Iterable[Experiment]) -> Iterator[Added]:
+        """Store experiments one by one, as they are asked for."""
+        for experiment in experiments:
+            yield self.add_experiment(experiment)
+
+    def _known(self, connection: sa.Connection, content: str) -> int | None:
+        table = tables.experiment
+        found: int | None = connection.scalar(
+            sa.select(table.c.id).where(table.c.content_sha256 == content)
+        )
+        return found
+
+    def _insert(
+        self,
+        connection: sa.Connection,
+        experiment: Experiment,
+        row: dict[str, Any],
+        measured: list[dict[str, Any]],
+    ) -> int:
+        table = tables.experiment
+        object_row, pusher_row = rows.geometry_rows(experiment)
+        replaced = connection.scalar(
+            sa.select(sa.func.max(table.c.id)).where(
+                table.c.dataset == experiment.dataset,
+                table.c.name == experiment.name,
+                table.c.deleted_at_utc.is_(None),
+            )
+        )
+        number = _insert_one(
+            connection,
+            table,
+            row
+            | {
+                "object_geometry_id": _same(connection, tables.geometry, object_row),
+                "pusher_geometry_id": _same(connection, tables.geometry, pusher_row),
+                "replaces_id": replaced,
+            },
+        )
+        connection.execute(sa.insert(tables.series), [s | {"owner_id": number} for s in measured])
+        if experiment.flags:
+            connection.execute(
+                sa.insert(tables.flag),
+                [_flag_row(number, flag) for flag in experiment.flags],
+            )
+        return number
+
+    def experiment(self, number: int) -> Experiment:
+        """The experiment of an id."""
+        table = tables.experiment
+        with reading(self._engine) as connection:
+            row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
+            if row is None:
+                raise _absent(f"experiment {number}")
+            flags = connection.execute(
+                sa.select(tables.flag.c.name, tables.flag.c.detail).where(
+                    tables.flag.c.experiment_id == number, tables.flag.c.deleted_at_utc.is_(None)
+                )
+            )
+            measured = arrays.read_all(connection, "experiment", number, self._media)
+            return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
+
+    def find(self, key: str) -> int:
+        """Id of the newest experiment with this id, name, or dataset/name."""
+        if key.isdecimal() and self._has(int(key)):
+            return int(key)
+        dataset, slash, name = key.partition("/")
+        query = Query(dataset=dataset, name=name) if slash else Query(name=key)
+        found = self.experiments(Query(**_fields(query), flagged=True), limit=2)
+        if found.total == 0:
+            raise _absent(f"experiment {key!r}")
+        if found.total > 1:
+            raise NotStored(
+                f"single experiment {key!r}: {found.total} have that name",
+                hint="write DATASET/NAME",
+            )
+        return found.summaries[0].id
+
+    def _has(self, number: int) -> bool:
+        with reading(self._engine) as connection:
+            table = tables.experiment
+            return connection.scalar(sa.select(table.c.id).where(table.c.id == number)) is not None
+
+    def experiments(
+        self, query: Query | None = None, *, limit: int | None = None, offset: int = 0
+    ) -> Listing:
+        """Summaries of the experiments that match, by id."""
+        query = query or Query()
+        wanted = conditions_of(query)
+        clean = only_clean(query)
+        table = tables.experiment
+        page = (
+            sa.select(*COLUMNS)
+            .where(*wanted, *clean)
+            .order_by(table.c.id)
+            .limit(limit)
+            .offset(offset)
+        )
+        count = sa.select(sa.func.count()).select_from(table).where(*wanted)
+        with reading(self._engine) as connection:
+            summaries = [Summary._make(row) for row in connection.execute(page)]
+            everything = int(connection.scalar(count) or 0)
+            total = int(connection.scalar(count.where(*clean)) or 0) if clean else everything
+        return Listing(summaries, total, everything - total)
+
+    def datasets(self) -> dict[str, int]:
+        """How many experiments of each dataset there are, flagged ones too."""
+        table = tables.experiment
+        wanted = conditions_of(Query(flagged=True))
+        counted = (
+            sa.select(table.c.dataset, sa.func.count())
+            .where(*wanted)
+            .group_by(table.c.dataset)
+            .order_by(table.c.dataset)
+        )
+        with reading(self._engine) as connection:
+            return {name: n for name, n in connection.execute(counted)}
+
+    def flags(self) -> dict[str, int]:
+        """How many experiments carry each flag."""
+        flag = tables.flag
+        counted = (
+            sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
+            .join(tables.experiment)
+            .where(flag.c.deleted_at_utc.is_(None), *conditions_of(Query(flagged=True)))
+            .group_by(flag.c.name)
+            .order_by(flag.c.name)
+        )
+        with reading(self._engine) as connection:
+            return {name: n for name, n in connection.execute(counted)}
+
+    def flag(self, number: int, flag: Flag) -> None:
+        """Add a flag to an experiment: it is left out of listings from now on."""
+        self._require(number)
+        with writing(self._engine) as connection:
+            connection.execute(sa.insert(tables.flag), _flag_row(number, flag))
+
+    def unflag(self, number: int, name: str) -> None:
+        """Take a flag off an experiment."""
+        flag = tables.flag
+        with writing(self._engine) as connection:
+            connection.execute(
+                sa.update(flag)
+                .where(
+                    flag.c.experiment_id == number,
+                    flag.c.name == name,
+                    flag.c.deleted_at_utc.is_(None),
+                )
+                .values(deleted_at_utc=rows.now())
+            )
+
+    def delete(self, number: int) -> None:
+        """Leave an experiment out of everything, until `undelete`."""
+        self._mark(number, rows.now())
+
+    def undelete(self, number: int) -> None:
+        """Take a deletion back."""
+        self._mark(number, None)
+
+    def _mark(self, number: int, instant: str | None) -> None:
+        self._require(number)
+        table = tables.experiment
+        with writing(self._engine) as connection:
+            connection.execute(
+                sa.update(table).where(table.c.id == number).values(deleted_at_utc=instant)
+            )
+
+    def _require(self, number: int) -> None:
+        if not self._has(number):
+            raise _absent(f"experiment {number}")
+
+    # --- what is computed from them -------------------------------------------------------------
+
+    def add_parameters(self, parameters: Mapping[str, float]) -> int:
+        """Id of a set of parameters, stored if it is new."""
+        with writing(self._engine) as connection:
+            return _parameters_id(connection, parameters)
+
+    def parameters(self, number: int) -> Parameters:
+        """The parameters of an id."""
+        table = tables.system_parameters
+        with reading(self._engine) as connection:
+            return rows.parameters_of(_row(connection, table, number, "parameters"))
+
+    def add_simulation(self, record: SimulationRecord) -> int:
+        """Store a simulation of an experiment; returns its id."""
+        self._require(record.experiment_id)
+        series: list[rows.Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
+        if record.pusher is not None:
+            series.append(("pusher", rows.PATH, rows.path_table(record.pusher)))
+        with writing(self._engine) as connection:
+            number = _insert_one(
+                connection,
+                tables.simulation,
+                {
+                    "experiment_id": record.experiment_id,
+                    "system_parameters_id": _parameters_id(connection, record.parameters),
+                    "method": dict(record.method),
+                    "status": record.status,
+                    "contact_mode": record.contact_mode,
+                    "error_mm2": record.error_mm2,
+                    **rows.provenance_row(record.provenance),
+                },
+            )
+            self._add_series(connection, "simulation", number, series)
+        return number
+
+    def simulation(self, number: int) -> SimulationRecord:
+        """The simulation of an id."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.simulation, number, "simulation")
+            series = arrays.read_all(connection, "simulation", number, self._media)
+            parameters = _row(
+                connection, tables.system_parameters, row.system_parameters_id, "parameters"
+            )
+        paths = {name: rows.trajectory_of(values) for name, _, values in series}
+        return SimulationRecord(
+            experiment_id=row.experiment_id,
+            parameters=rows.parameters_of(parameters),
+            provenance=rows.provenance_of(row),
+            trajectory=paths["object"],
+            pusher=paths.get("pusher"),
+            method=row.method,
+            status=row.status,
+            contact_mode=row.contact_mode,
+            error_mm2=row.error_mm2,
+        )
+
+    def simulations(self, experiment_id: int) -> list[int]:
+        """Ids of the simulations of an experiment, the oldest first."""
+        table = tables.simulation
+        wanted = sa.select(table.c.id).where(
+            table.c.experiment_id == experiment_id, table.c.deleted_at_utc.is_(None)
+        )
+        with reading(self._engine) as connection:
+            return list(connection.scalars(wanted.order_by(table.c.id)))
+
+    def add_calibration(self, record: CalibrationRecord) -> int:
+        """Store a finished calibration; returns its id."""
+        tried = record.evaluations
+        reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
+        with writing(self._engine) as connection:
+            number = _insert_one(
+                connection,
+                tables.calibration,
+                {
+                    "name": record.name,
+                    "system_parameters_id": _parameters_id(connection, record.parameters),
+                    "method": dict(record.method),
+                    "n_evaluation": 0 if tried is None else len(tried.error_mm2),
+                    "n_member": len(record.members),
+                    "mean_error_mm2": record.mean_error_mm2,
+                    "sum_error_mm2": record.sum_error_mm2,
+                    "max_error_mm2": record.max_error_mm2,
+                    "reasons": reasons,
+                    **rows.provenance_row(record.provenance),
+                },
+            )
+            connection.execute(
+                sa.insert(tables.calibration_member),
+                [
+                    {
+                        "calibration_id": number,
+                        "experiment_id": member.experiment_id,
+                        "place": place,
+                        "weight": member.weight,
+                        "error_mm2": member.error_mm2,
+                    }
+                    for place, member in enumerate(record.members)
+                ],
+            )
+            if tried is not None:
+                table = np.column_stack((tried.values, tried.error_mm2))
+                series = [("evaluations", (*tried.names, "error_mm2"), table)]
+                self._add_series(connection, "calibration", number, series)
+        return number
+
+    def calibration(self, number: int) -> CalibrationRecord:
+        """The calibration of an id."""
+        member = tables.calibration_member
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.calibration, number, "calibration")
+            parameters = _row(
+                connection, tables.system_parameters, row.system_parameters_id, "parameters"
+            )
+            members = connection.execute(
+                sa.select(member.c.experiment_id, member.c.weight, member.c.error_mm2)
+                .where(member.c.calibration_id == number)
+                .order_by(member.c.place)
+            ).all()
+            series = arrays.read_all(connection, "calibration", number, self._media)
+        return CalibrationRecord(
+            name=row.name,
+            parameters=rows.parameters_of(parameters),
+            members=tuple(Member(*m) for m in members),
+            provenance=rows.provenance_of(row),
+            method=row.method,
+            evaluations=_evaluations(series, row.reasons),
+        )
+
+    def add_filter_parameters(self, record: FilterParameters) -> int:
+        """Store settings of a filter; returns their id."""
+        with writing(self._engine) as connection:
+            return _insert_one(
+                connection,
+                tables.filter_parameters,
+                {
+                    "name": record.name,
+                    "is_particle_filter": record.is_particle_filter,
+                    "options": dict(record.values),
+                    **rows.provenance_row(record.provenance),
+                },
+            )
+
+    def filter_parameters(self, number: int) -> FilterParameters:
+        """The settings of an id."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.filter_parameters, number, "filter parameters")
+        return FilterParameters(
+            name=row.name,
+            is_particle_filter=row.is_particle_filter,
+            provenance=rows.provenance_of(row),
+            values=row.options,
+        )
+
+    def add_filter_run(self, record: FilterRun) -> int:
+        """Store what a filter made of an experiment; returns its id."""
+        self._require(record.experiment_id)
+        series: list[rows.Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
+        if record.estimate_names:
+            series.append(("estimates", record.estimate_names, record.estimates))
+        occlusion = record.occlusion or (None, None)
+        with writing(self._engine) as connection:
+            number = _insert_one(
+                connection,
+                tables.filter_run,
+                {
+                    "experiment_id": record.experiment_id,
+                    "filter_parameters_id": record.filter_parameters_id,
+                    "uses_tactile": record.uses_tactile,
+                    "occlusion_start_s": occlusion[0],
+                    "occlusion_end_s": occlusion[1],
+                    "contact_mode": record.contact_mode,
+                    **rows.provenance_row(record.provenance),
+                },
+            )
+            self._add_series(connection, "filter_run", number, series)
+        return number
+
+    def filter_run(self, number: int) -> FilterRun:
+        """The filter run of an id."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.filter_run, number, "filter run")
+            series = arrays.read_all(connection, "filter_run", number, self._media)
+        found = {name: (columns, values) for name, columns, values in series}
+        names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
+        hidden = (row.occlusion_start_s, row.occlusion_end_s)
+        return FilterRun(
+            experiment_id=row.experiment_id,
+            filter_parameters_id=row.filter_parameters_id,
+            provenance=rows.provenance_of(row),
+            trajectory=rows.trajectory_of(found["object"][1]),
+            uses_tactile=row.uses_tactile,
+            occlusion=None if hidden[0] is None else hidden,
+            contact_mode=row.contact_mode,
+            estimate_names=names,
+            estimates=estimates,
+        )
+
+    def _add_series(
+        self, connection: sa.Connection, owner: str, number: int, series: list[rows.Measured]
+    ) -> None:
+        connection.execute(
+            sa.insert(tables.series),
+            [
+                arrays.row_of(owner, place, *one, self._media) | {"owner_id": number}
+                for place, one in enumerate(series)
+            ],
+        )
+
+
+def _insert_one(connection: sa.Connection, table: sa.Table, row: dict[str, Any]) -> int:
+    key = connection.execute(sa.insert(table), row).inserted_primary_key
+    assert key is not None
+    return int(key[0])
+
+
+def _same(connection: sa.Connection, table: sa.Table, row: dict[str, Any] | None) -> int | None:
+    """Id of the row with the same content, inserted if there is none."""
+    if row is None:
+        return None
+    found = connection.scalar(
+        sa.select(table.c.id).where(table.c.content_sha256 == row["content_sha256"])
+    )
+    return _insert_one(connection, table, row) if found is None else int(found)
+
+
+def _parameters_id(connection: sa.Connection, parameters: Mapping[str, float]) -> int:
+    number = _same(connection, tables.system_parameters, rows.parameters_row(parameters))
+    assert number is not None
+    return number
+
+
+def _row(connection: sa.Connection, table: sa.Table, number: int, what: str) -> sa.Row[Any]:
+    row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
+    if row is None:
+        raise _absent(f"{what} {number}")
+    return row
+
+
+def _flag_row(number: int, flag: Flag) -> dict[str, Any]:
+    return {
+        "experiment_id": number,
+        "name": flag.name,
+        "detail": flag.detail,
+        "created_at_utc": rows.now(),
+    }
+
+
+def _evaluations(series: list[rows.Measured], reasons: Mapping[str, str]) -> Evaluations | None:
+    if not series:
+        return None
+    _, columns, values = series[0]
+    return Evaluations(
+        names=columns[:-1],
+        values=values[:, :-1],
+        error_mm2=values[:, -1],
+        reasons=tuple(reasons.get(str(k), "") for k in range(len(values))),
+    )
+
+
+def _fields(query: Query) -> dict[str, Any]:
+    return {"dataset": query.dataset, "name": query.name}
+
+
+def _absent(what: str) -> NotStored:
+    return NotStored(what, hint="see what there is with: fixel list")

@@ -1,0 +1,212 @@
+"""What is computed from experiments and kept: simulations, calibrations, filter runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.experiment import Provenance
+from fixel.model.fields import Comparable, FloatArray, frozen, name_of, settle
+from fixel.model.parameters import Parameters
+from fixel.model.trajectory import Trajectory
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulationRecord(Comparable):
+    """A simulation of a stored experiment.
+
+    Parameters
+    ----------
+    experiment_id : int
+    parameters : Parameters
+    method : mapping of str to str or float
+        Motion model, stepper and solver with their options.
+    trajectory : Trajectory
+        Of the object.
+    pusher : Trajectory, optional
+    status : str
+        As `Simulation.status`.
+    contact_mode : str
+        At the end, a digit a fixel.
+    error_mm2 : float, optional
+        The thesis's E: mean squared distance to the measured path [mm^2], angles at 35 mm/rad.
+    """
+
+    experiment_id: int
+    parameters: Parameters
+    provenance: Provenance
+    trajectory: Trajectory
+    pusher: Trajectory | None = None
+    method: Mapping[str, str | float] = field(default_factory=dict)
+    status: str = "converged"
+    contact_mode: str = ""
+    error_mm2: float | None = None
+
+    def __post_init__(self) -> None:
+        settle(self, method=MappingProxyType(dict(sorted(self.method.items()))))
+
+    def _compared(self) -> tuple[Any, ...]:
+        return _hashable(super(SimulationRecord, self)._compared())
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluations(Comparable):
+    """Every set of parameters a calibration tried, in order.
+
+    Parameters
+    ----------
+    names : tuple of str
+    values : (n, n_name) array_like
+    error_mm2 : (n,) array_like
+        Infinite where there is none.
+    reasons : tuple of str
+        Why there is none; empty where there is one.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    error_mm2: FloatArray
+    reasons: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        values, error = frozen(self.values), frozen(self.error_mm2)
+        reasons = tuple(self.reasons) or ("",) * len(error)
+        if values.shape != (len(error), len(self.names)) or len(reasons) != len(error):
+            raise InvalidInput(
+                "evaluations",
+                found=f"values of shape {values.shape} for {len(error)} errors",
+                expected=f"a row of {len(self.names)} values and a reason an error",
+            )
+        settle(self, names=tuple(self.names), values=values, error_mm2=error, reasons=reasons)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Member:
+    """An experiment a calibration used, and how well its result does there."""
+
+    experiment_id: int
+    weight: float
+    error_mm2: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibrationRecord(Comparable):
+    """A finished calibration.
+
+    Parameters
+    ----------
+    name : str
+    method : mapping of str to str or float
+        Optimiser and its options.
+    parameters : Parameters
+        The best.
+    members : tuple of Member
+    evaluations : Evaluations, optional
+    """
+
+    name: str
+    parameters: Parameters
+    members: tuple[Member, ...]
+    provenance: Provenance
+    method: Mapping[str, str | float] = field(default_factory=dict)
+    evaluations: Evaluations | None = None
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "calibration.name")
+        if not self.members:
+            raise InvalidInput(
+                f"calibration {self.name!r}", found="no members", expected="an experiment at least"
+            )
+        settle(
+            self,
+            members=tuple(self.members),
+            method=MappingProxyType(dict(sorted(self.method.items()))),
+        )
+
+    @property
+    def sum_error_mm2(self) -> float:
+        """Of all members [mm^2]."""
+        return math.fsum(member.error_mm2 for member in self.members)
+
+    @property
+    def mean_error_mm2(self) -> float:
+        """Of all members [mm^2]."""
+        return self.sum_error_mm2 / len(self.members)
+
+    @property
+    def max_error_mm2(self) -> float:
+        """Of the worst member [mm^2]."""
+        return max(member.error_mm2 for member in self.members)
+
+    def _compared(self) -> tuple[Any, ...]:
+        return _hashable(super(CalibrationRecord, self)._compared())
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FilterParameters(Comparable):
+    """Settings of a filter that estimates poses and parameters while a run goes on."""
+
+    name: str
+    is_particle_filter: bool
+    provenance: Provenance
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "filter_parameters.name")
+        settle(self, values=MappingProxyType(dict(sorted(self.values.items()))))
+
+    def _compared(self) -> tuple[Any, ...]:
+        return _hashable(super(FilterParameters, self)._compared())
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FilterRun(Comparable):
+    """What a filter made of a stored experiment.
+
+    Parameters
+    ----------
+    occlusion : (float, float), optional
+        First and last instant in which the object was hidden from it [s].
+    uses_tactile : bool
+    trajectory : Trajectory
+        Estimated poses of the object.
+    estimates : Evaluations-like table of parameters, optional
+        Named parameters against time: names, (n, n_name) values at the instants of `trajectory`.
+    """
+
+    experiment_id: int
+    filter_parameters_id: int
+    provenance: Provenance
+    trajectory: Trajectory
+    uses_tactile: bool
+    occlusion: tuple[float, float] | None = None
+    contact_mode: str = ""
+    estimate_names: tuple[str, ...] = ()
+    estimates: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        values = frozen(self.estimates)
+        n = len(self.trajectory.time) if self.estimate_names else 0
+        if values.shape != (n, len(self.estimate_names)):
+            raise InvalidInput(
+                "filter_run.estimates",
+                found=f"an array of shape {values.shape}",
+                expected=f"{n} rows of {len(self.estimate_names)} values",
+            )
+        settle(self, estimates=values, estimate_names=tuple(self.estimate_names))
+
+
+def _hashable(values: Sequence[Any]) -> tuple[Any, ...]:
+    return tuple(tuple(x.items()) if isinstance(x, Mapping) else x for x in values)

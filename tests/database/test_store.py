@@ -1,0 +1,278 @@
+"""What `Store` promises, on both engines."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+
+from fixel.database import tables
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import NotStored, StoreRefused
+from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model.records import (
+    CalibrationRecord,
+    Evaluations,
+    FilterParameters,
+    FilterRun,
+    Member,
+    SimulationRecord,
+)
+from fixel.testing.scenes import grasp
+
+HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
+
+
+def path(n=5, shift=0.0):
+    time = np.linspace(0.0, 1.0, n)
+    return Trajectory(time=time, pose=np.column_stack((time + shift, 0.1 * time, 7.0 * time)))
+
+
+def experiment(name="1", **more):
+    scene = grasp("seated")
+    given = {
+        "dataset": "lab",
+        "name": name,
+        "real": True,
+        "provenance": HERE,
+        "trajectory": path(),
+        "pusher": path(9),
+        "scene": scene,
+        "object_name": scene.bodies[0].name,
+        "height": 0.045,
+        "channels": (
+            Channel(
+                name="tactile",
+                time=[0.0, 0.5],
+                columns=("fixel_1_bool", "fixel_2_bool"),
+                values=[[0, 1], [math.nan, 1]],
+            ),
+        ),
+        "contact_mode": "010",
+        "effective": (0.1, 0.9),
+        "conditions": {"surface": "plywood", "speed_m_s": 0.02},
+    }
+    return Experiment(**(given | more))
+
+
+def stored(store, *experiments):
+    return [added.id for added in store.add_experiments(experiments)]
+
+
+def same_but_for_time(a, b):
+    created = dataclasses.replace(a.provenance, created=b.provenance.created)
+    return dataclasses.replace(a, provenance=created) == b
+
+
+def test_round_trip_of_everything(store):
+    given = experiment(flags=[Flag("late", "by 2 s")])
+    (number,) = stored(store, given)
+    found = store.experiment(number)
+    assert same_but_for_time(given, found)
+    assert found.provenance.created
+    assert found.trajectory.time.tobytes() == given.trajectory.time.tobytes()
+
+
+def test_least_there_can_be(store):
+    bare = Experiment(
+        dataset="x", name="0", real=False, simulated_by="me", provenance=HERE, trajectory=path(1)
+    )
+    assert same_but_for_time(bare, store.experiment(stored(store, bare)[0]))
+
+
+def test_the_same_again_adds_nothing(store):
+    first = store.add_experiment(experiment())
+    again = store.add_experiment(experiment(provenance=Provenance(version="9")))
+    assert first.new
+    assert not again.new
+    assert again.id == first.id
+    assert store.experiments().total == 1
+
+
+def test_a_correction_takes_the_place(store):
+    old, new = stored(store, experiment(), experiment(contact_mode="110"))
+    assert [s.id for s in store.experiments().summaries] == [new]
+    assert store.experiments(Query(replaced=True)).total == 2
+    assert store.experiment(old).contact_mode == "010"
+    store.delete(new)
+    assert [s.id for s in store.experiments().summaries] == [old]
+
+
+def test_flagged_rows_are_left_out_and_counted(store):
+    good, bad = stored(store, experiment("1"), experiment("2", flags=[Flag("misregistered")]))
+    listing = store.experiments()
+    assert [s.id for s in listing.summaries] == [good]
+    assert (listing.total, listing.left_out) == (1, 1)
+    assert store.experiments(Query(flagged=True)).total == 2
+    assert [s.id for s in store.experiments(Query(flag="misregistered")).summaries] == [bad]
+    assert store.flags() == {"misregistered": 1}
+    store.unflag(bad, "misregistered")
+    assert store.experiments().total == 2
+    store.flag(good, Flag("by-hand", "looked odd"))
+    assert [s.id for s in store.experiments().summaries] == [bad]
+    assert store.experiment(good).flags == (Flag("by-hand", "looked odd"),)
+
+
+def test_deletion_is_soft(store):
+    (number,) = stored(store, experiment())
+    store.delete(number)
+    assert store.experiments().total == 0
+    assert store.experiments(Query(deleted=True)).total == 1
+    store.undelete(number)
+    assert store.experiments().total == 1
+
+
+@pytest.mark.parametrize(
+    ("query", "names"),
+    [
+        (Query(dataset="lab"), ["a_1", "b%2"]),
+        (Query(name="a*"), ["a_1"]),
+        (Query(name="a_*"), ["a_1"]),
+        (Query(name="axx*"), []),
+        (Query(name="*%2"), ["b%2"]),
+        (Query(real=False), ["c"]),
+        (Query(contact_mode="110"), ["b%2"]),
+        (Query(conditions={"surface": "abs"}), ["b%2"]),
+        (Query(conditions={"speed_m_s": 0.02}), ["a_1", "c"]),
+        (Query(conditions={"speed_m_s": 0.02}, real=True), ["a_1"]),
+    ],
+)
+def test_filters(store, query, names):
+    stored(
+        store,
+        experiment("a_1"),
+        experiment("b%2", contact_mode="110", conditions={"surface": "abs", "speed_m_s": 0.01}),
+        experiment("c", dataset="bench", real=False, simulated_by="me"),
+    )
+    assert [s.name for s in store.experiments(query).summaries] == names
+
+
+def test_pages(store):
+    ids = stored(store, *(experiment(str(k)) for k in range(5)))
+    page = store.experiments(limit=2, offset=2)
+    assert [s.id for s in page.summaries] == ids[2:4]
+    assert page.total == 5
+    assert store.datasets() == {"lab": 5}
+
+
+def test_found_by_id_and_name(store):
+    one, two = stored(store, experiment("one"), experiment("two", dataset="bench"))
+    assert store.find(str(one)) == one
+    assert store.find("two") == two
+    assert store.find("lab/one") == one
+    stored(store, experiment("two"))
+    with pytest.raises(NotStored, match="2 have that name"):
+        store.find("two")
+    with pytest.raises(NotStored, match="fixel list"):
+        store.find("lab/three")
+    with pytest.raises(NotStored, match="experiment 99"):
+        store.experiment(99)
+
+
+def test_finished_records_cannot_change(store, url):
+    (number,) = stored(store, experiment(flags=[Flag("late")]))
+    engine = sa.create_engine(url)
+    for statement in (
+        sa.update(tables.experiment).values(contact_mode="111"),
+        sa.update(tables.series).values(n_row=1),
+        sa.update(tables.flag).values(detail="no"),
+        sa.delete(tables.series),
+        sa.delete(tables.experiment),
+    ):
+        with (
+            engine.connect() as connection,
+            pytest.raises(sa.exc.DBAPIError, match="cannot change"),
+        ):
+            connection.execute(statement)
+    engine.dispose()
+    assert store.experiment(number).contact_mode == "010"
+
+
+def test_long_series_are_files_named_by_content(store, tmp_path):
+    long = experiment(trajectory=path(50_000), scene=None, contact_mode="", object_name="object")
+    (number,) = stored(store, long)
+    files = [p for p in (tmp_path / "media").rglob("*") if p.is_file()]
+    assert len(files) == 1
+    assert store.experiment(number).trajectory == long.trajectory
+    files[0].write_bytes(b"something else")
+    with pytest.raises(StoreRefused, match="has changed"):
+        store.experiment(number)
+    files[0].unlink()
+    with pytest.raises(StoreRefused, match="is missing"):
+        store.experiment(number)
+
+
+def test_simulations_calibrations_and_filters(store):
+    one, two = stored(store, experiment("1"), experiment("2"))
+    simulation = SimulationRecord(
+        experiment_id=one,
+        parameters=Parameters(mu_support=0.3, tripod_radius=0.04),
+        provenance=HERE,
+        trajectory=path(3),
+        pusher=path(4),
+        method={"motion": "dynamic", "step_s": 0.01},
+        status="jammed",
+        contact_mode="111",
+        error_mm2=2.5,
+    )
+    number = store.add_simulation(simulation)
+    assert same_but_for_time(simulation, store.simulation(number))
+    assert store.simulations(one) == [number]
+    assert store.add_parameters({"mu_support": 0.3, "tripod_radius": 0.04}) == 1
+    assert store.parameters(1) == Parameters(mu_support=0.3, tripod_radius=0.04)
+
+    tried = Evaluations(
+        names=("mu_support", "tripod_radius"),
+        values=[[0.3, 0.04], [0.2, 0.05]],
+        error_mm2=[1.0, math.inf],
+        reasons=("", "jammed at 2 s"),
+    )
+    calibration = CalibrationRecord(
+        name="both",
+        parameters=simulation.parameters,
+        members=(Member(one, 1.0, 3.0), Member(two, 0.5, 1.0)),
+        provenance=HERE,
+        method={"optimiser": "pattern-search"},
+        evaluations=tried,
+    )
+    found = store.calibration(store.add_calibration(calibration))
+    assert same_but_for_time(calibration, found)
+    assert (found.mean_error_mm2, found.sum_error_mm2, found.max_error_mm2) == (2.0, 4.0, 3.0)
+
+    settings = FilterParameters(
+        name="p", is_particle_filter=True, provenance=HERE, values={"particles": 500.0}
+    )
+    settings_id = store.add_filter_parameters(settings)
+    assert same_but_for_time(settings, store.filter_parameters(settings_id))
+    run = FilterRun(
+        experiment_id=one,
+        filter_parameters_id=settings_id,
+        provenance=HERE,
+        trajectory=path(3),
+        uses_tactile=True,
+        occlusion=(0.2, 0.4),
+        estimate_names=("mu_support",),
+        estimates=[[0.1], [0.2], [0.3]],
+    )
+    assert same_but_for_time(run, store.filter_run(store.add_filter_run(run)))
+
+
+def test_a_failure_half_way_leaves_nothing(store, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("power cut")
+
+    monkeypatch.setattr("fixel.database.store._flag_row", fail)
+    with pytest.raises(RuntimeError):
+        store.add_experiment(experiment(flags=[Flag("late")]))
+    monkeypatch.undo()
+    assert store.experiments(Query(flagged=True)).total == 0
+    assert store.add_experiment(experiment(flags=[Flag("late")])).new
+
+
+def test_two_stores_see_each_other(store, url, tmp_path):
+    with Store(url, tmp_path / "media") as other:
+        (number,) = stored(other, experiment())
+        assert store.experiment(number).name == "1"
+        assert not store.add_experiment(experiment()).new
