@@ -1,0 +1,452 @@
+"""A simulated laboratory: it differs from the model that is calibrated, in ways that are known."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Body,
+    Channel,
+    Disk,
+    Experiment,
+    Flag,
+    PlannedExperiment,
+    Polygon,
+    Provenance,
+    Pusher,
+    Scene,
+    Shape,
+    Trajectory,
+)
+from fixel.model.fields import (
+    BoolArray,
+    FloatArray,
+    fraction,
+    instance,
+    name_of,
+    non_negative,
+    optional_positive,
+    positive,
+    settle,
+    vector,
+)
+from fixel.simulation import Simulation, simulate
+from fixel.testbed.actuator import driven_unevenly, with_stall_force
+from fixel.testbed.chance import stream
+from fixel.testbed.plate import planned_support, rough_plane, uneven_support
+from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
+
+Progress = Callable[[int, int], None]
+
+TRUTH = "truth_"  # how the names of conditions begin that no real laboratory could write down
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedTestbed:
+    """A bench that runs planned experiments and records them as the real one does.
+
+    A ratio is true over nominal, a spread the standard deviation of the logarithm of a factor that
+    is drawn anew for every run. What a run draws depends on the seed and its name alone.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything random: the plate and the undersides of the objects, which stay the same from
+        run to run, and the runs.
+    dataset : str
+        Of the experiments.
+    support_friction, pusher_friction, fixel_friction : float
+        Ratios of the coefficients of friction [-].
+    support_spread, pusher_spread, fixel_spread : float
+        Spreads of the same from run to run [-].
+    support_cells : int
+        About how many points carry the object [-]; 0 for points as planned, with the pressure that
+        goes with them.
+    unevenness : float
+        Standard deviation of the logarithm of the pressure at these points [-].
+    centre_of_pressure : (float, float)
+        From the centre of mass, body axes [m]. The balance out of the plane would put it at the
+        centre of mass; pushing above the plate moves it.
+    centre_of_pressure_spread : float
+        Standard deviation of either coordinate from run to run [m].
+    plate_roughness : float
+        Standard deviation of the logarithm of the plate's friction from place to place [-].
+    plate_grain : float
+        Distance over which that friction changes [m].
+    size : float
+        Ratio of the object's size, about the origin of its frame [-]. Above 1, an object that was
+        planned to touch something does not fit.
+    stall_force : float, optional
+        At which the drive stalls [N]; none: as planned.
+    ripple : float
+        Amplitude of the actuator's speed, as a share of it [-].
+    ripple_frequency : float
+        [Hz]; once a turn of a screw of 5 mm pitch at the thesis's 13.5 mm/s.
+    speed_spread : float
+        Spread of the actuator's speed from run to run [-].
+    lead_in : float
+        Time at rest before the actuator starts, to the nearest frame [s].
+    frame_rate : float
+        Of camera and fixels [Hz].
+    position_noise, angle_noise : float
+        Standard deviations of a measured pose, in either coordinate [m] and in angle [rad].
+    dropped_frames : float
+        Probability that a frame of the camera is lost [-].
+    false_contact, missed_contact : float
+        Probabilities that a fixel reads 1 without contact, and 0 with it [-]; as measured on the
+        laboratory's own fixels.
+    """
+
+    seed: int = 1
+    dataset: str = "testbed"
+    support_friction: float = 1.1
+    pusher_friction: float = 1.3
+    fixel_friction: float = 0.75
+    support_spread: float = 0.05
+    pusher_spread: float = 0.03
+    fixel_spread: float = 0.03
+    support_cells: int = 24
+    unevenness: float = 0.3
+    centre_of_pressure: tuple[float, float] = (0.004, -0.003)
+    centre_of_pressure_spread: float = 0.0005
+    plate_roughness: float = 0.1
+    plate_grain: float = 0.06
+    size: float = 0.998
+    stall_force: float | None = 34.3
+    ripple: float = 0.05
+    ripple_frequency: float = 2.7
+    speed_spread: float = 0.01
+    lead_in: float = 0.0
+    frame_rate: float = 30.0
+    position_noise: float = 5e-5
+    angle_noise: float = 0.002
+    dropped_frames: float = 0.01
+    false_contact: float = 0.0425
+    missed_contact: float = 0.0125
+
+    def __post_init__(self) -> None:
+        name_of(self.dataset, "testbed.dataset")
+        _refuse_counts(self.seed, self.support_cells)
+        for name in _NOT_NEGATIVE:
+            settle(self, **{name: non_negative(getattr(self, name), f"testbed.{name}")})
+        for name, unit in _POSITIVE.items():
+            settle(self, **{name: positive(getattr(self, name), f"testbed.{name}", unit)})
+        for name in _SHARES:
+            settle(self, **{name: fraction(getattr(self, name), f"testbed.{name}")})
+        centre = vector(self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]")
+        settle(
+            self,
+            centre_of_pressure=(float(centre[0]), float(centre[1])),
+            stall_force=optional_positive(self.stall_force, "testbed.stall_force", "N"),
+        )
+
+    @classmethod
+    def ideal(cls, seed: int = 1) -> SimulatedTestbed:
+        """A bench without any imperfection: it is the nominal model, seen by a perfect camera."""
+        nothing = dict.fromkeys((*_NOT_NEGATIVE, *_SHARES), 0.0)
+        nominal = dict.fromkeys(_RATIOS, 1.0)
+        return cls(
+            seed=seed,
+            support_cells=0,
+            centre_of_pressure=(0.0, 0.0),
+            stall_force=None,
+            **nothing,  # type: ignore[arg-type]
+            **nominal,  # type: ignore[arg-type]
+        )
+
+    def run(
+        self,
+        planned: Sequence[PlannedExperiment],
+        progress: Progress | None = None,
+        threads: int | None = None,
+    ) -> Iterator[Experiment]:
+        """Run experiments, one after the other as planned.
+
+        Parameters
+        ----------
+        planned : sequence of PlannedExperiment
+            No two of one name.
+        progress : callable, optional
+            Called as `progress(done, total)` after every experiment.
+        threads : int, optional
+            All cores where left out. The experiments are the same bits for any number.
+
+        Yields
+        ------
+        Experiment
+            Never real. `scene` is the planned one; what was true is in the conditions `truth_...`.
+
+        Raises
+        ------
+        InvalidInput
+            A name twice, or a scene that is no push of one body; before anything runs. A body the
+            bench's own truth cannot carry or place; in its turn.
+        """
+        planned = tuple(planned)
+        _refuse_plan(planned)
+        if threads is not None and threads < 1:
+            raise InvalidInput("threads", found=threads, expected="at least 1")
+        return self._run_all(planned, progress, threads or os.cpu_count() or 1)
+
+    def _run_all(
+        self, planned: Sequence[PlannedExperiment], progress: Progress | None, threads: int
+    ) -> Iterator[Experiment]:
+        with ThreadPoolExecutor(threads) as pool:
+            runs = [pool.submit(self._run_one, item) for item in planned]
+            try:
+                for done, run in enumerate(runs, 1):
+                    experiment = run.result()
+                    if progress is not None:
+                        progress(done, len(runs))
+                    yield experiment
+            finally:  # also where nobody wants the rest
+                pool.shutdown(cancel_futures=True)
+
+    def _run_one(self, planned: PlannedExperiment) -> Experiment:
+        try:
+            scene = self.true_scene(planned)
+        except InvalidInput as problem:
+            raise problem.within(f"planned {planned.name!r}") from None
+        simulation = simulate(scene, output_interval=1.0 / self.frame_rate)
+        return self._recorded(planned, simulation)
+
+    def true_scene(self, planned: PlannedExperiment) -> Scene:
+        """What the bench has on its plate when it runs this: not what was planned."""
+        scene, drawn = planned.scene, self._draw(planned.name)
+        return replace(
+            scene,
+            bodies=(self._true_body(scene.bodies[0], scene.gravity, drawn),),
+            pushers=(self._true_pusher(scene.pushers[0], scene.duration, drawn),),
+            fixels=tuple(
+                replace(fixel, friction=fixel.friction * drawn.fixel) for fixel in scene.fixels
+            ),
+            plane=rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain),
+        )
+
+    def _draw(self, name: str) -> _Drawn:
+        random = stream(self.seed, "run", name)
+        # All are drawn whether or not they are used, so that no setting changes another's draw.
+        support, pusher, fixel, speed, x, y = random.standard_normal(6)
+        aside = self.centre_of_pressure_spread
+        return _Drawn(
+            support=self.support_friction * math.exp(self.support_spread * support),
+            pusher=self.pusher_friction * math.exp(self.pusher_spread * pusher),
+            fixel=self.fixel_friction * math.exp(self.fixel_spread * fixel),
+            speed=math.exp(self.speed_spread * speed),
+            centre_x=self.centre_of_pressure[0] + aside * float(x),
+            centre_y=self.centre_of_pressure[1] + aside * float(y),
+            phase=float(random.uniform(0.0, 2.0 * math.pi)),
+        )
+
+    def _true_body(self, body: Body, gravity: float, drawn: _Drawn) -> Body:
+        body = replace(body, shape=_scaled(body.shape, self.size))
+        if self.support_cells == 0:
+            return replace(body, support=planned_support(body.support, drawn.support))
+        support = uneven_support(
+            body,
+            gravity,
+            self.seed,
+            friction_ratio=drawn.support,
+            n_cells=self.support_cells,
+            unevenness=self.unevenness,
+            centre=(drawn.centre_x, drawn.centre_y),
+        )
+        return replace(body, support=support)
+
+    def _true_pusher(self, pusher: Pusher, duration: float, drawn: _Drawn) -> Pusher:
+        pusher = replace(pusher, friction=pusher.friction * drawn.pusher)
+        return driven_unevenly(
+            with_stall_force(pusher, self.stall_force),
+            duration,
+            speed_ratio=drawn.speed,
+            ripple=self.ripple,
+            frequency=self.ripple_frequency,
+            phase=drawn.phase,
+        )
+
+    def _recorded(self, planned: PlannedExperiment, simulation: Simulation) -> Experiment:
+        """What is kept of a run: poses the camera saw, bits the fixels sent, and the truth."""
+        scene = planned.scene
+        rest = round(self.lead_in * self.frame_rate)
+        moving = np.flatnonzero(frames_of(simulation, self.frame_rate))
+        frame = np.concatenate((np.zeros(rest, np.int64), moving))  # nothing moves before the drive
+        time = np.arange(len(frame), dtype=np.float64) / self.frame_rate
+        touches = touching(simulation)[frame]
+        camera = stream(self.seed, "camera", planned.name)
+        kept = frames_kept(len(time), self.dropped_frames, camera)
+        tracks = [
+            Trajectory(
+                time=time[kept],
+                pose=seen(
+                    simulation.pose[name][frame], self.position_noise, self.angle_noise, camera
+                )[kept],
+            )
+            for name in (scene.bodies[0].name, scene.pushers[0].name)
+        ]
+        return Experiment(
+            dataset=self.dataset,
+            name=planned.name,
+            real=False,
+            simulated_by=f"fixel simulated testbed {_version()}, seed {self.seed}",
+            provenance=Provenance(
+                version=_version(), command="SimulatedTestbed.run", seed=self.seed
+            ),
+            object_name=scene.bodies[0].name,
+            trajectory=tracks[0],
+            pusher=tracks[1],
+            scene=scene,
+            channels=self._channels(planned.name, time, touches),
+            contact_mode="".join(str(int(touch)) for touch in touches[-1]),
+            effective=(float(time[rest]), float(time[-1])),
+            conditions={**planned.conditions, **self._truth(planned.name, simulation)},
+            flags=_flags(simulation),
+        )
+
+    def _channels(self, name: str, time: FloatArray, touches: BoolArray) -> tuple[Channel, ...]:
+        if touches.shape[1] == 0:
+            return ()
+        random = stream(self.seed, "tactile", name)
+        wrong = self.false_contact, self.missed_contact
+        return (tactile_channel(time, touches, *wrong, random),)
+
+    def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
+        """What really was, under names that end with their unit."""
+        drawn = self._draw(name)
+        final = simulation.final[simulation.scene.bodies[0].name]
+        stall = simulation.scene.pushers[0].drive.force_limit
+        truth = {
+            "support_friction_ratio": drawn.support,
+            "pusher_friction_ratio": drawn.pusher,
+            "fixel_friction_ratio": drawn.fixel,
+            "size_ratio": self.size,
+            "speed_ratio": drawn.speed,
+            "ripple_ratio": self.ripple,
+            "ripple_phase_rad": drawn.phase,
+            "final_x_m": float(final[0]),
+            "final_y_m": float(final[1]),
+            "final_angle_rad": float(final[2]),
+        }
+        if self.support_cells:
+            truth |= {
+                "centre_of_pressure_x_m": drawn.centre_x,
+                "centre_of_pressure_y_m": drawn.centre_y,
+            }
+        if simulation.stopped_at is not None:
+            truth["stopped_at_s"] = self.lead_in + simulation.stopped_at
+        if stall is not None:
+            truth["stall_force_n"] = stall
+        return {TRUTH + key: value for key, value in truth.items()}
+
+
+class _Drawn(NamedTuple):
+    """What changes from run to run: ratios [-], a place [m], a phase [rad]."""
+
+    support: float
+    pusher: float
+    fixel: float
+    speed: float
+    centre_x: float
+    centre_y: float
+    phase: float
+
+
+_RATIOS = ("support_friction", "pusher_friction", "fixel_friction", "size")
+_POSITIVE = {
+    **dict.fromkeys(_RATIOS, ""),
+    "plate_grain": "m",
+    "ripple_frequency": "Hz",
+    "frame_rate": "Hz",
+}
+_NOT_NEGATIVE = (
+    "support_spread",
+    "pusher_spread",
+    "fixel_spread",
+    "unevenness",
+    "centre_of_pressure_spread",
+    "plate_roughness",
+    "speed_spread",
+    "lead_in",
+    "position_noise",
+    "angle_noise",
+)
+_SHARES = ("ripple", "dropped_frames", "false_contact", "missed_contact")
+
+
+def _flags(simulation: Simulation) -> tuple[Flag, ...]:
+    if simulation.converged:
+        return ()
+    return (Flag("stopped-early", f"{simulation.status} at {simulation.stopped_at:.3f} s"),)
+
+
+def _scaled(shape: Shape, ratio: float) -> Shape:
+    """The shape, larger or smaller about the origin of its frame."""
+    if ratio == 1.0:
+        return shape
+    if isinstance(shape, Disk):
+        return Disk(shape.radius * ratio)
+    return Polygon(shape.vertices * ratio)
+
+
+@functools.cache
+def _version() -> str:
+    return version("fixel")
+
+
+def _refuse_counts(seed: object, support_cells: object) -> None:
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise InvalidInput("testbed.seed", found=seed, expected="a whole number of at least 0")
+    cells = support_cells
+    if isinstance(cells, bool) or not isinstance(cells, int) or (cells != 0 and cells < 4):
+        raise InvalidInput(
+            "testbed.support_cells",
+            found=cells,
+            expected="a whole number of at least 4, or 0 for the support as planned",
+        )
+
+
+def _refuse_plan(planned: Sequence[PlannedExperiment]) -> None:
+    seen_names: set[str] = set()
+    for index, item in enumerate(planned):
+        instance(item, PlannedExperiment, f"planned[{index}]", "a PlannedExperiment")
+        _refuse_scene(item)
+        if item.name in seen_names:
+            raise InvalidInput(
+                f"planned[{index}]",
+                found=f"the name {item.name!r} again",
+                expected="a name of its own: what a run draws at random depends on it",
+            )
+        seen_names.add(item.name)
+
+
+def _refuse_scene(planned: PlannedExperiment) -> None:
+    where, scene = f"planned {planned.name!r}", planned.scene
+    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
+        raise InvalidInput(
+            where,
+            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
+            expected="one free body and one pusher",
+        )
+    if scene.contact_friction:
+        raise InvalidInput(
+            f"{where}.contact_friction",
+            found="friction of named pairs",
+            expected="friction of pusher and fixels alone, for which the bench has true values",
+        )
+    taken = [name for name in planned.conditions if name.startswith(TRUTH)]
+    if taken:
+        raise InvalidInput(
+            f"{where}.conditions",
+            found=repr(taken[0]),
+            expected=f"names that do not begin with {TRUTH!r}",
+        )
