@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli import demo, doctor, replay, simulate
+from fixel.cli import demo, doctor, replay, sample, simulate
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, SolveFailed
 
 BAD_INPUT = 2
@@ -32,6 +32,7 @@ app = typer.Typer(
 )
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
+app.command("sample")(sample.sample)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

@@ -122,7 +122,9 @@ def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
 
 def only_clean(query: Query) -> list[sa.ColumnElement[bool]]:
     """What leaves out flagged rows, where the query does."""
-    return [] if query.flagged or query.flag is not None or query.deleted else [~_LIVE_FLAG]
+    if query.flagged or query.flag is not None or query.deleted:
+        return []
+    return [~_LIVE_FLAG.where(flag.c.is_fault)]
 
 
 def _pattern(name: str) -> str:

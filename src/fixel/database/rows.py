@@ -123,7 +123,7 @@ def experiment_row(experiment: Experiment) -> dict[str, Any]:
         "video_sha256": experiment.video,
         "n_import_flag": len(experiment.flags),
     }
-    flags = [[flag.name, flag.detail] for flag in experiment.flags]
+    flags = [[flag.name, flag.detail, flag.fault] for flag in experiment.flags]
     measured = series_of(experiment)
     names = [[name, list(columns)] for name, columns, _ in measured]
     row["content_sha256"] = digest([row, flags, names], *(values for _, _, values in measured))

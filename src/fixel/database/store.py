@@ -172,7 +172,7 @@ class Store:
             if row is None:
                 raise _absent(f"experiment {number}")
             flags = connection.execute(
-                sa.select(tables.flag.c.name, tables.flag.c.detail).where(
+                sa.select(tables.flag.c.name, tables.flag.c.detail, tables.flag.c.is_fault).where(
                     tables.flag.c.experiment_id == number, tables.flag.c.deleted_at_utc.is_(None)
                 )
             )
@@ -249,7 +249,7 @@ class Store:
             return {name: n for name, n in connection.execute(counted)}
 
     def flag(self, number: int, flag: Flag) -> None:
-        """Add a flag to an experiment: it is left out of listings from now on."""
+        """Add a flag to an experiment: with a fault, listings leave it out from now on."""
         self._require(number)
         with writing(self._engine) as connection:
             connection.execute(sa.insert(tables.flag), _flag_row(number, flag))
@@ -532,6 +532,7 @@ def _flag_row(number: int, flag: Flag) -> dict[str, Any]:
         "experiment_id": number,
         "name": flag.name,
         "detail": flag.detail,
+        "is_fault": flag.fault,
         "created_at_utc": rows.now(),
     }
 

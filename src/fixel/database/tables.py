@@ -100,6 +100,7 @@ flag = sa.Table(
     _reference("experiment_id", "experiment"),
     sa.Column("name", sa.String(100), nullable=False),
     sa.Column("detail", sa.Text, nullable=False),
+    sa.Column("is_fault", sa.Boolean, nullable=False),
     sa.Column("created_at_utc", sa.String(40), nullable=False),
     sa.Column("deleted_at_utc", sa.String(40)),
     sa.Index(None, "experiment_id"),

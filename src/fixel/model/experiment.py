@@ -104,10 +104,13 @@ class Flag:
         Short, the same for all experiments it befell: `"misregistered"`.
     detail : str
         What was found in this one: `"starts 4.2 mm inside the pusher"`.
+    fault : bool
+        Whether listings leave the experiment out unless asked; else it is a remark.
     """
 
     name: str
     detail: str = ""
+    fault: bool = True
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9-]*", name_of(self.name, "flag.name")):

@@ -6,10 +6,11 @@ import csv
 import gzip
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TextIO, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,12 @@ BoolArray = NDArray[np.bool_]
 ELLIPSE_CORNERS = 128
 
 MM = 1e-3
+
+# What a file may hold at most, unpacked, and one line of it [characters]: a few kilobytes of gzip
+# can unpack to more than the memory holds.
+LARGEST_FILE = 500_000_000
+LONGEST_LINE = 1_000_000
+MOST_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
 
 
 @final
@@ -91,12 +98,17 @@ def read_table(path: Path) -> Table:
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8", newline="") as stream:
-            rows = list(csv.reader(stream))
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as problem:
+            rows = _bounded_rows(csv.reader(_bounded_lines(stream, path.name)), path.name)
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a readable CSV file") from None
     if len(rows) < 2:
         raise InvalidInput(path.name, found=f"{len(rows)} lines", expected="a header and rows")
     header, body = rows[0], [row for row in rows[1:] if row]
+    if len(set(header)) < len(header):
+        twice = next(name for k, name in enumerate(header) if name in header[:k])
+        raise InvalidInput(
+            f"{path.name}, header", found=f"{twice!r} twice", expected="different names"
+        )
     for number, row in enumerate(body):
         if len(row) != len(header):
             raise InvalidInput(
@@ -107,10 +119,43 @@ def read_table(path: Path) -> Table:
     return Table(path.name, dict(zip(header, zip(*body, strict=True), strict=True)))
 
 
+def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
+    """The lines of a file, or a refusal once they are more than a table of readings can be."""
+    left = LARGEST_FILE
+    while line := stream.readline(LONGEST_LINE):
+        left -= len(line)
+        if left < 0 or len(line) == LONGEST_LINE:
+            raise InvalidInput(
+                source,
+                found=f"a line of {LONGEST_LINE} characters" if left >= 0 else "more",
+                expected=f"at most {LARGEST_FILE // 10**6} million characters, unpacked",
+            )
+        yield line
+
+
+def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
+    """The rows of a table, or a refusal once they would fill the memory."""
+    kept, cells = [], 0
+    for row in rows:
+        cells += len(row) + 1  # an empty row takes room too
+        if cells > MOST_CELLS:
+            raise InvalidInput(
+                source, found="more", expected=f"at most {MOST_CELLS // 10**6} million cells"
+            )
+        kept.append(row)
+    return kept
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """One JSON object of a file."""
     try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError(f"{path.stat().st_size} bytes")
         content = json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise InvalidInput(
+            path.name, found="lists in lists without end", expected="a JSON file"
+        ) from None
     except (OSError, ValueError) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
     if not isinstance(content, dict):

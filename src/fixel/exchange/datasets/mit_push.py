@@ -108,7 +108,7 @@ def read(folder: Path) -> MitPushes:
     """Read all pushes of a folder."""
     table = read_table(only_file(folder, *PUSHES))
     table.require(["push_id", "surface", "shape"])
-    shapes = _shapes(read_json(only_file(folder, SHAPES)))
+    shapes = shapes_of(read_json(only_file(folder, SHAPES)))
     for name in np.unique(table.text("shape")):
         if str(name) not in shapes:
             raise InvalidInput(
@@ -149,7 +149,7 @@ def mass_of(name: str, shape: Shape) -> float:
     return MASSES.get(name, MASS_PER_AREA * shape.area)
 
 
-def _shapes(content: dict[str, Any]) -> dict[str, Shape]:
+def shapes_of(content: dict[str, Any]) -> dict[str, Shape]:
     return {name: _shape(f"{SHAPES}: {name}", value) for name, value in content.items()}
 
 

@@ -229,6 +229,7 @@ def upgrade() -> None:
         sa.Column("experiment_id", sa.Integer(), nullable=False),
         sa.Column("name", sa.String(length=100), nullable=False),
         sa.Column("detail", sa.Text(), nullable=False),
+        sa.Column("is_fault", sa.Boolean(), nullable=False),
         sa.Column("created_at_utc", sa.String(length=40), nullable=False),
         sa.Column("deleted_at_utc", sa.String(length=40), nullable=True),
         sa.ForeignKeyConstraint(

@@ -1,0 +1,114 @@
+"""Whether an experiment can be of any use, told by geometry alone: no simulation.
+
+These checks find what is hopeless; passing them is no promise. `rehearse` simulates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+
+from fixel.model import LineDrive, Scene, Shape, placed
+from fixel.model.fields import FloatArray
+
+# [m] Beyond everything on a plate.
+FAR: Final = 1e6
+
+
+class Problem(NamedTuple):
+    """What stands against one experiment of a plan.
+
+    Attributes
+    ----------
+    name : str
+        Of the experiment.
+    sentence : str
+        What is wrong.
+    """
+
+    name: str
+    sentence: str
+
+
+def scene_problems(scene: Scene) -> Iterator[str]:
+    """Sentences about a scene whose one head moves along +x.
+
+    The head must meet the object, must not run into a fixel, and must be able to bring the object
+    to one. For that last check the object counts as the smallest circle about its centroid that
+    holds it, moved straight ahead for what is left of the travel after the head has met it: it may
+    turn as it likes, but does not slide off sideways.
+    """
+    drive = scene.pushers[0].drive
+    assert isinstance(drive, LineDrive)
+    way = _clearance(scene)
+    if way is None:
+        yield "the head passes beside the object"
+    elif way > drive.travel:
+        yield f"the head stops {_mm(way - drive.travel)} short of the object"
+    else:
+        yield from _out_of_reach(scene, drive.travel - way)
+    yield from _head_hits(scene, drive.travel)
+
+
+def _clearance(scene: Scene) -> float | None:
+    """How far the head moves until it meets the object [m]; None where it passes.
+
+    Measured from the foremost point of the head: exact for a flat face square to the motion.
+    """
+    head, body = scene.pushers[0], scene.bodies[0]
+    (_, low), (front, high) = _extent(placed(head.shape.outline, head.pose))
+    outline = shapely.Polygon(placed(body.shape.outline, body.pose))
+    ahead = shapely.intersection(outline, shapely.box(front, low, FAR, high))
+    return None if ahead.is_empty else max(float(ahead.bounds[0]) - front, 0.0)
+
+
+def _out_of_reach(scene: Scene, way: float) -> Iterator[str]:
+    """A complaint if no fixel can be met while the object goes `way` [m] ahead."""
+    body = scene.bodies[0]
+    x, y = placed(body.shape.centroid, body.pose).tolist()
+    track = shapely.LineString([(x, y), (x + way, y)])
+    radius = _circle(body.shape)
+    if not scene.fixels:
+        return
+    distance = {
+        fixel.name: float(track.distance(shapely.Point(fixel.pose[:2])))
+        - radius
+        - fixel.shape.radius
+        for fixel in scene.fixels
+    }
+    nearest = min(distance, key=lambda name: distance[name])
+    if distance[nearest] > 0.0:
+        yield (
+            f"the object cannot reach a fixel: {nearest}, the nearest, stays"
+            f" {_mm(distance[nearest])} away"
+        )
+
+
+def _head_hits(scene: Scene, travel: float) -> Iterator[str]:
+    """Complaints about fixels that stand in the way of the head."""
+    head = scene.pushers[0]
+    start = placed(head.shape.outline, head.pose)
+    end = start + np.array([travel, 0.0])
+    swept = shapely.MultiPoint(np.vstack((start, end))).convex_hull
+    for fixel in scene.fixels:
+        peg = shapely.Polygon(placed(fixel.shape.outline, fixel.pose))
+        if swept.intersects(peg):
+            yield f"the head runs into {fixel.name}"
+
+
+def _circle(shape: Shape) -> float:
+    """Largest distance of the outline from the centroid [m]."""
+    return max(hypot(x, y) for x, y in (shape.outline - shape.centroid).tolist())
+
+
+def _extent(points: FloatArray) -> tuple[list[float], list[float]]:
+    """Least and largest coordinates [m]."""
+    return points.min(axis=0).tolist(), points.max(axis=0).tolist()
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.3g} mm"

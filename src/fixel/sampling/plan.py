@@ -1,0 +1,220 @@
+"""A plan: every shape, in every layout, at every offset, so many times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model import Body, Disk, Fixel, LineDrive, PlannedExperiment, Pusher, Scene
+from fixel.model.fields import FloatArray, settle
+from fixel.sampling.checks import Problem, scene_problems
+from fixel.sampling.offsets import Offset, OffsetScheme
+from fixel.sampling.rig import Layout, PlannedShape, Rig, plain_name, shape_of
+
+OBJECT: Final = "object"
+HEAD: Final = "actuator"
+
+# Experiments of one plan. Beyond this a file of some lines could fill the memory.
+MOST_EXPERIMENTS: Final = 100_000
+
+
+class Entry(NamedTuple):
+    """One line of the plan before its scene is built."""
+
+    name: str
+    shape: PlannedShape
+    layout: Layout
+    offset: Offset
+    repetition: int
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Which experiments to run.
+
+    Parameters
+    ----------
+    name : str
+        Of the plan; see `plain_name`.
+    rig : Rig
+        What stays the same.
+    shapes : tuple of PlannedShape
+        Objects.
+    layouts : tuple of Layout
+        Of the fixels.
+    schemes : tuple of OffsetScheme
+        Of the object's offsets, one after the other.
+    repetitions : int
+        Runs of every configuration, one right after the other.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing to vary, a name twice, or more experiments than could ever be run.
+    """
+
+    name: str
+    rig: Rig
+    shapes: tuple[PlannedShape, ...]
+    layouts: tuple[Layout, ...]
+    schemes: tuple[OffsetScheme, ...]
+    repetitions: int = 1
+
+    def __post_init__(self) -> None:
+        plain_name(self.name, "plan.name")
+        settle(
+            self,
+            shapes=tuple(self.shapes),
+            layouts=tuple(self.layouts),
+            schemes=tuple(self.schemes),
+        )
+        _refuse_repeats([shape.name for shape in self.shapes], "shapes")
+        _refuse_repeats([layout.name for layout in self.layouts], "layouts")
+        if not self.schemes:
+            raise InvalidInput("offsets", found="none", expected="at least the nominal pose")
+        if self.repetitions < 1:
+            raise InvalidInput("repetitions", found=self.repetitions, expected="at least 1")
+        if self.total > MOST_EXPERIMENTS:
+            raise InvalidInput(
+                "plan",
+                found=f"{self.total} experiments",
+                expected=f"at most {MOST_EXPERIMENTS}",
+                hint="make the grids coarser, or sample instead",
+            )
+
+    @property
+    def configurations(self) -> int:
+        """Of the object, for each shape and layout."""
+        return sum(len(scheme) for scheme in self.schemes)
+
+    @property
+    def total(self) -> int:
+        """All experiments asked for, also those that cannot be built."""
+        return len(self.shapes) * len(self.layouts) * self.configurations * self.repetitions
+
+    @cached_property
+    def offsets(self) -> tuple[Offset, ...]:
+        """Of the object, in order."""
+        return tuple(offset for scheme in self.schemes for offset in scheme.offsets())
+
+    @property
+    def experiments(self) -> tuple[PlannedExperiment, ...]:
+        """In order; without those whose bodies would overlap, which `check` reports."""
+        return self._built[0]
+
+    def check(self) -> tuple[Problem, ...]:
+        """What stands against these experiments, by geometry alone; see `scene_problems`."""
+        _, refused = self._built
+        found = [Problem(x.name, s) for x in self.experiments for s in scene_problems(x.scene)]
+        return tuple(sorted([*refused, *found]))
+
+    def entries(self) -> Iterator[Entry]:
+        """Every line of the plan, in order."""
+        width = len(str(self.total))
+        runs = range(1, self.repetitions + 1)
+        lines = product(self.shapes, self.layouts, self.offsets, runs)
+        for number, (shape, layout, offset, repetition) in enumerate(lines, 1):
+            # The number comes first, so that the names sort as the plan runs.
+            parts = [f"{number:0{width}d}", shape.name, layout.name, offset.label]
+            parts += [f"r{repetition}"] if self.repetitions > 1 else []
+            yield Entry("-".join(parts), shape, layout, offset, repetition)
+
+    def scene(self, shape: PlannedShape, layout: Layout, offset: Offset) -> Scene:
+        """What is on the plate for one configuration, or a refusal where bodies overlap."""
+        return Scene(
+            bodies=(_object(self.rig, shape, offset),),
+            pushers=(_head(self.rig),),
+            fixels=_fixels(self.rig, shape, layout),
+            duration=self.rig.duration,
+        )
+
+    @cached_property
+    def _built(self) -> tuple[tuple[PlannedExperiment, ...], tuple[Problem, ...]]:
+        built, refused = [], []
+        for entry in self.entries():
+            try:
+                scene = self.scene(entry.shape, entry.layout, entry.offset)
+            except InvalidInput as problem:
+                refused.append(Problem(entry.name, str(problem)))
+                continue
+            built.append(
+                PlannedExperiment(name=entry.name, scene=scene, conditions=_conditions(entry))
+            )
+        return tuple(built), tuple(refused)
+
+
+def object_pose(rig: Rig, shape: PlannedShape, offset: Offset) -> FloatArray:
+    """(3,) of the object's frame; an offset turns it about its centroid [m, m, rad]."""
+    angle = rig.angle + offset.theta
+    c, s = np.cos(angle), np.sin(angle)
+    arm = np.array([[c, -s], [s, c]]) @ shape.shape.centroid
+    place = rig.nominal_centroid(shape.shape) + np.array([offset.x, offset.y]) - arm
+    return np.array([place[0], place[1], angle])
+
+
+def _object(rig: Rig, shape: PlannedShape, offset: Offset) -> Body:
+    return Body(
+        name=OBJECT,
+        shape=shape.shape,
+        mass=shape.mass,
+        pose=object_pose(rig, shape, offset),
+        support=shape.support,
+    )
+
+
+def _head(rig: Rig) -> Pusher:
+    drive = LineDrive(
+        direction=np.array([1.0, 0.0]),
+        speed=rig.speed,
+        travel=rig.travel,
+        force_limit=rig.force_limit,
+    )
+    return Pusher(
+        name=HEAD,
+        shape=shape_of(rig.head),
+        pose=np.zeros(3),
+        drive=drive,
+        friction=rig.head_friction,
+    )
+
+
+def _fixels(rig: Rig, shape: PlannedShape, layout: Layout) -> tuple[Fixel, ...]:
+    return tuple(
+        Fixel(
+            name=f"fixel-{number}",
+            shape=Disk(rig.fixel_radius),
+            pose=np.array([x, y, 0.0]),
+            friction=rig.fixel_friction,
+        )
+        for number, (x, y) in enumerate(rig.peg_places(shape, layout).tolist(), 1)
+    )
+
+
+def _conditions(entry: Entry) -> dict[str, str | float]:
+    return {
+        "shape": entry.shape.name,
+        "layout": entry.layout.name,
+        "axis": entry.offset.axis,
+        "step": entry.offset.step,
+        "offset_x_m": entry.offset.x,
+        "offset_y_m": entry.offset.y,
+        "offset_theta_rad": entry.offset.theta,
+        "repetition": float(entry.repetition),
+    }
+
+
+def _refuse_repeats(names: Sequence[str], where: str) -> None:
+    if not names:
+        raise InvalidInput(where, found="none", expected="at least one")
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise InvalidInput(
+                f"{where}[{k}].name", found=f"{name!r} twice", expected="different names"
+            )

@@ -1,0 +1,227 @@
+"""What a plan varies and what it keeps: objects, layouts of fixels, the rest of the apparatus."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import cache
+from math import pi, sin
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model import Disk, NoSupport, Polygon, Shape, Support, placed
+from fixel.model.fields import (
+    FloatArray,
+    finite,
+    instance,
+    name_of,
+    non_negative,
+    optional_positive,
+    positive,
+    settle,
+)
+
+MOST_SIDES: Final = 1000
+
+MOST_PEGS: Final = 100
+
+Peg = tuple[float, float]
+
+
+def plain_name(value: object, where: str) -> str:
+    """A name that can become part of a file's name anywhere: letters, digits, `_` and `-`."""
+    name = name_of(value, where)
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}", name):
+        raise InvalidInput(where, found=repr(name), expected="at most 60 of A-Z, a-z, 0-9, _ and -")
+    return name
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegularPolygon:
+    """Equal sides and angles about the origin, one side facing -x: towards the head.
+
+    Parameters
+    ----------
+    sides : int
+        How many.
+    side : float
+        Length of each [m].
+    """
+
+    sides: int
+    side: float
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.sides <= MOST_SIDES:
+            raise InvalidInput(
+                "regular.sides", found=self.sides, expected=f"a number from 3 to {MOST_SIDES}"
+            )
+        settle(self, side=positive(self.side, "regular.side", "m"))
+
+    @property
+    def circumradius(self) -> float:
+        """From the centre to a corner [m]."""
+        return 0.5 * self.side / sin(pi / self.sides)
+
+    @property
+    def polygon(self) -> Polygon:
+        """As a shape of the model."""
+        return _regular(self)
+
+
+@cache
+def _regular(shape: RegularPolygon) -> Polygon:
+    angle = pi + (2.0 * np.arange(shape.sides) + 1.0) * pi / shape.sides
+    return Polygon(shape.circumradius * np.column_stack((np.cos(angle), np.sin(angle))))
+
+
+Outline = Polygon | Disk | RegularPolygon
+
+
+def shape_of(outline: Outline) -> Shape:
+    """The shape of the model."""
+    return outline.polygon if isinstance(outline, RegularPolygon) else outline
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedShape:
+    """An object of the plan.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the plan's objects; see `plain_name`.
+    outline : Polygon, Disk or RegularPolygon
+        In its own frame.
+    mass : float
+        [kg].
+    support : Support
+        How it rests on the plane.
+    zone_start : float
+        From the head's initial centre to the near side of the fixel zone, along the motion [m].
+    """
+
+    name: str
+    outline: Outline
+    mass: float
+    zone_start: float
+    support: Support = field(default_factory=NoSupport)
+
+    def __post_init__(self) -> None:
+        where = f"shape {plain_name(self.name, 'shape.name')!r}"
+        instance(self.outline, Outline, where, "a Polygon, a Disk or a RegularPolygon")
+        settle(
+            self,
+            mass=positive(self.mass, f"{where}.mass", "kg"),
+            zone_start=finite(self.zone_start, f"{where}.zone_start", "m"),
+        )
+
+    @property
+    def shape(self) -> Shape:
+        """The shape of the model."""
+        return shape_of(self.outline)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Where the fixels stand in their zone.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the plan's layouts; see `plain_name`.
+    pegs : tuple of (u, v)
+        In the unit square: u from the near side to the far side along the motion, v from the right
+        side to the left.
+    """
+
+    name: str
+    pegs: tuple[Peg, ...]
+
+    def __post_init__(self) -> None:
+        where = f"layout {plain_name(self.name, 'layout.name')!r}"
+        for k, peg in enumerate(self.pegs):
+            if not all(0.0 <= part <= 1.0 for part in peg):
+                raise InvalidInput(
+                    f"{where}.pegs[{k}]", found=list(peg), expected="u and v, each from 0 to 1"
+                )
+        if not 1 <= len(self.pegs) <= MOST_PEGS:
+            raise InvalidInput(
+                f"{where}.pegs", found=f"{len(self.pegs)} pegs", expected=f"1 to {MOST_PEGS}"
+            )
+        settle(self, pegs=tuple((float(u), float(v)) for u, v in self.pegs))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """What stays the same in all experiments. The head starts at the origin and moves along +x.
+
+    Parameters
+    ----------
+    head : Polygon, Disk or RegularPolygon
+        Of the actuator, in its own frame.
+    speed : float
+        Of the head [m/s].
+    travel : float
+        Of the head [m].
+    force_limit : float, optional
+        At which the drive stalls [N]; none for a rigid drive.
+    head_friction, fixel_friction : float
+        Against the object, nominal [-].
+    fixel_radius : float
+        [m].
+    zone_side : float
+        Of the square fixel zone, which lies even about the x axis [m].
+    gap : float
+        Along the motion, from the head to the nearest point of the object in its nominal pose [m].
+    angle : float
+        Of the object in its nominal pose [rad].
+    """
+
+    head: Outline
+    speed: float
+    travel: float
+    force_limit: float | None
+    head_friction: float
+    fixel_friction: float
+    fixel_radius: float
+    zone_side: float
+    gap: float
+    angle: float
+
+    def __post_init__(self) -> None:
+        instance(self.head, Outline, "head.shape", "a Polygon, a Disk or a RegularPolygon")
+        settle(
+            self,
+            speed=positive(self.speed, "head.speed", "m/s"),
+            travel=positive(self.travel, "head.travel", "m"),
+            force_limit=optional_positive(self.force_limit, "head.force_limit", "N"),
+            head_friction=non_negative(self.head_friction, "head.friction"),
+            fixel_friction=non_negative(self.fixel_friction, "fixels.friction"),
+            fixel_radius=positive(self.fixel_radius, "fixels.radius", "m"),
+            zone_side=positive(self.zone_side, "fixels.zone_side", "m"),
+            gap=finite(self.gap, "nominal.gap", "m"),
+            angle=finite(self.angle, "nominal.angle", "rad"),
+        )
+
+    @property
+    def duration(self) -> float:
+        """Of one experiment: until the head has made its travel [s]."""
+        return self.travel / self.speed
+
+    def nominal_centroid(self, shape: Shape) -> FloatArray:
+        """(2,) where the centroid of an object is in its nominal pose, straight ahead [m]."""
+        face = float(shape_of(self.head).outline[:, 0].max())
+        turned = placed(shape.outline - shape.centroid, (0.0, 0.0, self.angle))
+        return np.array([face + self.gap - float(turned[:, 0].min()), 0.0])
+
+    def peg_places(self, shape: PlannedShape, layout: Layout) -> FloatArray:
+        """(n, 2) centres of the fixels of a layout [m]."""
+        near_right = np.array([shape.zone_start, -0.5 * self.zone_side])
+        return np.asarray(near_right + self.zone_side * np.array(layout.pegs))

@@ -1,0 +1,86 @@
+"""The sampling scheme of the thesis: two shapes, ten layouts, 21 configurations, 420 experiments.
+
+Source: RPI thesis (2011), sections 1.3 and 5.3. Its sizes and steps are kept where they are
+legible. Not recoverable, and therefore ours: the coordinates of the pegs, which the thesis only
+draws. What its text leaves open is read as follows:
+
+- The pentagon's "107.5 mm" is the length of a side. Then its inradius exceeds the square's by the
+  20 mm by which its fixel zone starts later.
+- "5 cm along the direction of motion" is a gap, from the head's face to the nearest point of the
+  object: between the centres there is no room for it.
+- The step of theta, lost in print, is pi/10: figures show 4 pi/10.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+from fixel.model import Tripod
+from fixel.sampling.offsets import Axis, Nominal
+from fixel.sampling.plan import Plan
+from fixel.sampling.rig import Layout, PlannedShape, RegularPolygon, Rig
+
+MASS: Final = 0.2564  # [kg] of the square; the pentagon's is not known and taken to be the same
+SUPPORT_FRICTION: Final = 0.25
+
+# Unit coordinates (u along the motion, v from right to left); ours. They stand clear of the object
+# at every offset, and in quasi-static simulation the object comes to touch one in all but 19 of the
+# 420 experiments: offsets of 24 mm or more along y, at which it slides off beside the pegs. "Tight"
+# and "wide" lines stand square to the motion, the others run at 45 degrees from it: plus is near on
+# the right and far on the left. A concave layout is such a line whose middle peg is moved away from
+# the object.
+LAYOUTS: Final = (
+    Layout(name="collinear-tight", pegs=((0.60, 0.34), (0.60, 0.50), (0.60, 0.66))),
+    Layout(name="collinear-wide", pegs=((0.56, 0.22), (0.56, 0.50), (0.56, 0.78))),
+    Layout(name="collinear-plus45", pegs=((0.54, 0.29), (0.65, 0.40), (0.76, 0.51))),
+    Layout(name="collinear-minus45", pegs=((0.54, 0.71), (0.65, 0.60), (0.76, 0.49))),
+    Layout(name="concave-tight", pegs=((0.53, 0.27), (0.69, 0.50), (0.53, 0.73))),
+    Layout(name="concave-wide", pegs=((0.46, 0.12), (0.70, 0.50), (0.46, 0.88))),
+    Layout(name="concave-plus45", pegs=((0.50, 0.26), (0.72, 0.26), (0.72, 0.48))),
+    Layout(name="concave-minus45", pegs=((0.50, 0.74), (0.72, 0.74), (0.72, 0.52))),
+    Layout(name="asymmetric-a", pegs=((0.57, 0.21), (0.65, 0.58), (0.47, 0.80))),
+    Layout(name="asymmetric-b", pegs=((0.53, 0.31), (0.59, 0.42), (0.52, 0.75))),
+)
+
+
+def thesis_plan() -> Plan:
+    """The 420 experiments of the thesis, with peg coordinates of our own."""
+    return Plan(
+        name="thesis",
+        rig=Rig(
+            head=RegularPolygon(sides=4, side=0.0287),
+            speed=0.0135,
+            travel=0.150,
+            force_limit=34.3,
+            head_friction=0.2,
+            fixel_friction=0.2,
+            fixel_radius=0.0047625,
+            zone_side=0.210,
+            gap=0.050,
+            angle=pi / 8,
+        ),
+        shapes=(
+            PlannedShape(
+                name="square",
+                outline=RegularPolygon(sides=4, side=0.1068),
+                mass=MASS,
+                support=Tripod(radius=0.0409, friction=SUPPORT_FRICTION),
+                zone_start=0.125,
+            ),
+            PlannedShape(
+                name="pentagon",
+                outline=RegularPolygon(sides=5, side=0.1075),
+                mass=MASS,
+                support=Tripod(radius=0.0534, friction=SUPPORT_FRICTION),
+                zone_start=0.145,
+            ),
+        ),
+        layouts=LAYOUTS,
+        schemes=(
+            Nominal(),
+            Axis(name="x", step=0.005, first=1, last=5),
+            Axis(name="y", step=0.008, first=-5, last=5),
+            Axis(name="theta", step=pi / 10, first=1, last=5),
+        ),
+    )
