@@ -15,8 +15,8 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli import demo, doctor, replay, sample, simulate
-from fixel.errors import DatasetMissing, FixelError, InvalidInput, SolveFailed
+from fixel.cli import demo, doctor, project, replay, sample, simulate
+from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
 
 BAD_INPUT = 2
 NOT_SOLVED = 3
@@ -33,6 +33,10 @@ app = typer.Typer(
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
 app.command("sample")(sample.sample)
+app.command("new")(project.new)
+app.command("import")(project.import_)
+app.command("list")(project.list_)
+app.add_typer(project.testbed, name="testbed")
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 
@@ -61,7 +65,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit; an expected failure becomes one sentence and an exit code."""
     try:
         app(arguments, prog_name="fixel")
-    except (InvalidInput, DatasetMissing) as error:
+    except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, f"fixel: {error}")
     except SolveFailed as error:
         _exit(NOT_SOLVED, f"fixel: {error}")

@@ -1,0 +1,239 @@
+"""`fixel new`, `import`, `list` and `testbed run`: a laboratory's project folder."""
+
+import json
+import shlex
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from fixel.database.query import Summary
+    from fixel.database.store import Listing
+    from fixel.workflows.project import Imported
+
+MOST_ROWS = 30
+
+ProjectFolder = Annotated[
+    Path,
+    typer.Option(
+        "--project", "-p", help="Folder of the project.", metavar="FOLDER", show_default="here"
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
+
+testbed = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
+
+
+def new(
+    folder: Annotated[Path, typer.Argument(help="Folder to make.", metavar="FOLDER")],
+    database: Annotated[
+        str | None,
+        typer.Option(
+            help="Database of a server, in place of a file: postgresql+psycopg://USER@HOST/NAME.",
+            metavar="URL",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a project: a folder with settings, a database and media."""
+    from fixel.workflows.project import new_project
+
+    project = new_project(folder, database)
+    if as_json:
+        typer.echo(json.dumps({"folder": str(folder), "name": project.settings.name}))
+        return
+    typer.echo(f"made the project {project.settings.name} in {folder}")
+    typer.echo(f"Next: fixel import DATASET --project {shlex.quote(str(folder))} --dry-run")
+
+
+def import_(
+    source: Annotated[Path, typer.Argument(help="File or folder.", metavar="SOURCE")],
+    folder: ProjectFolder = Path(),
+    importer: Annotated[
+        str | None,
+        typer.Option("--as", help="Name of the importer, else it is recognised.", metavar="NAME"),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", help="For the importer; may be repeated.", metavar="NAME=VALUE"),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what was understood, and import nothing.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Import recorded experiments; what is there already is left alone."""
+    from fixel.cli.screen import progress_bar
+    from fixel.database.project import Project
+    from fixel.workflows.project import import_experiments, import_plan
+
+    if not dry_run:
+        project = Project.open(folder)
+    plan = import_plan(source, importer, option or ())
+    answer: dict[str, Any] = {
+        "importer": plan.importer,
+        "source": str(source),
+        "experiments": plan.n_experiments,
+        "understood": list(plan.understood),
+    }
+    if not as_json:
+        typer.echo(f"{source}: {plan.n_experiments} experiments, read as {plan.importer}")
+        for sentence in plan.understood:
+            typer.echo(f"  {sentence}")
+    if dry_run:
+        if as_json:
+            typer.echo(json.dumps(answer))
+        else:
+            typer.echo(f"Next: fixel import {shlex.quote(str(source))}")
+        return
+    done = import_experiments(project, plan, progress_bar("Importing"))
+    _say_imported(done, answer, as_json, folder)
+
+
+def list_(
+    folder: ProjectFolder = Path(),
+    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Only names like this; * for anything.", metavar="PATTERN")
+    ] = None,
+    real: Annotated[
+        bool | None, typer.Option("--real/--simulated", help="Only real, or only simulated ones.")
+    ] = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(help="Only with this condition; may be repeated.", metavar="CONDITION=VALUE"),
+    ] = None,
+    flag: Annotated[
+        str | None, typer.Option(help="Only those with this flag.", metavar="NAME")
+    ] = None,
+    flagged: Annotated[
+        bool, typer.Option("--all", help="Also those whose data was found wanting.")
+    ] = False,
+    deleted: Annotated[bool, typer.Option("--deleted", help="Only those deleted.")] = False,
+    limit: Annotated[int, typer.Option(help="Show at most so many.", min=1)] = MOST_ROWS,
+    as_json: AsJson = False,
+) -> None:
+    """List experiments."""
+    from fixel.database.project import Project
+    from fixel.workflows.project import list_experiments, overview, query_of
+
+    project = Project.open(folder)
+    query = query_of(
+        dataset=dataset,
+        name=name,
+        real=real,
+        where=where or (),
+        flag=flag,
+        flagged=flagged,
+        deleted=deleted,
+    )
+    listing = list_experiments(project, query, limit)
+    if as_json:
+        typer.echo(json.dumps(_listed(listing)))
+        return
+    for line in _lines(listing):
+        typer.echo(line)
+    datasets, flags = overview(project)
+    if datasets and not any((dataset, name, where, flag)):
+        typer.echo("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
+    if flags and not flag:
+        typer.echo("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
+    if listing.summaries:
+        typer.echo(f"Next: fixel show {shlex.quote(listing.summaries[0].key)} --plot run.png")
+    else:
+        typer.echo("Next: fixel import DATASET, or: fixel testbed run")
+
+
+@testbed.command("run")
+def run_plan(
+    plan: Annotated[
+        Path | None,
+        typer.Argument(help="Plan file; without one, the thesis's 420.", metavar="[PLAN]"),
+    ] = None,
+    folder: ProjectFolder = Path(),
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 1,
+    limit: Annotated[
+        int | None, typer.Option(help="Only the first so many.", min=1, metavar="COUNT")
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="As many as there are cores, else.", min=1)
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
+    from fixel.cli.screen import progress_bar
+    from fixel.database.project import Project
+    from fixel.workflows.project import run_testbed
+
+    done = run_testbed(
+        Project.open(folder),
+        plan,
+        seed=seed,
+        limit=limit,
+        threads=threads,
+        progress=progress_bar("Performing"),
+    )
+    _say_imported(done, {"seed": seed}, as_json, folder)
+
+
+def _say_imported(done: "Imported", answer: dict[str, Any], as_json: bool, folder: Path) -> None:
+    if as_json:
+        typer.echo(json.dumps(answer | done._asdict()))
+        return
+    from fixel.cli.screen import seconds
+
+    known = f", {done.known} were there already" if done.known else ""
+    typer.echo(f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}")
+    if done.faulty:
+        typer.echo(f"{done.faulty} of them have faults in their data: fixel list --all shows them")
+    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
+    typer.echo(f"Next: fixel list{where}")
+
+
+def _lines(listing: "Listing") -> list[str]:
+    from fixel.cli.screen import table
+
+    head = ("id", "experiment", "", "frames", "time [s]", "moved [mm]", "turned [deg]", "contacts")
+    rows = [_row(summary) for summary in listing.summaries]
+    lines = table(head, rows, left=3) if rows else []
+    more = listing.total - len(rows)
+    lines.append(f"{listing.total} experiments" + (f", {more} not shown" if more else ""))
+    if listing.left_out:
+        lines[-1] += f"; {listing.left_out} left out for faults in their data (--all shows them)"
+    return lines
+
+
+def _row(summary: "Summary") -> tuple[str, ...]:
+    moved = _distance(summary)
+    turned = degrees(summary.end_theta_rad - summary.start_theta_rad)
+    return (
+        str(summary.id),
+        summary.key,
+        "" if summary.is_real else "SIMULATED",
+        str(summary.n_frame),
+        f"{summary.duration_s:.2f}",
+        f"{1e3 * moved:.1f}",
+        f"{turned:.1f}",
+        summary.contact_mode,
+    )
+
+
+def _distance(summary: "Summary") -> float:
+    dx = summary.end_x_m - summary.start_x_m
+    dy = summary.end_y_m - summary.start_y_m
+    return float((dx * dx + dy * dy) ** 0.5)
+
+
+def _listed(listing: "Listing") -> dict[str, Any]:
+    experiments = []
+    for summary in listing.summaries:
+        row = summary._asdict()
+        del row["conditions_json"]
+        experiments.append(row | {"conditions": summary.conditions})
+    return {
+        "experiments": experiments,
+        "total": listing.total,
+        "left_out": listing.left_out,
+    }

@@ -1,0 +1,151 @@
+"""A laboratory's day: make a project, import experiments, run the simulated testbed, look at the
+list."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.database.store import Listing, Store
+from fixel.errors import InvalidInput
+from fixel.exchange.importers import ImportPlan, importer_for
+from fixel.model import Experiment
+
+Progress = Callable[[int, int], None]
+
+
+class Imported(NamedTuple):
+    """What an import did."""
+
+    new: int
+    known: int  # there already, and left alone
+    faulty: int  # of the new, that listings leave out unless asked
+    wall_time_s: float
+
+
+def new_project(folder: Path, database: str | None = None) -> Project:
+    """Make a project folder."""
+    return Project.create(folder, database)
+
+
+def import_plan(
+    source: Path, importer: str | None = None, options: Iterable[str] = ()
+) -> ImportPlan:
+    """What an import of a file or folder would do; `options` are `NAME=VALUE`."""
+    return importer_for(source, importer).read(source, **_options(options))
+
+
+def import_experiments(
+    project: Project, plan: ImportPlan, progress: Progress | None = None
+) -> Imported:
+    """Store the experiments of a plan, each whole or not at all."""
+    command = typed()
+    experiments = (
+        replace(e, provenance=replace(e.provenance, command=command)) for e in plan.experiments()
+    )
+    with project.store() as store:
+        return _add(store, experiments, plan.n_experiments, progress)
+
+
+def run_testbed(
+    project: Project,
+    plan: Path | None,
+    *,
+    seed: int = 1,
+    limit: int | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Imported:
+    """Perform a sampling plan on the simulated testbed, and store what it measures."""
+    from fixel.exchange.plan_file import load_plan
+    from fixel.sampling import thesis_plan
+    from fixel.testbed.simulated import SimulatedTestbed
+
+    planned = (thesis_plan() if plan is None else load_plan(plan)).experiments[:limit]
+    command = typed()
+    experiments = (
+        replace(e, provenance=replace(e.provenance, command=command))
+        for e in SimulatedTestbed(seed=seed).run(planned, threads=threads)
+    )
+    with project.store() as store:
+        return _add(store, experiments, len(planned), progress)
+
+
+def list_experiments(project: Project, query: Query, limit: int | None = None) -> Listing:
+    """One page of a project's experiments."""
+    with project.store() as store:
+        return store.experiments(query, limit=limit)
+
+
+def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
+    """How many experiments each dataset has, and how many carry each flag."""
+    with project.store() as store:
+        return store.datasets(), store.flags()
+
+
+def query_of(
+    *,
+    dataset: str | None = None,
+    name: str | None = None,
+    real: bool | None = None,
+    where: Iterable[str] = (),
+    flag: str | None = None,
+    flagged: bool = False,
+    deleted: bool = False,
+) -> Query:
+    """A query from what was typed; `where` are `CONDITION=VALUE`."""
+    return Query(
+        dataset=dataset,
+        name=name,
+        real=real,
+        conditions={key: _number_or_text(value) for key, value in map(_pair, where)},
+        flag=flag,
+        flagged=flagged,
+        deleted=deleted,
+    )
+
+
+def typed() -> str:
+    """The command line that is running, as one could type it again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def _add(
+    store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
+) -> Imported:
+    begun = time.monotonic()
+    new = known = faulty = 0
+    for experiment in experiments:
+        if store.add_experiment(experiment).new:
+            new += 1
+            faulty += any(flag.fault for flag in experiment.flags)
+        else:
+            known += 1
+        if progress is not None:
+            progress(new + known, total)
+    return Imported(new, known, faulty, time.monotonic() - begun)
+
+
+def _options(options: Iterable[str]) -> dict[str, object]:
+    return dict(map(_pair, options))
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
+    return name, value
+
+
+def _number_or_text(value: str) -> str | float:
+    try:
+        return float(value)
+    except ValueError:
+        return value
