@@ -1,0 +1,89 @@
+"""`fixel data`, with a server on this machine in place of the world's."""
+
+import functools
+import hashlib
+import http.server
+import json
+import threading
+
+import pytest
+
+from fixel.cli.main import run
+
+CONTENT = b"time_s,x_mm,y_mm,theta_deg\n0.0,1,2,3\n0.1,1,2,3\n"
+
+
+@pytest.fixture
+def site(tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "run.csv").write_bytes(CONTENT)
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    handler = functools.partial(Quiet, directory=str(tmp_path / "site"))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def fixel(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        run([str(a) for a in arguments])
+    said = capsys.readouterr()
+    return end.value.code, said.out, said.err
+
+
+def test_every_dataset_has_a_licence_and_a_citation(capsys):
+    code, out, _ = fixel(capsys, "data", "--json")
+    assert code == 0
+    known = json.loads(out)["datasets"]
+    assert {entry["name"] for entry in known} == {
+        "rpi-2dgad", "mit-push", "mit-pusher-slider", "cmu-tripod", "cmu-two-point",
+    }  # fmt: skip
+    assert all(entry["licence"] and entry["citation"] for entry in known)
+    assert "licence:" in fixel(capsys, "data")[1]
+
+
+def test_a_file_is_fetched_and_checked(site, tmp_path, capsys):
+    digest = hashlib.sha256(CONTENT).hexdigest()
+    folder = tmp_path / "data"
+    code, out, err = fixel(
+        capsys, "data", f"{site}/run.csv", "-o", folder, "--sha256", digest, "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["sha256"] == digest
+    assert (folder / "run.csv").read_bytes() == CONTENT
+
+
+def test_another_file_than_asked_for_is_not_kept(site, tmp_path, capsys):
+    folder = tmp_path / "data"
+    code, _, err = fixel(capsys, "data", f"{site}/run.csv", "-o", folder, "--sha256", "0" * 64)
+    assert code == 1
+    assert "another file" in err
+    assert not [p for p in folder.iterdir() if p.is_file()]
+
+
+def test_without_a_checksum_it_is_told(site, tmp_path, capsys):
+    code, out, err = fixel(capsys, "data", f"{site}/run.csv", "-o", tmp_path / "data")
+    assert code == 0
+    assert hashlib.sha256(CONTENT).hexdigest() in out
+    assert "No checksum" in err
+
+
+@pytest.mark.parametrize(
+    ("url", "code", "says"),
+    [
+        ("{site}/nothing.csv", 1, "could not be fetched"),
+        ("run.csv", 2, "http"),
+        ("{site}/", 2, "FILE"),
+    ],
+)
+def test_addresses_that_lead_nowhere(site, tmp_path, capsys, url, code, says):
+    found, _, err = fixel(capsys, "data", url.format(site=site), "-o", tmp_path / "data")
+    assert found == code
+    assert says in err
