@@ -77,6 +77,14 @@ def parse_json(text: str, where: str) -> Any:
     return value
 
 
+def yaml_text(content: Any) -> str:
+    """YAML that reads the same under the versions 1.1 and 1.2."""
+    text: str = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
+    )
+    return text
+
+
 def plain_scalar(text: str) -> Any:
     """The value of an unquoted scalar."""
     if text in _WORDS:
@@ -195,3 +203,18 @@ def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
         twice = next(key for key in keys if keys.count(key) > 1)
         raise InvalidInput(where, found=f"the key {twice!r} twice", expected="each key once")
     return seen
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes no aliases, and quotes text that would be read as something else."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.Node:
+    style = None if isinstance(plain_scalar(text), str) else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)

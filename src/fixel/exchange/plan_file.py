@@ -12,11 +12,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-import yaml
 from pydantic import Field, ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.exchange.document import parse_yaml, plain_scalar, read_document
+from fixel.exchange.document import parse_yaml, read_document, yaml_text
 from fixel.exchange.scene_schema import (
     NoneRecord,
     NonNegative,
@@ -167,9 +166,7 @@ def plan_from_text(text: str, where: str = "plan") -> Plan:
 
 def plan_text(plan: Plan) -> str:
     """A plan as the text of a YAML file, which reads back as an equal plan."""
-    return yaml.dump(
-        _content(plan), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
-    )
+    return yaml_text(_content(plan))
 
 
 # --- reading --------------------------------------------------------------------------------------
@@ -424,18 +421,3 @@ def _scheme_content(scheme: OffsetScheme) -> dict[str, Any]:
         case Sampled(method=method, count=count, seed=seed):
             bounds = {name: list(getattr(scheme, name)) for name in ("x", "y", "theta")}
             return {"sample": {"method": method, "count": count, "seed": seed, **bounds}}
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes YAML that reads the same under the versions 1.1 and 1.2."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _represent_text(dumper: _Dumper, text: str) -> yaml.Node:
-    style = None if isinstance(plain_scalar(text), str) else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _represent_text)

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-import yaml
-
 from fixel.exchange import scene_schema as schema
-from fixel.exchange.document import plain_scalar, read_document
+from fixel.exchange.document import read_document, yaml_text
 from fixel.exchange.overrides import apply_override
 from fixel.exchange.scene_build import scene_of
 from fixel.exchange.scene_content import scene_content
@@ -92,9 +90,7 @@ def save_scene(scene_file: SceneFile, path: str | Path) -> None:
     if path.suffix.lower() == ".json":
         text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     else:
-        text = yaml.dump(
-            content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
-        )
+        text = yaml_text(content)
     path.write_text(text, encoding="utf-8")
 
 
@@ -105,18 +101,3 @@ def scene_json_schema() -> dict[str, Any]:
         "title": "fixel scene file",
         **{k: v for k, v in schema.SceneRecord.model_json_schema().items() if k != "title"},
     }
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes YAML that reads the same under the versions 1.1 and 1.2."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _represent_text(dumper: _Dumper, text: str) -> yaml.Node:
-    style = None if isinstance(plain_scalar(text), str) else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _represent_text)
