@@ -6,14 +6,12 @@ import json
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.exchange import push_files
 from typer.testing import CliRunner
 
 from fixel.cli import main
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Polygon
 from fixel.workflows.replay import (
     Choice,
     Replay,
@@ -23,7 +21,6 @@ from fixel.workflows.replay import (
     replay_dataset,
 )
 from fixel.workflows.replay.choose import spread
-from fixel.workflows.replay.geometry import tip_gap
 from fixel.workflows.replay.rpi_2dgad import contact_mode
 
 # Position of a straight push: the engine moves the object by the measured stroke exactly, but for
@@ -164,15 +161,6 @@ def test_windows_of_a_straight_run_follow_the_tip(tmp_path: Path) -> None:
     # From rest: the object jumps to the speed of the tip at once.
     assert row["position_mm_rms"] < 0.1
     assert len(row["error"]["time_s"]) == len(row["error"]["position_mm"]) == 10
-
-
-def test_gap_of_a_tip_is_signed() -> None:
-    square = Polygon(np.array(push_files.SQUARE))
-    pose = np.array([[1.0, 0.0, np.pi / 2]] * 3)
-    tip = np.array([[1.0, 0.04], [1.0, 0.03], [1.0, 0.025]])
-
-    assert tip_gap(square, 0.005, pose, tip) == pytest.approx([0.005, -0.005, -0.01])
-    assert tip_gap(Disk(0.03), 0.005, pose, tip) == pytest.approx([0.005, -0.005, -0.01])
 
 
 @pytest.mark.parametrize("dataset", ["mit_push", "rpi_2dgad", "mit_timeseries"])

@@ -12,6 +12,7 @@ import numpy as np
 from fixel.drawing.replay import WindowCurve, WindowPicture
 from fixel.errors import InvalidInput
 from fixel.exchange.datasets.mit_timeseries import PushRun, PushRuns
+from fixel.exchange.importers.contact import moved_to_contact
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import (
     Body,
@@ -30,7 +31,6 @@ from fixel.workflows.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.workflows.replay.geometry import tip_gap
 from fixel.workflows.replay.report import (
     FloatArray,
     Progress,
@@ -188,7 +188,7 @@ def _window(run: PushRun, number: int, begin: float, end: float) -> Window:
         start=run.object.at(begin),
         time=seen - begin,
         measured=run.object.at(seen),
-        gap=tip_gap(run.shape, run.pusher_radius, run.object.at(time), tip),
+        gap=moved_to_contact(run.shape, run.pusher_radius, run.object.at(time), tip)[0],
     )
 
 
