@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli import data, demo, doctor, project, replay, sample, simulate
+from fixel.cli import data, demo, doctor, project, replay, sample, show, simulate
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
 
 BAD_INPUT = 2
@@ -36,6 +36,8 @@ app.command("sample")(sample.sample)
 app.command("new")(project.new)
 app.command("import")(project.import_)
 app.command("list")(project.list_)
+app.command("show")(show.show)
+app.command("compare")(show.compare)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")
 app.command("demo")(demo.demo)

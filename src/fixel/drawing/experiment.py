@@ -1,0 +1,555 @@
+"""Experiments as still pictures: what was measured, and how far a simulation is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.picture import PICTURE_ENDINGS, frame_axes, refuse_ending, tint
+from fixel.drawing.view import UNITS, Box, ghosts
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Channel, Experiment, Fixel, Shape, Trajectory, placed, pose_error
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MM: Final = UNITS[1]
+
+# Of the figure [inch].
+LEFT, RIGHT, TOP, BOTTOM = 0.60, 0.12, 0.24, 0.36
+BANNER = 0.20
+TALLEST, LOWEST = 3.4, 1.1
+VIEW_LABELS, PANEL, GAP, STRIP_ROW = 0.38, 0.62, 0.11, 0.13
+LEGEND_ROW = 0.128
+LETTER = 0.046  # mean width of a letter of a fixel's name
+
+MARGIN = 0.05  # of the larger side, around everything drawn
+LEAST_SIDE = 5e-3  # [m] of a view: noise alone is no path
+MOST_OUTLINES = 60  # that the extent is measured by
+FEW = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
+MOST_NAMES = 12  # fixels with names beside them
+STEPS = 2  # outlines between start and end in a comparison
+
+DASHED: Final = (0, (3, 2))
+DOTTED: Final = (0, (1, 1))
+
+
+def draw_experiment(experiment: Experiment, path: str | Path) -> None:
+    """Draw an experiment: the plate from above, poses against time, which fixel was touched.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Without a scene, its path alone is drawn.
+    path : str or Path
+        File (`.pdf`, `.svg` or `.png`).
+
+    Raises
+    ------
+    InvalidInput
+        Another ending.
+    """
+    import matplotlib as mpl
+
+    refuse_ending(path, PICTURE_ENDINGS, "picture")
+    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+        experiment_figure(experiment).savefig(path)
+
+
+def draw_comparison(
+    experiment: Experiment,
+    simulated: Trajectory,
+    path: str | Path,
+    contacts: Channel | None = None,
+) -> None:
+    """Draw a simulation over the experiment it is of, and its errors against time.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    simulated : Trajectory
+        Poses of the object, on the experiment's clock.
+    path : str or Path
+        File (`.pdf`, `.svg` or `.png`).
+    contacts : Channel, optional
+        Which fixel the simulated object touches, like the channel `tactile` of an experiment.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending, or a simulation of another time.
+    """
+    import matplotlib as mpl
+
+    refuse_ending(path, PICTURE_ENDINGS, "picture")
+    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+        comparison_figure(experiment, simulated, contacts).savefig(path)
+
+
+def experiment_figure(experiment: Experiment) -> Figure:
+    """The figure that `draw_experiment` saves."""
+    sheet = _sheet(["x [mm]", "y [mm]", "θ [deg]"], _readings(experiment))
+    box = _extent(experiment, [experiment.trajectory])
+    handles = _plate(sheet.view, experiment) + _object(sheet.view, experiment)
+    _poses(sheet.panels, experiment)
+    _strip(sheet, _readings(experiment), palette.TOUCHED)
+    _time_axes(sheet, experiment)
+    return _laid_out(sheet, experiment, box, handles)
+
+
+def comparison_figure(
+    experiment: Experiment, simulated: Trajectory, contacts: Channel | None = None
+) -> Figure:
+    """The figure that `draw_comparison` saves."""
+    compared = _together(experiment, simulated)
+    readings = _readings(experiment) or (() if contacts is None else _runs(contacts))
+    sheet = _sheet(["position\nerror [mm]", "angle\nerror [deg]"], readings)
+    box = _extent(experiment, [experiment.trajectory, simulated])
+    handles = _plate(sheet.view, experiment)
+    handles += _overlay(sheet.view, experiment, simulated)
+    _errors(sheet.panels, compared, simulated)
+    if contacts is None:
+        _strip(sheet, readings, palette.INK)
+    else:
+        _strip(sheet, _readings(experiment), palette.INK, (0.05, 0.42))
+        _strip(sheet, _runs(contacts), palette.BODY, (-0.42, -0.05))
+    _time_axes(sheet, experiment)
+    return _laid_out(sheet, experiment, box, handles)
+
+
+def _together(experiment: Experiment, simulated: Trajectory) -> Trajectory:
+    """Measured poses at those instants that the simulation covers, or a refusal."""
+    time = experiment.trajectory.time
+    # Clocks are multiples of a frame on either side, and rounded differently.
+    both = (time >= simulated.time[0] - 1e-9) & (time <= simulated.time[-1] + 1e-9)
+    if not both.any():
+        raise InvalidInput(
+            "simulated.time",
+            found=f"{simulated.time[0]:g} to {simulated.time[-1]:g} s",
+            expected=f"some of what was measured, {time[0]:g} to {time[-1]:g} s",
+        )
+    return Trajectory(time=time[both], pose=experiment.trajectory.pose[both])
+
+
+# --- what is on the plate ---------------------------------------------------------------------
+
+
+def _shape(experiment: Experiment) -> Shape | None:
+    if experiment.scene is None:
+        return None
+    return next(b.shape for b in experiment.scene.bodies if b.name == experiment.object_name)
+
+
+def _pusher_shape(experiment: Experiment) -> Shape | None:
+    scene = experiment.scene
+    return scene.pushers[0].shape if scene is not None and scene.pushers else None
+
+
+def _fixels(experiment: Experiment) -> tuple[Fixel, ...]:
+    return experiment.scene.fixels if experiment.scene is not None else ()
+
+
+def _swept(shape: Shape | None, track: Trajectory) -> list[FloatArray]:
+    """Points that a track covers [m]: outlines where the shape is known."""
+    some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
+    if shape is None:
+        return [track.pose[:, :2]]
+    return [placed(shape.outline, pose) for pose in track.pose[some]]
+
+
+def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Box:
+    """Everything drawn from above."""
+    corners = [placed(f.shape.outline, f.pose) for f in _fixels(experiment)]
+    for track in tracks:
+        corners += _swept(_shape(experiment), track)
+    if experiment.pusher is not None:
+        corners += _swept(_pusher_shape(experiment), experiment.pusher)
+    points = np.concatenate(corners)
+    low, high = points.min(axis=0), points.max(axis=0)
+    short = np.maximum(LEAST_SIDE - (high - low), 0.0) / 2.0
+    (left, bottom), (right, top) = (low - short).tolist(), (high + short).tolist()
+    return _with_names(experiment, Box((left, right), (bottom, top)).widened(MARGIN))
+
+
+def _with_names(experiment: Experiment, box: Box) -> Box:
+    """Room on the right for the names of fixels."""
+    right = box.x[1]
+    per_inch = (box.x[1] - box.x[0]) / (palette.COLUMN - LEFT - RIGHT)
+    for fixel in _fixels(experiment)[:MOST_NAMES]:
+        reach = fixel.shape.radius + (LETTER * len(fixel.name) + 0.1) * per_inch
+        right = max(right, float(fixel.pose[0]) + reach)
+    return Box((box.x[0], right), box.y)
+
+
+def _plate(axes: Axes, experiment: Experiment) -> list[Artist]:
+    return _draw_fixels(axes, experiment) + _draw_pusher(axes, experiment)
+
+
+def _draw_fixels(axes: Axes, experiment: Experiment) -> list[Artist]:
+    """Fixels with their names; another colour for those touched at the end."""
+    fixels = _fixels(experiment)
+    # Without a scene there is a mode but no fixel, without a mode the other way round.
+    touched = [digit == "1" for digit in experiment.contact_mode.ljust(len(fixels), "0")]
+    handles: list[Artist] = []
+    for colour, label, wanted in (
+        (palette.FIXEL, "fixel", False),
+        (palette.TOUCHED, "fixel touched at the end", True),
+    ):
+        some = [f for f, touch in zip(fixels, touched, strict=False) if touch == wanted]
+        if some:
+            style = {"facecolor": colour, "edgecolor": palette.INK, "linewidth": 0.5}
+            outlines = [placed(f.shape.outline, f.pose) for f in some]
+            handles.append(_patches(axes, outlines, label, zorder=4, **style))
+    for fixel in fixels[:MOST_NAMES]:
+        edge = placed(fixel.shape.outline, fixel.pose).max(axis=0) * MM.per_metre
+        _name(axes, fixel.name, (float(edge[0]), float(fixel.pose[1]) * MM.per_metre))
+    return handles
+
+
+def _name(axes: Axes, name: str, place: tuple[float, float]) -> None:
+    import matplotlib.patheffects as effects
+
+    # The white rim keeps letters readable over outlines.
+    axes.annotate(
+        name,
+        place,
+        (2.5, 0.0),
+        textcoords="offset points",
+        va="center",
+        fontsize=palette.FONT_SIZE - 1.5,
+        color=palette.INK,
+        zorder=8,
+        annotation_clip=True,
+        path_effects=[effects.withStroke(linewidth=1.5, foreground="white")],
+    )
+
+
+def _draw_pusher(axes: Axes, experiment: Experiment) -> list[Artist]:
+    track, shape = experiment.pusher, _pusher_shape(experiment)
+    if track is None:
+        return []
+    handles: list[Artist] = []
+    if shape is not None:
+        first, last = (placed(shape.outline, track.pose[k]) for k in (0, -1))
+        colour = palette.PUSHER
+        hollow = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.8, "linestyle": DASHED}
+        full = {"facecolor": tint(colour, 0.45), "edgecolor": colour, "linewidth": 0.8}
+        handles.append(_patches(axes, [first], "pusher, start", zorder=1.4, **hollow))
+        handles.append(_patches(axes, [last], "pusher, end", zorder=1.9, **full))
+    style = {"color": palette.PUSHER, "linewidth": 0.9, **_joined(track)}
+    handles.append(_path(axes, track, "pusher, path", zorder=3.2, **style))
+    return handles
+
+
+def _object(axes: Axes, experiment: Experiment) -> list[Artist]:
+    """The measured object: outlines at start and end, ghosts between, its path."""
+    track, shape = experiment.trajectory, _shape(experiment)
+    handles: list[Artist] = []
+    line = {"edgecolor": palette.BODY, "linewidth": 0.8}
+    who = experiment.object_name
+    if shape is not None:
+        first, last = (placed(shape.outline, track.pose[k]) for k in (0, -1))
+        full = {"facecolor": tint(palette.BODY, 0.30), **line}
+        handles.append(
+            _patches(
+                axes, [first], f"{who}, start", zorder=2.7, facecolor="none", linestyle=DASHED,
+                **line,
+            )
+        )  # fmt: skip
+        handles.append(_patches(axes, [last], f"{who}, end", zorder=2.5, **full))
+        _draw_ghosts(axes, track, shape)
+    style = {"color": palette.BODY, "linewidth": 1.0, **_joined(track)}
+    handles.append(_path(axes, track, f"{who}, path", zorder=3.5, **style))
+    if shape is None:
+        handles += _ends(axes, track, who)
+    return handles
+
+
+def _ends(axes: Axes, track: Trajectory, who: str) -> list[Artist]:
+    """Dots where no outline says which end of a path is which."""
+    handles: list[Artist] = []
+    for row, fill, label in ((0, "white", "start"), (-1, palette.BODY, "end")):
+        handles += axes.plot(
+            *(track.pose[row : row + 1 or None, :2].T * MM.per_metre),
+            marker="o",
+            markersize=4.0,
+            linestyle="none",
+            color=palette.BODY,
+            markerfacecolor=fill,
+            label=f"{who}, {label}",
+            zorder=3.6,
+        )
+    return handles
+
+
+def _draw_ghosts(axes: Axes, track: Trajectory, shape: Shape) -> None:
+    # Of an experiment with two poses nobody knows what lies between.
+    if len(track.time) > FEW:
+        unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
+        between = ghosts(unwound, shape, 4)
+        outlines = [placed(shape.outline, pose) for pose in between]
+        style: dict[str, Any] = {"edgecolor": palette.BODY, "linewidth": 0.5, "alpha": 0.35}
+        _patches(axes, outlines, "", zorder=1.2, facecolor="none", **style)
+
+
+def _overlay(axes: Axes, experiment: Experiment, simulated: Trajectory) -> list[Artist]:
+    """Measured and simulated outlines at the same instants, and both paths."""
+    shape, track = _shape(experiment), experiment.trajectory
+    # Both end at the same instant: what comes after the simulation is no error of it.
+    end = min(track.time[-1], simulated.time[-1])
+    start = max(track.time[0], simulated.time[0])
+    handles: list[Artist] = []
+    if shape is not None:
+        steps = STEPS if len(track.time) > FEW else 0
+        between = np.linspace(start, end, steps + 2)[1:-1]
+        for source, colour, what in _both(experiment, simulated):
+            outlines = [placed(shape.outline, pose) for pose in source.at(between)]
+            thin = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.5, "alpha": 0.4}
+            _patches(axes, outlines, "", zorder=1.3, **thin)
+            last = placed(shape.outline, source.at(end))
+            full = {"facecolor": (*_rgb(colour), 0.12), "edgecolor": colour, "linewidth": 1.0}
+            handles.append(_patches(axes, [last], f"{what}, end", zorder=2.5, **full))
+        first = placed(shape.outline, track.at(start))
+        dashed = {"facecolor": "none", "edgecolor": palette.FIXEL, "linewidth": 0.7}
+        handles.append(_patches(axes, [first], "start", zorder=1.5, linestyle=DASHED, **dashed))
+    for source, colour, what in _both(experiment, simulated):
+        style = {"color": colour, "linewidth": 1.0, **_joined(source)}
+        handles.append(_path(axes, source, f"{what}, path", zorder=3.5, **style))
+    return handles
+
+
+def _both(experiment: Experiment, simulated: Trajectory) -> list[tuple[Trajectory, str, str]]:
+    what = "measured" if experiment.real else "recorded"
+    return [(experiment.trajectory, palette.INK, what), (simulated, palette.BODY, "simulated")]
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    from matplotlib.colors import to_rgb
+
+    return to_rgb(colour)
+
+
+def _joined(track: Trajectory) -> dict[str, Any]:
+    """Style of a line: dots on poses, and dotted between, where nothing else was measured."""
+    if len(track.time) > FEW:
+        return {"linestyle": "-"}
+    return {"linestyle": DOTTED, "marker": "o", "markersize": 2.2}
+
+
+def _path(axes: Axes, track: Trajectory, label: str, **style: Any) -> Artist:
+    (line,) = axes.plot(*(track.pose[:, :2].T * MM.per_metre), label=label, **style)
+    return line
+
+
+def _patches(axes: Axes, outlines: Sequence[FloatArray], label: str, **style: Any) -> Artist:
+    """Outlines [m], filled; returns what stands for them in a legend."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    scaled = [outline * MM.per_metre for outline in outlines]
+    axes.add_collection(PolyCollection(scaled, **style), autolim=False)
+    return Patch(label=label, **style)
+
+
+# --- what is against time ---------------------------------------------------------------------
+
+
+class _Run(NamedTuple):
+    """When a fixel was touched: (start, length) in [s]."""
+
+    name: str
+    spans: list[tuple[float, float]]
+
+
+def _readings(experiment: Experiment) -> tuple[_Run, ...]:
+    channel = experiment.channel("tactile")
+    return () if channel is None else _runs(channel)
+
+
+def _runs(channel: Channel) -> tuple[_Run, ...]:
+    return tuple(
+        _Run(column.removesuffix("_bool").replace("_", "-"), _spans(channel.time, values > 0.5))
+        for column, values in zip(channel.columns, channel.values.T, strict=True)
+        if column.endswith("_bool")
+    )
+
+
+def _spans(time: FloatArray, on: Any) -> list[tuple[float, float]]:
+    """(start, length) of each stretch of readings that are on [s]."""
+    if len(time) < 2:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(np.int8)))
+    # A reading lasts until the next; the last one as long as they do on the whole.
+    ends = np.append(time, time[-1] + float(np.median(np.diff(time))))
+    return [(float(ends[a]), float(ends[b] - ends[a])) for a, b in edges.reshape(-1, 2)]
+
+
+def _poses(panels: Sequence[Axes], experiment: Experiment) -> None:
+    track = experiment.trajectory
+    columns = (*(track.pose[:, :2].T * MM.per_metre), np.degrees(np.unwrap(track.pose[:, 2])))
+    for axes, values in zip(panels, columns, strict=True):
+        axes.plot(track.time, values, color=palette.BODY, linewidth=1.0, **_joined(track))
+
+
+def _errors(panels: Sequence[Axes], measured: Trajectory, simulated: Trajectory) -> None:
+    position, angle = pose_error(simulated.at(measured.time), measured.pose)
+    style = {"color": palette.BODY, **_joined(measured)}
+    panels[0].plot(measured.time, position * MM.per_metre, linewidth=1.0, **style)
+    panels[0].set_ylim(bottom=0.0)
+    panels[1].plot(measured.time, np.degrees(angle), linewidth=1.0, **style)
+    panels[1].axhline(0.0, color=palette.FIXEL, linewidth=0.4, zorder=0.5)
+
+
+def _strip(
+    sheet: _Sheet,
+    runs: Sequence[_Run],
+    colour: str,
+    band: tuple[float, float] = (-0.35, 0.35),
+) -> None:
+    """A row for each fixel, filled while it was touched; `band` of the row [-]."""
+    if sheet.strip is None:
+        return
+    for row, run in enumerate(runs):
+        place = (row + band[0], band[1] - band[0])
+        sheet.strip.broken_barh(run.spans, place, facecolor=colour, linewidth=0.0)
+
+
+def _time_axes(sheet: _Sheet, experiment: Experiment) -> None:
+    """What all panels share: limits, grids, and a shade over what is not useful."""
+    time = experiment.trajectory.time
+    margin = 0.02 * float(time[-1] - time[0]) or 0.5
+    limits = (float(time[0]) - margin, float(time[-1]) + margin)
+    every = [*sheet.panels] + ([sheet.strip] if sheet.strip is not None else [])
+    for axes in every:
+        axes.set_xlim(limits)
+        axes.grid(color=palette.FAINT, linewidth=0.4)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(pad=1.5, labelbottom=axes is every[-1])
+        if experiment.effective is not None:
+            first, last = experiment.effective
+            for start, end in ((limits[0], first), (last, limits[1])):
+                # Up to the margin it is nothing that was left out.
+                if end - start > 1.5 * margin:
+                    axes.axvspan(
+                        start, end, color=palette.FAINT, alpha=0.5, linewidth=0.0, zorder=0.1
+                    )
+    for axes in sheet.panels:
+        axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
+        axes.margins(y=0.12)
+    every[-1].set_xlabel("time [s]", labelpad=1.5)
+
+
+# --- the sheet --------------------------------------------------------------------------------
+
+
+class _Sheet(NamedTuple):
+    """Axes of one column, from above to below."""
+
+    figure: Figure
+    view: Axes
+    panels: list[Axes]
+    strip: Axes | None
+    n_run: int
+
+
+def _sheet(labels: Sequence[str], runs: Sequence[_Run]) -> _Sheet:
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    whole = (0.0, 0.0, 1.0, 1.0)
+    view = figure.add_axes(whole, label="view")
+    panels = [figure.add_axes(whole, label=label) for label in labels]
+    for axes, label in zip(panels, labels, strict=True):
+        axes.set_ylabel(label, labelpad=2.0)
+    strip = figure.add_axes(whole, label="tactile") if runs else None
+    if strip is not None:
+        strip.set_yticks(range(len(runs)), [run.name for run in runs])
+        strip.set_ylim(len(runs) - 0.5, -0.5)
+        strip.tick_params(axis="y", labelsize=palette.FONT_SIZE - 1.5, length=0.0)
+    return _Sheet(figure, view, panels, strip, len(runs))
+
+
+def _laid_out(sheet: _Sheet, experiment: Experiment, box: Box, handles: Sequence[Artist]) -> Figure:
+    """Axes placed in inches, so that nothing overlaps or is cut."""
+    width = palette.COLUMN - LEFT - RIGHT
+    height = width * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
+    height = min(TALLEST, max(LOWEST, height))
+    frame_axes(sheet.view, box.with_aspect(height / width), MM)
+    rows = -(-len(handles) // _columns(handles))
+    top = TOP + (0.0 if experiment.real else BANNER)
+    legend = LEGEND_ROW * rows + 0.08
+    strip = STRIP_ROW * sheet.n_run + GAP if sheet.strip is not None else 0.0
+    panels = len(sheet.panels) * (PANEL + GAP) - GAP
+    total = top + height + VIEW_LABELS + legend + panels + strip + BOTTOM
+    sheet.figure.set_size_inches(palette.COLUMN, total)
+
+    def place(axes: Axes, from_top: float, tall: float) -> None:
+        bottom = (total - from_top - tall) / total
+        axes.set_position((LEFT / palette.COLUMN, bottom, width / palette.COLUMN, tall / total))
+
+    place(sheet.view, top, height)
+    below = top + height + VIEW_LABELS
+    _legend(sheet.figure, handles, 1.0 - below / total)
+    below += legend
+    for axes in sheet.panels:
+        place(axes, below, PANEL)
+        below += PANEL + GAP
+    if sheet.strip is not None:
+        place(sheet.strip, below, STRIP_ROW * sheet.n_run)
+    sheet.figure.align_ylabels(sheet.panels)
+    _heading(sheet, experiment, total)
+    return sheet.figure
+
+
+def _columns(handles: Sequence[Artist]) -> int:
+    return 3 if max(len(str(handle.get_label())) for handle in handles) < 18 else 2
+
+
+def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
+    figure.legend(
+        handles=list(handles),
+        loc="upper center",
+        bbox_to_anchor=(0.5, top),
+        ncols=_columns(handles),
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        labelspacing=0.3,
+        handlelength=1.7,
+        columnspacing=1.2,
+        handletextpad=0.5,
+    )
+
+
+def _heading(sheet: _Sheet, experiment: Experiment, total: float) -> None:
+    """The name of the experiment, and a banner over what no camera has seen."""
+    sheet.view.set_title(_shortened(experiment.key, 52), loc="left", pad=3.5)
+    if experiment.real:
+        return
+    from matplotlib.patches import Rectangle
+
+    share = BANNER / total
+    sheet.figure.add_artist(
+        Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
+    )
+    sheet.figure.text(
+        0.5,
+        1.0 - 0.52 * share,
+        f"SIMULATED by {_shortened(experiment.simulated_by)}",
+        color="white",
+        weight="bold",
+        ha="center",
+        va="center",
+    )
+
+
+def _shortened(text: str, most: int = 44) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"

@@ -1,0 +1,354 @@
+"""Stored experiments: their numbers, and how far simulations are from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import (
+    Channel,
+    Experiment,
+    LineDrive,
+    Parameters,
+    Provenance,
+    Scene,
+    Trajectory,
+    pose_error,
+)
+from fixel.model.experiment import unit_of
+from fixel.model.fields import BoolArray
+from fixel.model.records import SimulationRecord
+from fixel.simulation import AbstractMotionModel, Simulation, simulate
+
+ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
+ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
+SAMPLES: Final = 200  # of a simulation of two poses
+NOISE: Final = 1e-3  # [m]; a way is measured in strides no shorter than this
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """A simulation of an experiment, beside what was measured.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    parameters : Parameters
+    simulation : Simulation
+    simulated : Trajectory
+        Poses of the object, on the experiment's clock.
+    pusher : Trajectory, optional
+        Simulated poses of the pusher, on the same clock.
+    contacts : Channel, optional
+        Which fixel the simulated object touches, on the same clock; none without fixels.
+    time : (n,) float64
+        Measured instants within `effective` [s]. The first measured pose is not among them: there
+        the simulation starts, so its error is none by construction.
+    position : (n,) float64
+        Distance from the measured to the simulated pose at these [m].
+    angle : (n,) float64
+        From the measured to the simulated pose, wrapped [rad].
+    """
+
+    experiment: Experiment
+    parameters: Parameters
+    simulation: Simulation
+    simulated: Trajectory
+    pusher: Trajectory | None
+    contacts: Channel | None
+    time: FloatArray
+    position: FloatArray
+    angle: FloatArray
+
+    @property
+    def status(self) -> str:
+        """As `Simulation.status`."""
+        return self.simulation.status
+
+    @property
+    def complete(self) -> bool:
+        """Whether the simulation came to the end; only then has it errors."""
+        return self.simulation.converged
+
+    @property
+    def position_rms(self) -> float | None:
+        """Root mean square of `position` [m]."""
+        return float(np.sqrt(np.mean(self.position**2))) if self.complete else None
+
+    @property
+    def final_position(self) -> float | None:
+        """Of the last measured pose [m]."""
+        return float(self.position[-1]) if self.complete else None
+
+    @property
+    def final_angle(self) -> float | None:
+        """Of the last measured pose [rad]."""
+        return float(self.angle[-1]) if self.complete else None
+
+    @property
+    def error_mm2(self) -> float | None:
+        """The thesis's E, mean of squared errors [mm^2]; none where it stopped early."""
+        if not self.complete:
+            return None
+        return float(np.mean((1e3 * self.position) ** 2 + (ANGLE_SCALE * self.angle) ** 2))
+
+    @property
+    def contact_mode(self) -> str:
+        """Simulated, at the end, a digit a fixel."""
+        if self.contacts is None:
+            return ""
+        return "".join(str(int(touch)) for touch in self.contacts.values[-1])
+
+    @property
+    def same_contact_mode(self) -> bool | None:
+        """Whether it is as measured; none where that is not known, or not simulated."""
+        measured = self.experiment.contact_mode
+        return self.contact_mode == measured if measured and self.complete else None
+
+    def summary(self) -> dict[str, Any]:
+        """All of it as plain values, for `--json`."""
+        simulation = self.simulation
+        return {
+            "experiment": self.experiment.key,
+            "real": self.experiment.real,
+            "parameters": dict(self.parameters),
+            "status": self.status,
+            "stopped_at": simulation.stopped_at,
+            "advice": simulation.advice,
+            "frames": len(self.time),
+            "from_s": float(self.time[0]),
+            "to_s": float(self.time[-1]),
+            "position_rms_m": self.position_rms,
+            "final_position_m": self.final_position,
+            "final_angle_rad": self.final_angle,
+            "error_mm2": self.error_mm2,
+            "contact_mode": {
+                "measured": self.experiment.contact_mode,
+                "simulated": self.contact_mode,
+                "same": self.same_contact_mode,
+            },
+            "method": dict(simulation.method),
+            "wall_time_s": simulation.wall_time_s,
+        }
+
+    def record(self, experiment_id: int, command: str = "") -> SimulationRecord:
+        """What a project keeps of it; `command` is what was typed."""
+        method = {
+            name: value if isinstance(value, str | int | float) else str(value)
+            for name, value in self.simulation.method.items()
+            if value is not None
+        }
+        return SimulationRecord(
+            experiment_id=experiment_id,
+            parameters=self.parameters,
+            provenance=Provenance(version=version("fixel"), command=command),
+            trajectory=self.simulated,
+            pusher=self.pusher,
+            method=method,
+            status=self.status,
+            contact_mode=self.contact_mode,
+            error_mm2=self.error_mm2,
+        )
+
+
+def comparison(
+    experiment: Experiment,
+    parameters: Parameters | None = None,
+    motion: AbstractMotionModel | None = None,
+) -> Comparison:
+    """Simulate an experiment from its first pose on, and compare the poses.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a scene.
+    parameters : Parameters, optional
+        In place of the scene's values.
+    motion : AbstractMotionModel, optional
+        `Dynamic()` where left out.
+
+    Raises
+    ------
+    InvalidInput
+        No scene, no pose within `effective`, or parameters that change nothing in the scene.
+    """
+    scene = _scene(experiment)
+    useful = _useful(experiment)
+    time = experiment.trajectory.time[useful]
+    parameters = parameters or Parameters()
+    start = _start(experiment, scene)
+    duration = float(time[-1]) - start
+    if not duration > 0.0:
+        raise InvalidInput(
+            f"experiment {experiment.key}.trajectory",
+            found="no measured pose after the start",
+            expected="motion to compare with",
+        )
+    simulation = simulate(
+        scene,
+        parameters,
+        motion=motion,
+        duration=duration,
+        output_interval=_interval(experiment.trajectory.time, duration),
+    )
+    simulated = _track(simulation, experiment.object_name, start)
+    measured = experiment.trajectory.pose[useful]
+    position, angle = pose_error(simulated.at(time), measured)
+    return Comparison(
+        experiment=experiment,
+        parameters=parameters,
+        simulation=simulation,
+        simulated=simulated,
+        pusher=_track(simulation, scene.pushers[0].name, start) if scene.pushers else None,
+        contacts=_contacts(simulation, experiment.object_name, start),
+        time=time,
+        position=position,
+        angle=angle,
+    )
+
+
+def _scene(experiment: Experiment) -> Scene:
+    if experiment.scene is None:
+        reasons = "; ".join(flag.detail for flag in experiment.flags if flag.detail)
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found="no scene" + (f": {reasons}" if reasons else ""),
+            expected="one whose object, pusher and fixels are known",
+            hint="fixel show has its path",
+        )
+    return experiment.scene
+
+
+def _useful(experiment: Experiment) -> BoolArray:
+    """(n,) which measured poses after the first lie within `effective`."""
+    time = experiment.trajectory.time
+    first, last = experiment.effective or (time[0], time[-1])
+    useful = np.asarray((time >= first - ON_CLOCK) & (time <= last + ON_CLOCK))
+    useful[0] = False
+    if not useful.any():
+        raise InvalidInput(
+            f"experiment {experiment.key}.effective",
+            found=f"no measured pose from {first:g} to {last:g} s",
+            expected="one at least, after the first",
+        )
+    return useful
+
+
+def _start(experiment: Experiment, scene: Scene) -> float:
+    """Instant of the experiment's clock at which the scene's own clock starts [s].
+
+    A measured path of the pusher is on the experiment's clock. A planned line starts when the
+    scene does, and the recording may have been running for a while by then.
+    """
+    planned = [pusher for pusher in scene.pushers if isinstance(pusher.drive, LineDrive)]
+    if not planned:
+        return 0.0
+    first = experiment.effective[0] if experiment.effective else experiment.trajectory.time[0]
+    return float(first)
+
+
+def _interval(time: FloatArray, duration: float) -> float:
+    """Between samples of the simulation [s]: a frame, or less where frames are few."""
+    frame = float(np.median(np.diff(time))) if len(time) > 1 else duration
+    return min(frame, duration / SAMPLES) if len(time) < SAMPLES // 10 else min(frame, duration)
+
+
+def _track(simulation: Simulation, name: str, start: float) -> Trajectory:
+    """Poses of one body as far as they are numbers, on the experiment's clock."""
+    pose = simulation.pose[name]
+    known = np.isfinite(pose).all(axis=1)
+    return Trajectory(time=start + simulation.time[known], pose=pose[known])
+
+
+def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None:
+    """Which fixel a body touches, sample by sample, like a tactile channel."""
+    fixels = simulation.scene.fixels
+    if not fixels:
+        return None
+    rows, names = simulation.contacts, simulation.names
+    sample = np.searchsorted(simulation.time, rows["time"])
+    touches = np.zeros((len(simulation.time), len(fixels)))
+    body = names.index(name)
+    for column, fixel in enumerate(fixels):
+        other = names.index(fixel.name)
+        pair = ((rows["body"] == body) & (rows["other"] == other)) | (
+            (rows["body"] == other) & (rows["other"] == body)
+        )
+        touches[sample[pair], column] = 1.0
+    return Channel(
+        name="tactile",
+        time=start + simulation.time,
+        columns=tuple(f"fixel_{k}_bool" for k in range(1, len(fixels) + 1)),
+        values=touches,
+    )
+
+
+# --- numbers of an experiment -----------------------------------------------------------------
+
+
+def summary(experiment: Experiment) -> dict[str, Any]:
+    """The numbers of an experiment as plain values, for `--json`: metres, radians, seconds."""
+    track = experiment.trajectory
+    pose = track.pose
+    return {
+        "dataset": experiment.dataset,
+        "name": experiment.name,
+        "real": experiment.real,
+        "simulated_by": experiment.simulated_by,
+        "frames": len(track.time),
+        "rate_hz": frame_rate(track),
+        "duration_s": experiment.duration,
+        "effective_s": None if experiment.effective is None else list(experiment.effective),
+        "start": pose[0].tolist(),
+        "end": pose[-1].tolist(),
+        "travelled_m": travelled(track),
+        "turned_rad": float(np.unwrap(pose[:, 2])[-1] - pose[0, 2]),
+        "contact_mode": experiment.contact_mode,
+        "fixels": [] if experiment.scene is None else [f.name for f in experiment.scene.fixels],
+        "has_scene": experiment.scene is not None,
+        "has_pusher": experiment.pusher is not None,
+        "conditions": dict(experiment.conditions),
+        "flags": [_flag(flag.name, flag.detail) for flag in experiment.flags if flag.fault],
+        "remarks": [_flag(flag.name, flag.detail) for flag in experiment.flags if not flag.fault],
+        "provenance": _provenance(experiment.provenance),
+        "channels": [_channel(channel) for channel in experiment.channels],
+        "video": experiment.video,
+    }
+
+
+def frame_rate(track: Trajectory) -> float | None:
+    """Frames a second [Hz], lost ones counted too; none for start and end alone."""
+    return float(1.0 / np.median(np.diff(track.time))) if len(track.time) > 2 else None
+
+
+def travelled(track: Trajectory) -> float:
+    """Length of a path [m], in strides of a millimetre at least: noise is no way."""
+    here, length = track.pose[0, :2], 0.0
+    for place in track.pose[1:, :2]:
+        stride = float(np.hypot(*(place - here)))
+        if stride >= NOISE:
+            here, length = place, length + stride
+    return length + float(np.hypot(*(track.pose[-1, :2] - here)))
+
+
+def _flag(name: str, detail: str) -> dict[str, str]:
+    return {"name": name, "detail": detail}
+
+
+def _provenance(provenance: Provenance) -> dict[str, Any]:
+    return {name: getattr(provenance, name) for name in Provenance.__dataclass_fields__}
+
+
+def _channel(channel: Channel) -> dict[str, Any]:
+    return {
+        "name": channel.name,
+        "columns": list(channel.columns),
+        "units": [unit_of(column) for column in channel.columns],
+        "readings": len(channel.time),
+    }

@@ -1,0 +1,167 @@
+"""Drawings of experiments: everything inside, nothing invented, never a simulation as real."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+
+from fixel.drawing.experiment import (
+    comparison_figure,
+    draw_comparison,
+    draw_experiment,
+    experiment_figure,
+)
+from fixel.errors import InvalidInput
+from fixel.model import Channel, Experiment, Provenance, Trajectory
+from fixel.testing.scenes import grasp
+
+TIME = np.linspace(0.0, 2.0, 61)
+SCENE = grasp("slip")
+START = SCENE.bodies[0].pose
+PATH = Trajectory(time=TIME, pose=START + TIME[:, None] * (0.03, 0.002, 0.1))
+AWAY = Trajectory(time=TIME, pose=PATH.pose + TIME[:, None] * (0.004, 0.0, 0.05))
+ON = np.column_stack((TIME > 1.0, np.zeros(61), (TIME > 0.5) & (TIME < 0.6))).astype(float)
+TACTILE = Channel(
+    name="tactile", time=TIME, columns=("fixel_1_bool", "fixel_2_bool", "fixel_3_bool"), values=ON
+)
+REAL = Experiment(
+    dataset="bench",
+    name="1",
+    real=True,
+    provenance=Provenance(version="0"),
+    object_name=SCENE.bodies[0].name,
+    trajectory=PATH,
+    pusher=Trajectory(time=TIME, pose=SCENE.pushers[0].pose + TIME[:, None] * (0.03, 0.0, 0.0)),
+    scene=SCENE,
+    channels=(TACTILE,),
+    contact_mode="100",
+    effective=(0.5, 2.0),
+)
+NOT_REAL = replace(REAL, real=False, simulated_by="a test")
+PATH_ONLY = replace(REAL, scene=None, pusher=None, channels=())
+ENDS = Trajectory(time=TIME[[0, -1]], pose=PATH.pose[[0, -1]])
+TWO_POSES = replace(REAL, trajectory=ENDS, pusher=None, channels=(), effective=None)
+
+EVERY = {"real": REAL, "simulated": NOT_REAL, "path only": PATH_ONLY, "two poses": TWO_POSES}
+
+
+def words(figure):
+    return " ".join(text.get_text() for text in figure.texts)
+
+
+def axes_of(figure):
+    return {axes.get_label(): axes for axes in figure.axes}
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_experiments_and_comparisons_can_be_drawn(ending, tmp_path):
+    one, both = tmp_path / f"one.{ending}", tmp_path / f"both.{ending}"
+
+    draw_experiment(REAL, one)
+    draw_comparison(REAL, AWAY, both, TACTILE)
+
+    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+    for path in (one, both):
+        assert path.read_bytes().startswith(starts[ending])
+
+
+def test_other_endings_are_refused(tmp_path):
+    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
+        draw_experiment(REAL, tmp_path / "one.bmp")
+    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
+        draw_comparison(REAL, AWAY, tmp_path / "one.bmp")
+
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
+def test_only_what_no_camera_has_seen_carries_the_banner(experiment):
+    for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
+        assert ("SIMULATED by a test" in words(figure)) != experiment.real
+
+
+@pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
+def test_everything_is_inside_the_view(experiment):
+    for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
+        view = axes_of(figure)["view"]
+        drawn = [line.get_xydata() for line in view.lines]
+        drawn += [
+            path.vertices
+            for collection in view.collections
+            if isinstance(collection, PolyCollection)
+            for path in collection.get_paths()
+        ]
+        points = np.concatenate(drawn)
+        low, high = np.array([view.get_xlim(), view.get_ylim()]).T
+        assert (points >= low).all()
+        assert (points <= high).all()
+
+
+@pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
+def test_no_axes_overlap_nor_leave_the_page(experiment):
+    for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
+        places = [axes.get_position() for axes in figure.axes]
+        assert all(0.0 < place.y0 < place.y1 < 1.0 for place in places)
+        for above, below in pairwise(places):
+            assert above.y0 > below.y1
+
+
+def test_poses_are_those_measured_in_millimetres_and_degrees():
+    axes = axes_of(experiment_figure(REAL))
+
+    for k, (label, factor) in enumerate(
+        (("x [mm]", 1e3), ("y [mm]", 1e3), ("θ [deg]", 180.0 / np.pi))
+    ):
+        (line,) = axes[label].lines
+        np.testing.assert_allclose(line.get_ydata(), PATH.pose[:, k] * factor, rtol=1e-12)
+
+
+def test_nothing_is_drawn_between_two_poses():
+    def outlines(experiment):
+        view = axes_of(experiment_figure(experiment))["view"]
+        return sum(len(c.get_paths()) for c in view.collections if isinstance(c, PolyCollection))
+
+    bare = replace(REAL, pusher=None)
+
+    assert outlines(bare) > outlines(TWO_POSES) == len(SCENE.fixels) + 2
+
+
+def test_the_strip_is_filled_while_a_fixel_is_touched():
+    strip = axes_of(experiment_figure(REAL))["tactile"]
+    first, second, third = (c for c in strip.collections)
+
+    assert [tick.get_text() for tick in strip.get_yticklabels()] == [
+        "fixel-1",
+        "fixel-2",
+        "fixel-3",
+    ]
+    assert not second.get_paths()
+    spans = [np.ptp(c.get_paths()[0].vertices[:, 0]) for c in (first, third)]
+    frame = TIME[1]
+    np.testing.assert_allclose(spans, [ON[:, 0].sum() * frame, ON[:, 2].sum() * frame])
+    assert "tactile" not in axes_of(experiment_figure(PATH_ONLY))
+
+
+def test_errors_are_those_of_the_simulation():
+    axes = axes_of(comparison_figure(REAL, AWAY))
+    position = axes["position\nerror [mm]"].lines[0].get_ydata()
+    angle = axes["angle\nerror [deg]"].lines[0].get_ydata()
+
+    np.testing.assert_allclose(position, 4.0 * TIME, atol=1e-9)
+    np.testing.assert_allclose(angle, np.degrees(0.05 * TIME), atol=1e-9)
+
+
+def test_a_simulation_that_stopped_has_no_errors_afterwards():
+    short = Trajectory(time=TIME[:20], pose=AWAY.pose[:20])
+    axes = axes_of(comparison_figure(REAL, short))
+
+    assert len(axes["position\nerror [mm]"].lines[0].get_xdata()) == 20
+
+
+def test_a_simulation_of_another_time_is_refused():
+    later = Trajectory(time=TIME + 10.0, pose=PATH.pose)
+
+    with pytest.raises(InvalidInput, match="0 to 2 s"):
+        comparison_figure(REAL, later)
