@@ -119,3 +119,17 @@ def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypat
     assert code == 1
     assert "fixel db upgrade" in err
     assert Path(lab / "experiments.db").exists()
+
+
+def test_a_bundle_goes_from_one_project_to_another(lab, recording, tmp_path, capsys):
+    answer(capsys, "import", recording, "--project", lab)
+    answer(capsys, "testbed", "run", "-p", lab, "--limit", "2")
+    assert fixel(capsys, "export", lab, tmp_path / "all.zip")[0] == 0
+    other = tmp_path / "other"
+    fixel(capsys, "new", other)
+    dry = answer(capsys, "import", tmp_path / "all.zip", "-p", other, "--dry-run")
+    assert dry["experiments"] == 3
+    assert answer(capsys, "list", "-p", other)["total"] == 0
+    assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["experiments"] == 3
+    assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["known"] == 3
+    assert answer(capsys, "list", "-p", other, "--simulated")["total"] == 2

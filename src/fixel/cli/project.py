@@ -69,6 +69,9 @@ def import_(
     from fixel.database.project import Project
     from fixel.workflows.project import import_experiments, import_plan
 
+    if source.suffix.lower() == ".zip" and importer is None:
+        _import_bundle(source, folder, dry_run, as_json)
+        return
     if not dry_run:
         project = Project.open(folder)
     plan = import_plan(source, importer, option or ())
@@ -90,6 +93,22 @@ def import_(
         return
     done = import_experiments(project, plan, progress_bar("Importing"))
     _say_imported(done, answer, as_json, folder)
+
+
+def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
+    """Add what another project has exported."""
+    from fixel.cli.screen import progress_bar
+    from fixel.database.project import Project
+    from fixel.workflows.export import import_zip
+
+    counts = import_zip(Project.open(folder), source, progress_bar("Importing"), dry_run=dry_run)
+    if as_json:
+        typer.echo(json.dumps({"source": str(source), "dry_run": dry_run, **counts}))
+        return
+    verb = "would add" if dry_run else "added"
+    found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
+    typer.echo(f"{source}: {verb} {found}")
+    typer.echo(f"Next: fixel import {shlex.quote(str(source))}" if dry_run else "Next: fixel list")
 
 
 def list_(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import sqlalchemy as sa
@@ -70,18 +72,39 @@ def read_all(
 
 
 def keep(data: bytes, media: Path) -> str:
-    """Write bytes into the media folder under their checksum, once; returns the checksum."""
+    """Write bytes into the media folder under their checksum, once and for good; returns it."""
     digest = hashlib.sha256(data).hexdigest()
     path = media_path(digest, media)
-    if not path.exists():
+    if path.exists():
+        return digest
+    temporary = path.with_name(f".{digest}.{uuid4().hex}")
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{digest}.{os.getpid()}")
         with open(temporary, "wb") as stream:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
+        _settle_folder(path.parent)
+    except OSError as problem:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        reason = (problem.strerror or str(problem)).lower()
+        raise StoreRefused(
+            f"{media} cannot be written to: {reason}", hint="make the folder writable, or make room"
+        ) from None
     return digest
+
+
+def _settle_folder(folder: Path) -> None:
+    """Make the names in a folder survive a power cut, where the system can."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def fetch(digest: str, media: Path) -> bytes:

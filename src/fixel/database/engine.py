@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -71,7 +72,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
 def set_journal(engine: sa.Engine) -> None:
     """Let readers read while one writes; kept in the file, so set once."""
     if engine.dialect.name == "sqlite":
-        with engine.connect() as connection:
+        with translated(engine), engine.connect() as connection:
             raw: Any = connection.connection.dbapi_connection
             raw.execute("PRAGMA journal_mode = WAL")
 
@@ -109,35 +110,52 @@ def translated(engine: sa.Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
+    except sqlite3.Error as problem:  # from what we ask the driver itself, past SQLAlchemy
+        raise StoreRefused(*_reason(place, str(problem))) from problem
 
 
 def _reason(place: str, said: str) -> tuple[str, str | None]:
     said = " ".join(said.split())
     low = said.lower()
+    locked = f"{place} is locked by another process for more than {WAIT_S:g} s"
+    full = (f"the disk of {place} is full", "make room, then repeat the command")
+    no_tables = (f"{place} has no tables yet", "run: fixel db upgrade")
+    denied = (f"{place} lets nobody in: {said}", "check user and password in the database's URL")
+    # The first word that fits decides: the more telling ones stand before the more common ones.
     known = {
         "cannot change": ("finished records cannot change", "add a new one: it takes the place"),
-        "lock timeout": (
-            f"{place} is locked by another process for more than {WAIT_S:g} s",
-            "wait for it to finish",
-        ),
-        "locked": (
-            f"{place} is locked by another process for more than {WAIT_S:g} s",
-            "wait for it to finish, or find it with: fuser FILE",
-        ),
+        "lock timeout": (locked, "wait for it to finish"),
+        "locked": (locked, "wait for it to finish, or find it with: fuser FILE"),
         "readonly": (f"{place} is read-only", "make the file and its folder writable"),
-        "full": (f"the disk of {place} is full", "make room, then repeat the command"),
-        "no space left": (f"the disk of {place} is full", "make room, then repeat the command"),
+        "read-only": (f"{place} is read-only", "write to the primary server"),
+        "is full": full,
+        "no space left": full,
         "unable to open": (
             f"{place} cannot be opened",
             "check that its folder exists and may be written to",
         ),
-        "not a database": (f"{place} is no SQLite database", "restore it with: fixel db backup"),
+        "disk i/o": (
+            f"the disk of {place} fails: {said}",
+            "look at the disk; then: fixel db check",
+        ),
+        "not a database": (
+            f"{place} is no SQLite database",
+            "put a copy in its place that was made with: fixel db backup",
+        ),
         "malformed": (f"{place} is damaged", "see how far with: fixel db check"),
-        "no such table": (f"{place} has no tables yet", "run: fixel db upgrade"),
-        "does not exist": (f"{place}: {said}", "create the database, then run: fixel db upgrade"),
+        "no such table": no_tables,
+        "authentication": denied,
+        "no password": denied,
         "connection": (f"no connection to {place}: {said}", "check that the server runs"),
         "terminating": (f"the server of {place} went away", "repeat the command once it is back"),
     }
+    # psycopg says "connection failed" of a database that is not there, too.
+    if "does not exist" in low:
+        if "relation" in low:
+            return no_tables
+        if "role" in low:
+            return denied
+        return f"{place}: {said}", "create the database, then run: fixel db upgrade"
     for word, answer in known.items():
         if word in low:
             return answer

@@ -47,9 +47,13 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
     Raises
     ------
     StoreRefused
-        The database is newer than this program.
+        The database is newer than this program, or somebody else's.
     """
     refuse_newer(connection)
+    if version_of(connection) is None and sa.inspect(connection).get_table_names():
+        raise StoreRefused(
+            "the database holds tables that are not fixel's", hint="name an empty database"
+        )
     command.upgrade(_config(connection), version)
 
 

@@ -1,0 +1,125 @@
+"""`fixel db upgrade|backup|check [PROJECT]`: the database of a project."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fixel.workflows.database import Backup, Checked, Upgraded
+
+MOST_TROUBLES = 20
+
+app = typer.Typer(
+    help="Upgrade, back up or check the database of a project.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+ProjectFolder = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder of the project.", metavar="PROJECT", show_default="the current folder"
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
+
+
+@app.command("upgrade")
+def upgrade(project: ProjectFolder = Path(), as_json: AsJson = False) -> None:
+    """Bring the tables up to date, or leave them be."""
+    from fixel.workflows import database
+
+    versions = database.upgrade(project)
+    typer.echo(json.dumps(versions._asdict()) if as_json else _upgraded(versions, project))
+
+
+@app.command("backup")
+def backup(
+    file: Annotated[Path, typer.Argument(help="Where the copy goes.", metavar="FILE")],
+    project: ProjectFolder = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """Copy the database, while others may go on using it."""
+    from fixel.workflows import database
+
+    done = database.backup(project, file)
+    if as_json:
+        paths = {"file": str(done.file), "media": str(done.media)}
+        typer.echo(json.dumps(done._asdict() | paths))
+    else:
+        typer.echo(_backed_up(done))
+
+
+@app.command("check")
+def check(project: ProjectFolder = Path(), as_json: AsJson = False) -> None:
+    """Read all that is stored; say what is wrong.
+
+    Exit code 1 if anything is.
+    """
+    from fixel.workflows import database
+
+    found = database.check(project)
+    typer.echo(json.dumps(found.summary()) if as_json else _checked(found, project))
+    if found.troubles:
+        raise typer.Exit(1)
+
+
+def _upgraded(versions: "Upgraded", project: Path) -> str:
+    if versions.before == versions.after:
+        done = f"The database has schema {versions.after} already."
+    elif versions.before is None:
+        done = f"The database was empty; it has schema {versions.after} now."
+    else:
+        done = f"The database had schema {versions.before}; it has {versions.after} now."
+    return f"{done}\n\nNext: {_command('check', project)}"
+
+
+def _backed_up(done: "Backup") -> str:
+    return (
+        f"wrote {done.file}: {done.size} bytes, sha256 {done.sha256}\n"
+        f"The media are not in it; they never change, so copy what is new:\n\n"
+        f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}"
+    )
+
+
+def _checked(found: "Checked", project: Path) -> str:
+    blocks = [_contents(found), _troubles(found), [f"Next: {_next(found, project)}"]]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def _contents(found: "Checked") -> list[str]:
+    from fixel.cli.screen import table
+
+    version = "unknown" if found.version is None else found.version
+    rows = [(name, str(n)) for name, n in found.counts.items() if n]
+    unused = f", {found.unused_files} of them not of this project" if found.unused_files else ""
+    return [
+        f"{found.engine}, schema {version}",
+        *(table(("table", "rows"), rows) if rows else []),
+        f"media files: {found.media_files}{unused}",
+    ]
+
+
+def _troubles(found: "Checked") -> list[str]:
+    if not found.troubles:
+        return ["Everything can be read."]
+    shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MOST_TROUBLES]]
+    left_out = len(found.troubles) - len(shown)
+    more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
+    plural = "" if len(found.troubles) == 1 else "s"
+    return [f"{len(found.troubles)} thing{plural} wrong", *shown, *more]
+
+
+def _next(found: "Checked", project: Path) -> str:
+    """What helps against the first trouble; else the command most people want after this one."""
+    if found.troubles:
+        return found.troubles[0].hint.removeprefix("run: ")
+    return _command("backup", project, "backup.db") if found.engine == "sqlite" else "fixel list"
+
+
+def _command(name: str, project: Path, *arguments: str) -> str:
+    where = [] if project == Path() else [str(project)]
+    return shlex.join(["fixel", "db", name, *arguments, *where])

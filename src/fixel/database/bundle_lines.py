@@ -1,0 +1,240 @@
+"""The lines of a bundle: what each of its JSON files says, checked before it is believed.
+
+Names are those of the tables' columns. Records refer to each other by their places in the files,
+from 0, never by ids, which another project has given away already.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, cast
+
+import sqlalchemy as sa
+from pydantic import BaseModel, ConfigDict, Field
+
+from fixel.database import rows
+from fixel.database.rows import Measured
+from fixel.model import Experiment, Flag, Parameters
+from fixel.model.records import (
+    CalibrationRecord,
+    Evaluations,
+    FilterParameters,
+    FilterRun,
+    Member,
+    SimulationRecord,
+)
+
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Place = Annotated[int, Field(ge=0)]
+# Integers stay integers: the checksum of an experiment tells 5 from 5.0.
+Plain = dict[str, str | bool | int | float]
+
+
+class Line(BaseModel):
+    """One line, nothing unknown in it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SeriesLine(Line):
+    """A table of numbers: a member ``series/SHA256.npy``."""
+
+    name: str = Field(max_length=100)
+    columns: list[str]
+    sha256: Sha256
+
+
+class FlagLine(Line):
+    """A flag, live or taken off again."""
+
+    name: str = Field(max_length=100)
+    detail: str
+    is_fault: bool
+    is_of_import: bool  # it came with the experiment, and counts in its checksum
+    created_at_utc: str = Field(max_length=40)
+    deleted_at_utc: str | None = Field(max_length=40)
+
+    @property
+    def flag(self) -> Flag:
+        """The flag itself."""
+        return Flag(self.name, self.detail, self.is_fault)
+
+
+class Recorded(Line):
+    """Where a record comes from."""
+
+    created_at_utc: str = Field(max_length=40)
+    fixel_version: str = Field(max_length=40)
+    command: str
+    source_file: str
+    source_sha256: str = Field(max_length=64)
+    seed: int | None = Field(ge=-(2**63), lt=2**63)  # what a database holds
+
+
+class ExperimentLine(Recorded):
+    """An experiment."""
+
+    dataset: str = Field(max_length=200)
+    name: str = Field(max_length=400)
+    is_real: bool
+    simulated_by: str
+    object_name: str = Field(max_length=200)
+    scene: dict[str, Any] | None
+    object_height_m: float | None
+    pusher_height_m: float | None
+    fixel_height_m: float | None
+    effective_start_s: float | None
+    effective_end_s: float | None
+    contact_mode: str = Field(max_length=40)
+    conditions: Plain
+    video_sha256: Sha256 | None
+    flags: list[FlagLine]
+    series: list[SeriesLine]
+
+    def record(self, measured: list[Measured]) -> Experiment:
+        """The experiment as it was when it was first stored."""
+        # The line has the names of the row, so the row's own reader reads it.
+        row = self.model_copy(update={"video_sha256": self.video_sha256 or ""})
+        flags = tuple(line.flag for line in self.flags if line.is_of_import)
+        return rows.experiment_of(cast("sa.Row[Any]", row), flags, measured)
+
+
+class ParametersLine(Line):
+    """A set of parameters."""
+
+    values: dict[str, float]
+
+
+class SimulationLine(Recorded):
+    """A simulation."""
+
+    experiment: Place
+    parameters: Place
+    method: Plain
+    status: str = Field(max_length=40)
+    contact_mode: str = Field(max_length=40)
+    error_mm2: float | None
+    series: list[SeriesLine]
+
+    def record(
+        self, experiment_id: int, parameters: Parameters, measured: list[Measured]
+    ) -> SimulationRecord:
+        """The record, of an experiment by another id."""
+        paths = {name: rows.trajectory_of(values) for name, _, values in measured}
+        return SimulationRecord(
+            experiment_id=experiment_id,
+            parameters=parameters,
+            provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
+            trajectory=paths["object"],
+            pusher=paths.get("pusher"),
+            method=self.method,
+            status=self.status,
+            contact_mode=self.contact_mode,
+            error_mm2=self.error_mm2,
+        )
+
+
+class MemberLine(Line):
+    """An experiment of a calibration."""
+
+    experiment: Place
+    weight: float
+    error_mm2: float
+
+
+class CalibrationLine(Recorded):
+    """A calibration."""
+
+    name: str = Field(max_length=400)
+    parameters: Place
+    method: Plain
+    members: list[MemberLine]
+    reasons: list[str]
+    series: list[SeriesLine]
+
+    def record(
+        self, ids: list[int], parameters: Parameters, measured: list[Measured]
+    ) -> CalibrationRecord:
+        """The record, of experiments by other ids."""
+        return CalibrationRecord(
+            name=self.name,
+            parameters=parameters,
+            members=tuple(Member(ids[m.experiment], m.weight, m.error_mm2) for m in self.members),
+            provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
+            method=self.method,
+            evaluations=self._evaluations(measured),
+        )
+
+    def _evaluations(self, measured: list[Measured]) -> Evaluations | None:
+        if not measured:
+            return None
+        _, columns, values = measured[0]
+        return Evaluations(
+            names=columns[:-1],
+            values=values[:, :-1],
+            error_mm2=values[:, -1],
+            reasons=tuple(self.reasons),
+        )
+
+
+class FilterParametersLine(Recorded):
+    """Settings of a filter."""
+
+    name: str = Field(max_length=400)
+    is_particle_filter: bool
+    options: Plain
+
+    def record(self) -> FilterParameters:
+        """The record."""
+        return FilterParameters(
+            name=self.name,
+            is_particle_filter=self.is_particle_filter,
+            provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
+            values=cast("dict[str, float]", self.options),
+        )
+
+
+class FilterRunLine(Recorded):
+    """What a filter made of an experiment."""
+
+    experiment: Place
+    filter_parameters: Place
+    uses_tactile: bool
+    occlusion: tuple[float, float] | None
+    contact_mode: str = Field(max_length=40)
+    series: list[SeriesLine]
+
+    def record(
+        self, experiment_id: int, filter_parameters_id: int, measured: list[Measured]
+    ) -> FilterRun:
+        """The record, of an experiment and settings by other ids."""
+        found = {name: (columns, values) for name, columns, values in measured}
+        estimates = found.get("estimates")
+        more = {} if estimates is None else {"estimates": estimates[1]}
+        return FilterRun(
+            experiment_id=experiment_id,
+            filter_parameters_id=filter_parameters_id,
+            provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
+            trajectory=rows.trajectory_of(found["object"][1]),
+            uses_tactile=self.uses_tactile,
+            occlusion=self.occlusion,
+            contact_mode=self.contact_mode,
+            estimate_names=() if estimates is None else estimates[0],
+            **more,
+        )
+
+
+class MemberCheck(Line):
+    """Size and checksum of a member."""
+
+    bytes: Place
+    sha256: Sha256
+
+
+class Manifest(Line):
+    """What the bundle is, and what must be in it."""
+
+    format: str
+    version: int
+    fixel_version: str
+    counts: dict[str, Place]
+    members: dict[str, MemberCheck]

@@ -1,0 +1,188 @@
+"""`fixel db`: what is printed, what is left behind, exit codes."""
+
+import json
+import shutil
+import sqlite3
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fixel.cli import db
+from fixel.database.project import VARIABLE, Project
+from fixel.errors import InvalidInput, StoreRefused
+from fixel.model import Experiment, Provenance, Trajectory
+
+
+def experiment(name):
+    time = np.linspace(0.0, 1.0, 5)
+    return Experiment(
+        dataset="lab",
+        name=name,
+        real=True,
+        provenance=Provenance(version="0.1"),
+        trajectory=Trajectory(time=time, pose=np.column_stack((time, time, time))),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    project = Project.create(tmp_path / "my lab")
+    with project.store() as store:
+        for name in "abc":
+            store.add_experiment(experiment(name))
+    return project.folder
+
+
+def call(*arguments):
+    """Exit code and standard output; a refusal is raised, for `main` to put into words."""
+    done = CliRunner().invoke(db.app, [str(a) for a in arguments])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, done.stdout
+
+
+def test_upgrade_that_has_nothing_to_do(folder):
+    code, out = call("upgrade", folder)
+    assert code == 0
+    assert out.splitlines() == [
+        "The database has schema 0001 already.",
+        "",
+        f"Next: fixel db check '{folder}'",
+    ]
+
+
+def test_upgrade_of_an_empty_database(folder):
+    for file in folder.glob("experiments.db*"):
+        file.unlink()
+    code, out = call("upgrade", folder, "--json")
+    assert (code, json.loads(out)) == (0, {"before": None, "after": "0001"})
+
+
+def test_the_current_folder_is_the_default(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert call("upgrade")[1].splitlines()[-1] == "Next: fixel db check"
+    assert call("check")[0] == 0
+    assert call("backup", "copy.db")[0] == 0
+
+
+def test_check(folder):
+    code, out = call("check", folder)
+    assert code == 0
+    assert out.splitlines() == [
+        "sqlite, schema 0001",
+        "table       rows",
+        "experiment     3",
+        "series         3",
+        "media files: 0",
+        "",
+        "Everything can be read.",
+        "",
+        f"Next: fixel db backup backup.db '{folder}'",
+    ]
+
+
+def test_check_as_json(folder):
+    code, out = call("check", folder, "--json")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["ok"] is True
+    assert answer["counts"]["experiment"] == 3
+    assert answer["troubles"] == []
+
+
+def test_check_of_a_damaged_file(folder):
+    file = folder / "experiments.db"
+    with sqlite3.connect(file) as raw:
+        raw.execute("PRAGMA journal_mode = DELETE")
+    raw.close()
+    data = bytearray(file.read_bytes())
+    data[8192:] = b"\xff" * (len(data) - 8192)
+    file.write_bytes(data)
+
+    code, out = call("check", folder)
+    assert code == 1
+    assert " wrong\n" in out
+    assert out.splitlines()[-1] == (
+        "Next: put a backup in place of experiments.db: one made with: fixel db backup"
+    )
+    with pytest.raises(StoreRefused, match="see what is wrong with: fixel db check"):
+        call("backup", folder.parent / "copy.db", folder)
+    assert not list(folder.parent.glob("*copy*"))
+
+
+def test_check_of_what_is_no_database(folder):
+    for file in folder.glob("experiments.db*"):
+        file.unlink()
+    (folder / "experiments.db").write_bytes(b"no database" * 1000)
+    code, out = call("check", folder, "--json")
+    (trouble,) = json.loads(out)["troubles"]
+    assert code == 1
+    assert trouble["sentence"].endswith("is no SQLite database")
+
+
+def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
+    copy = tmp_path / "copy.db"
+    with Project.open(folder).store() as store:
+        store.add_experiment(experiment("d"))  # still in the journal beside the database
+        code, out = call("backup", copy, folder)
+        store.add_experiment(experiment("e"))
+    assert code == 0
+    assert out.splitlines()[-1] == f"Next: cp -rn '{folder}/media' {copy}.media"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.db", "my lab"]
+
+    for file in folder.glob("experiments.db*"):
+        file.unlink()
+    shutil.copyfile(copy, folder / "experiments.db")
+    assert json.loads(call("check", folder, "--json")[1])["counts"]["experiment"] == 4
+    with Project.open(folder).store() as store:
+        assert [s.name for s in store.experiments().summaries] == ["a", "b", "c", "d"]
+        assert store.add_experiment(experiment("f")).new
+
+
+def test_a_backup_takes_the_place_of_the_one_before(folder, tmp_path):
+    copy = tmp_path / "copy.db"
+    copy.write_bytes(b"the one before")
+    answer = json.loads(call("backup", copy, folder, "--json")[1])
+    assert answer["file"] == str(copy)
+    assert answer["size"] == copy.stat().st_size
+    assert len(answer["sha256"]) == 64
+    assert answer["media"] == str(folder / "media")
+
+
+def test_a_backup_onto_itself(folder):
+    with pytest.raises(InvalidInput, match="found the database itself"):
+        call("backup", folder / "experiments.db", folder)
+    assert call("check", folder)[0] == 0
+
+
+def test_a_backup_into_no_folder(folder, tmp_path):
+    with pytest.raises(InvalidInput, match="found no folder"):
+        call("backup", tmp_path / "no" / "copy.db", folder)
+
+
+def test_a_backup_of_a_server(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "postgresql+psycopg://me:s3cret@lab.example:5433/pushes")
+    with pytest.raises(StoreRefused) as refused:
+        call("backup", tmp_path / "a copy", folder)
+    assert "s3cret" not in str(refused.value)
+    assert refused.value.hint == (
+        f"run: pg_dump --format=custom '--file={tmp_path}/a copy' "
+        "postgresql://me@lab.example:5433/pushes"
+    )
+
+
+@pytest.mark.parametrize("command", [["upgrade"], ["check"], ["backup", "copy.db"]])
+def test_no_project(command, tmp_path):
+    with pytest.raises(StoreRefused, match="is no project; make one with: fixel new"):
+        call(*command, tmp_path)
+
+
+@pytest.mark.parametrize("command", [["check"], ["backup", "copy.db"]])
+def test_no_database_file(folder, command):
+    for file in folder.glob("experiments.db*"):
+        file.unlink()
+    with pytest.raises(StoreRefused, match="there is no database"):
+        call(*command, folder)
+    assert not list(folder.glob("experiments.db*"))

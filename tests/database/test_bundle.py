@@ -1,0 +1,411 @@
+"""What a bundle promises: nothing lost on the way, and nothing believed unseen."""
+
+import hashlib
+import io
+import json
+import math
+import pickle
+import stat
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.database import arrays
+from fixel.database.bundle import export_bundle, import_bundle
+from fixel.database.bundle_file import LIMITS, read_npy
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput, StoreRefused
+from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model.records import (
+    CalibrationRecord,
+    Evaluations,
+    FilterParameters,
+    FilterRun,
+    Member,
+    SimulationRecord,
+)
+from fixel.testing.scenes import grasp
+
+HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
+ALL = Query(flagged=True, replaced=True)
+NOTHING_NEW = {
+    "experiments": 0,
+    "parameters": 0,
+    "simulations": 0,
+    "calibrations": 0,
+    "filter_parameters": 0,
+    "filter_runs": 0,
+    "flags": 0,
+    "outdated": 0,
+}
+
+
+def path(n=5, shift=0.0):
+    time = np.linspace(0.0, 1.0, n)
+    return Trajectory(time=time, pose=np.column_stack((time + shift, -0.0 * time, 7.0 * time)))
+
+
+def experiment(name="1", **more):
+    scene = grasp("seated")
+    given = {
+        "dataset": "lab",
+        "name": name,
+        "real": True,
+        "provenance": HERE,
+        "trajectory": path(),
+        "pusher": path(9),
+        "scene": scene,
+        "object_name": scene.bodies[0].name,
+        "height": 0.045,
+        "channels": (
+            Channel(name="tactile", time=[0.0, 0.5], columns=("a_bool",), values=[[0], [math.nan]]),
+        ),
+        "contact_mode": "010",
+        "effective": (0.1, 0.9),
+        "conditions": {"surface": "plywood", "speed_m_s": 0.02, "layout": 5, "times": 5.0},
+    }
+    return Experiment(**(given | more))
+
+
+def fill(store):
+    """A bit of everything there can be."""
+    video = arrays.keep(b"film" * 1000, store._media)
+    a = store.add_experiment(experiment(flags=[Flag("late", "by 2 s")], video=video)).id
+    store.add_experiment(experiment("fixed"))
+    b = store.add_experiment(experiment("fixed", contact_mode="110")).id
+    bare = experiment(
+        "Ünïcode", dataset="sim", real=False, simulated_by="me", scene=None, pusher=None,
+        channels=(), conditions={}, effective=None, height=None, contact_mode="",
+    )  # fmt: skip
+    c = store.add_experiment(bare).id
+    long = store.add_experiment(experiment("long", trajectory=path(40_000))).id
+    store.flag(b, Flag("by-hand", "odd"))
+    store.unflag(a, "late")
+    store.flag(a, Flag("late", "by 3 s", fault=False))
+    gone = store.add_experiment(experiment("gone")).id
+    store.delete(gone)
+    p = Parameters(mu_support=0.3, tripod_radius=0.02)
+    for number in (a, long):
+        store.add_simulation(
+            SimulationRecord(
+                experiment_id=number, parameters=p, provenance=HERE, trajectory=path(4),
+                pusher=path(3), method={"step": 0.01, "n": 3}, error_mm2=math.inf,
+            )
+        )  # fmt: skip
+    tried = Evaluations(
+        names=("mu_support",), values=[[0.1], [0.3]], error_mm2=[math.inf, 2.0], reasons=("x", "")
+    )
+    for members in ((Member(a, 1.0, 2.0), Member(c, 0.5, 3.0)), (Member(gone, 1.0, 2.0),)):
+        store.add_calibration(
+            CalibrationRecord(
+                name="best", parameters=p, members=members, provenance=HERE, evaluations=tried
+            )
+        )
+    f = store.add_filter_parameters(
+        FilterParameters(name="pf", is_particle_filter=True, provenance=HERE, values={"n": 100})
+    )
+    store.add_filter_run(
+        FilterRun(
+            experiment_id=a, filter_parameters_id=f, provenance=HERE, trajectory=path(),
+            uses_tactile=True, occlusion=(0.2, 0.4), estimate_names=("mu",),
+            estimates=np.ones((5, 1)),
+        )
+    )  # fmt: skip
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    """A small bundle, and an empty store of its own."""
+    with Store(f"sqlite:///{tmp_path}/one.db", tmp_path / "one") as one:
+        one.upgrade()
+        one.add_experiment(experiment())
+        export_bundle(one, tmp_path / "one.zip")
+    with Store(f"sqlite:///{tmp_path}/two.db", tmp_path / "two") as two:
+        two.upgrade()
+        yield tmp_path / "one.zip", two
+
+
+def members_of(path):
+    with zipfile.ZipFile(path) as archive:
+        return {info.filename: archive.read(info) for info in archive.infolist()}
+
+
+def write(path, members, packing=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", packing) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+def sealed(members):
+    """The same members under a manifest that vouches for them."""
+    manifest = json.loads(members["manifest.json"])
+    manifest["members"] = {
+        name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+        for name, data in members.items()
+        if name != "manifest.json"
+    }
+    return members | {"manifest.json": json.dumps(manifest).encode()}
+
+
+def refused(path, store, words, **more):
+    with pytest.raises(InvalidInput, match=words):
+        import_bundle(path, store, **more)
+    assert store.experiments(ALL).total == 0
+
+
+def test_round_trip_loses_nothing(store, tmp_path):
+    fill(store)
+    said = export_bundle(store, tmp_path / "a.zip")
+    assert said.counts == {
+        "experiments": 5, "parameters": 1, "simulations": 2, "calibrations": 1,
+        "filter_parameters": 1, "filter_runs": 1, "flagged": 1, "replaced": 1,
+    }  # fmt: skip
+    assert said.left_out == {"calibrations": 1, "deleted": 1}
+    with Store(f"sqlite:///{tmp_path}/other.db", tmp_path / "other") as other:
+        other.upgrade()
+        other.add_experiment(experiment("in the way"))  # so that ids differ
+        counts = import_bundle(tmp_path / "a.zip", other)
+        assert counts["experiments"] == 5
+        assert (counts["simulations"], counts["filter_runs"]) == (2, 1)
+        theirs = [s.id for s in other.experiments(ALL).summaries][1:]
+        ours = [s.id for s in store.experiments(ALL).summaries]
+        assert theirs != ours
+        for a, b in zip(ours, theirs, strict=True):
+            assert store.experiment(a) == other.experiment(b)
+            one, two = store.simulations(a), other.simulations(b)
+            for k, m in zip(one, two, strict=True):
+                assert replace(store.simulation(k), experiment_id=b) == other.simulation(m)
+        assert store.flags() == other.flags()
+        assert other.experiments(Query(real=False)).total == 1
+        assert store.calibration(1).evaluations == other.calibration(1).evaluations
+        assert [m.experiment_id for m in other.calibration(1).members] == [theirs[0], theirs[3]]
+        video = other.experiment(theirs[0]).video
+        assert arrays.fetch(video, other._media) == b"film" * 1000
+
+
+def test_both_ways_give_the_same_bytes(store, tmp_path):
+    with Store(f"sqlite:///{tmp_path}/first.db", tmp_path / "first") as first:
+        first.upgrade()
+        fill(first)
+        export_bundle(first, tmp_path / "a.zip")
+    import_bundle(tmp_path / "a.zip", store)
+    export_bundle(store, tmp_path / "b.zip")
+    a, b = members_of(tmp_path / "a.zip"), members_of(tmp_path / "b.zip")
+    assert a.keys() == b.keys()
+    assert [name for name in a if a[name] != b[name]] == []
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+
+
+def test_again_adds_nothing(store, tmp_path):
+    fill(store)
+    export_bundle(store, tmp_path / "a.zip")
+    assert import_bundle(tmp_path / "a.zip", store) == NOTHING_NEW | {"known": 5}
+
+
+def test_one_dataset_takes_along_what_is_its_own(store, tmp_path):
+    fill(store)
+    said = export_bundle(store, tmp_path / "a.zip", dataset="sim")
+    assert (said.counts["experiments"], said.counts["filter_parameters"]) == (1, 0)
+    assert said.left_out["calibrations"] == 1
+
+
+def test_what_is_newer_here_stays_on_top(store, tmp_path):
+    newer = experiment(contact_mode="110")
+    with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
+        other.upgrade()
+        list(other.add_experiments([experiment(), newer]))
+        export_bundle(other, tmp_path / "a.zip")
+    here = store.add_experiment(newer).id
+    counts = import_bundle(tmp_path / "a.zip", store)
+    assert (counts["known"], counts["outdated"]) == (1, 1)
+    assert [s.id for s in store.experiments().summaries] == [here]
+
+
+def test_a_flag_found_elsewhere_comes_along_once(store, tmp_path):
+    with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
+        other.upgrade()
+        other.flag(other.add_experiment(experiment()).id, Flag("late"))
+        export_bundle(other, tmp_path / "a.zip")
+    store.add_experiment(experiment())
+    assert import_bundle(tmp_path / "a.zip", store)["flags"] == 1
+    assert import_bundle(tmp_path / "a.zip", store)["flags"] == 0
+    assert store.flags() == {"late": 1}
+
+
+def test_interrupted_it_goes_on_where_it_was(store, tmp_path):
+    fill(store)
+    export_bundle(store, tmp_path / "a.zip")
+
+    def stop(done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
+        other.upgrade()
+        with pytest.raises(KeyboardInterrupt):
+            import_bundle(tmp_path / "a.zip", other, progress=stop)
+        assert other.experiments(ALL).total == 2
+        counts = import_bundle(tmp_path / "a.zip", other)
+        assert (counts["known"], counts["experiments"], counts["simulations"]) == (2, 3, 2)
+
+
+def test_a_lost_video_leaves_no_file(store, tmp_path):
+    store.add_experiment(experiment(video="0" * 64))
+    with pytest.raises(StoreRefused, match="is missing"):
+        export_bundle(store, tmp_path / "a.zip")
+    assert not list(tmp_path.glob("*.zip"))
+
+
+def test_numbers_that_pack_too_well_are_stored(store, tmp_path):
+    time = np.arange(200_000.0)
+    still = Channel(name="f", time=0.0 * time, columns=("f_n",), values=0.0 * time[:, None])
+    store.add_experiment(experiment(channels=(still,)))
+    export_bundle(store, tmp_path / "a.zip")
+    assert import_bundle(tmp_path / "a.zip", store)["known"] == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../evil", "/etc/passwd", "C:\\evil", "series/../../x", "setup.py", "series/a.npy", "x/"],
+)
+def test_names_that_are_no_members(bundle, name):
+    path, store = bundle
+    write(path, sealed(members_of(path) | {name: b"x"}))
+    refused(path, store, "only members of a bundle")
+
+
+def test_a_link(bundle):
+    path, store = bundle
+    members = members_of(path)
+    name = next(n for n in members if n.startswith("series/"))
+    with zipfile.ZipFile(path, "w") as archive:
+        for each, data in members.items():
+            info = zipfile.ZipInfo(each)
+            if each == name:
+                info.external_attr = (stat.S_IFLNK | 0o777) << 16
+            archive.writestr(info, data)
+    refused(path, store, "link")
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_member_twice(bundle):
+    path, store = bundle
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("experiments.jsonl", b"")
+    refused(path, store, "a member twice")
+
+
+def test_bombs(bundle):
+    path, store = bundle
+    members = members_of(path)
+    refused(path, store, "too much", limits=replace(LIMITS, total=1000))
+    refused(path, store, "members", limits=replace(LIMITS, members=3))
+    refused(path, store, "fits in memory", limits=replace(LIMITS, in_memory=100))
+    refused(path, store, "too long", limits=replace(LIMITS, line=100))
+    zeros = bytes(5_000_000)
+    name = f"media/{hashlib.sha256(zeros).hexdigest()}"
+    write(path, sealed(members | {name: zeros}))
+    refused(path, store, "packed to less than")
+
+
+def test_a_size_that_lies(bundle):
+    path, store = bundle
+    data = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as archive:
+        size = archive.getinfo("experiments.jsonl").file_size
+    at = data.rindex(b"experiments.jsonl") - 46 + 24  # of the central directory
+    assert int.from_bytes(data[at : at + 4], "little") == size
+    data[at : at + 4] = (size // 2).to_bytes(4, "little")
+    path.write_bytes(data)
+    refused(path, store, "damaged|changed|announced")
+
+
+def test_damage(bundle):
+    path, store = bundle
+    whole = path.read_bytes()
+    members = members_of(path)
+    for keep in (0, 100, len(whole) // 2, len(whole) - 5):
+        path.write_bytes(whole[:keep])
+        refused(path, store, "found")
+    path.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    refused(path, store, "damaged|changed")
+    write(path, members | {"experiments.jsonl": members["experiments.jsonl"] + b"\n"})
+    refused(path, store, "experiments.jsonl changed")
+    write(path, {n: d for n, d in members.items() if n != "simulations.jsonl"})
+    refused(path, store, "simulations.jsonl missing")
+    write(path, members | {f"media/{'0' * 64}": b"x"})
+    refused(path, store, "unlisted")
+    write(path, {"a": b""})
+    refused(path, store, "only members")
+    path.unlink()
+    refused(path, store, "No such file")
+
+
+def test_another_version(bundle):
+    path, store = bundle
+    members = members_of(path)
+    manifest = json.loads(members["manifest.json"]) | {"version": 2}
+    write(path, members | {"manifest.json": json.dumps(manifest).encode()})
+    refused(path, store, "format version 2.*newer")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"series": []},
+        {"is_real": False},
+        {"n": 1},
+        {"contact_mode": "x"},
+        {"scene": {"bodies": []}},
+        {"conditions": {"a": [1]}},
+        {"seed": 2**70},
+        {"video_sha256": "../../x"},
+        {"video_sha256": "0" * 64},
+        {"name": ""},
+        {"effective_start_s": 2.0},
+    ],
+)
+def test_records_that_cannot_be(bundle, change):
+    path, store = bundle
+    members = members_of(path)
+    line = json.loads(members["experiments.jsonl"]) | change
+    write(path, sealed(members | {"experiments.jsonl": json.dumps(line).encode()}))
+    refused(path, store, "found")
+
+
+def test_a_reference_to_nothing(bundle):
+    path, store = bundle
+    line = {
+        "experiment": 7, "parameters": 0, "method": {}, "status": "", "contact_mode": "",
+        "error_mm2": None, "series": [], "created_at_utc": "", "fixel_version": "", "command": "",
+        "source_file": "", "source_sha256": "", "seed": None,
+    }  # fmt: skip
+    write(path, sealed(members_of(path) | {"simulations.jsonl": json.dumps(line).encode()}))
+    with pytest.raises(InvalidInput, match="place 7"):
+        import_bundle(path, store)
+
+
+def npy(values, **more):
+    stream = io.BytesIO()
+    np.save(stream, values, **more)
+    return stream.getvalue()
+
+
+def test_npy_files_that_mean_harm():
+    huge = npy(np.zeros((2, 2))).replace(b"(2, 2), }    ", b"(2, 2222), } ")
+    for data in (
+        npy(np.array([[print]], dtype=object), allow_pickle=True),
+        pickle.dumps([1]),
+        npy(np.zeros(3)),
+        npy(np.zeros((2, 2), dtype=np.float32)),
+        npy(np.zeros((2, 2)))[:-1],
+        huge,
+        b"",
+        b"\x93NUMPY\x01\x00\x10\x00__import__('os')",
+    ):
+        with pytest.raises(InvalidInput, match="table of little-endian"):
+            read_npy(data, "x")
+    assert read_npy(npy(np.zeros((0, 4))), "x").shape == (0, 4)

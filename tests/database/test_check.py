@@ -1,0 +1,156 @@
+"""`workflows.database.check` on both engines: what is wrong is found and named."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from fixel.database import arrays, project
+from fixel.database.engine import writing
+from fixel.errors import StoreRefused
+from fixel.workflows import database
+
+
+def importing():
+    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
+    path = Path(__file__).with_name("importing.py")
+    spec = importlib.util.spec_from_file_location("importing", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def folder(store, url, tmp_path, monkeypatch):
+    """A project with three experiments, the first of which has a file."""
+    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing().SMALL_MEDIA_BYTES)
+    monkeypatch.setenv(project.VARIABLE, url)
+    (tmp_path / project.SETTINGS).write_text("name: lab\n")
+    for k in range(3):
+        store.add_experiment(importing().experiment(0, k))
+    return tmp_path
+
+
+def media_of(folder):
+    (file,) = (folder / "media").glob("??/*")
+    return file
+
+
+def spoil(store, table, statement):
+    """Change what is frozen, as a program other than fixel could."""
+    with writing(store._engine) as connection:
+        on = "" if store.engine_name == "sqlite" else f" ON {table}"
+        for how in ("frozen", "kept"):
+            connection.execute(sa.text(f"DROP TRIGGER {table}_{how}{on}"))
+        connection.execute(sa.text(statement))
+
+
+def only_trouble(folder):
+    (trouble,) = database.check(folder).troubles
+    return trouble
+
+
+def test_nothing_wrong(store, folder):
+    found = database.check(folder)
+    assert found.troubles == ()
+    assert (found.engine, found.version) == (store.engine_name, "0001")
+    assert (found.counts["experiment"], found.counts["series"], found.counts["flag"]) == (3, 6, 3)
+    assert (found.media_files, found.unused_files) == (1, 0)
+
+
+def test_a_media_file_that_is_gone(folder):
+    media_of(folder).unlink()
+    where, sentence, hint = only_trouble(folder)
+    assert where == "experiment 1, series 'object'"
+    assert sentence.endswith("is missing")
+    assert hint == "restore it from a backup of the media folder"
+
+
+def test_a_media_file_that_changed(folder):
+    media_of(folder).write_bytes(b"other")
+    assert only_trouble(folder).sentence.endswith("has changed")
+
+
+def test_a_file_of_nobody_that_changed(folder):
+    stray = folder / "media" / "ab" / ("ab" + "0" * 62)
+    stray.parent.mkdir(exist_ok=True)
+    stray.write_bytes(b"x")
+    assert only_trouble(folder).where == f"file {stray}"
+    assert database.check(folder).unused_files == 1
+
+
+def test_what_a_killed_writer_left_is_no_trouble(folder):
+    media_of(folder).with_name(".half.123").write_bytes(b"x")
+    assert database.check(folder).troubles == ()
+
+
+@pytest.mark.parametrize(
+    ("table", "statement", "where", "sentence"),
+    [
+        (
+            "series",
+            "UPDATE series SET n_row = 3 WHERE owner_id = 2 AND place = 1",
+            "experiment 2, series 'channel force'",
+            "has 32 bytes in place of 48",
+        ),
+        (
+            "series",
+            "UPDATE series SET owner_id = 77 WHERE owner_id = 2 AND place = 1",
+            "experiment 77, series 'channel force'",
+            "its record is gone",
+        ),
+        (
+            "series",
+            "DELETE FROM series WHERE owner_id = 2 AND place = 0",
+            "experiment 2",
+            "the path of its object is not whole",
+        ),
+        (
+            "experiment",
+            "UPDATE experiment SET n_frame = 7 WHERE id = 3",
+            "experiment 3",
+            "the path of its object is not whole",
+        ),
+    ],
+)
+def test_rows_that_were_changed(store, folder, table, statement, where, sentence):
+    spoil(store, table, statement)
+    assert only_trouble(folder)[:2] == (where, sentence)
+
+
+def test_a_video_that_is_gone(store, folder):
+    digest = "ab" * 32
+    spoil(store, "experiment", f"UPDATE experiment SET video_sha256 = '{digest}' WHERE id = 2")
+    where, sentence, _ = only_trouble(folder)
+    assert where == "experiment 2"
+    assert sentence.startswith("its video ")
+
+
+def test_a_row_without_what_it_names(store, folder):
+    if store.engine_name != "sqlite":
+        pytest.skip("PostgreSQL refuses it, whoever asks")
+    with writing(store._engine) as connection:
+        connection.exec_driver_sql("PRAGMA defer_foreign_keys = ON")
+        raw = connection.connection.dbapi_connection
+        raw.execute("ROLLBACK")  # the next setting is only heard between transactions
+        raw.execute("PRAGMA foreign_keys = OFF")
+        raw.execute("DROP TRIGGER flag_frozen")
+        raw.execute("UPDATE flag SET experiment_id = 99 WHERE id = 1")
+        raw.execute("PRAGMA foreign_keys = ON")
+        raw.execute("BEGIN")
+    where, sentence, _ = only_trouble(folder)
+    assert (where, sentence) == ("flag", "1 row of flag without their experiment_id")
+
+
+def test_upgrade_says_both_versions(folder):
+    assert database.upgrade(folder) == ("0001", "0001")
+
+
+def test_a_server_makes_its_own_backups(store, folder):
+    if store.engine_name == "sqlite":
+        assert database.backup(folder, folder / "b.db").size > 0
+        return
+    with pytest.raises(StoreRefused, match=r"run: pg_dump --format=custom --file=\S+b\.db"):
+        database.backup(folder, folder / "b.db")
+    assert not (folder / "b.db").exists()

@@ -1,0 +1,407 @@
+"""Processes and servers that die, disks that are full: records are whole or absent, and who asked
+is told why and what helps."""
+
+import contextlib
+import importlib.util
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+from sqlalchemy import event
+
+from fixel.database import arrays, engine
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import StoreRefused
+
+HERE = Path(__file__).parent
+
+
+def beside(name):
+    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
+    spec = importlib.util.spec_from_file_location(name, HERE / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+importing = beside("importing")
+server = beside("server")
+
+
+@pytest.fixture(autouse=True)
+def _files_for_short_series(monkeypatch):
+    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
+
+
+# --- a process that is killed -------------------------------------------------------------------
+
+
+def kill_while_importing(url, media, batch, chance):
+    """Kill an import at a random moment; returns the experiments it had said were there."""
+    arguments = [sys.executable, HERE / "importing.py", url, media, str(batch)]
+    moment = chance.randrange(importing.N)
+    with subprocess.Popen(
+        arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        said = [process.stdout.readline().strip() for _ in range(moment)]
+        time.sleep(chance.uniform(0.0, 0.01))  # anywhere within the next few
+        process.kill()
+        said += process.stdout.read().split()
+    assert process.returncode == -9
+    return [int(k) for k in said]
+
+
+def whole(store, batch):
+    """Numbers of the experiments of a batch; each must be as it was sent."""
+    listing = store.experiments(Query(dataset=f"batch-{batch}", flagged=True, replaced=True))
+    for summary in listing.summaries:
+        assert store.experiment(summary.id) == importing.experiment(batch, int(summary.name))
+    found = [int(summary.name) for summary in listing.summaries]
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+def add_all(store, batch):
+    return list(store.add_experiments(importing.experiment(batch, k) for k in range(importing.N)))
+
+
+def killed_often(store, url, media, n, seed=1):
+    chance = random.Random(seed)
+    for batch in range(n):
+        said = kill_while_importing(url, media, batch, chance)
+        # A server may still be busy with what a dead process asked for last.
+        with engine.writing(store._engine):
+            pass
+        there = whole(store, batch)
+        assert there >= set(said)  # durable: what was said to be there is there
+        assert len(there) <= len(said) + 1
+        again = add_all(store, batch)
+        assert sum(added.new for added in again) == importing.N - len(there)
+        assert whole(store, batch) == set(range(importing.N))
+
+
+def test_kills(store, url, tmp_path):
+    killed_often(store, url, tmp_path / "media", 6)
+    assert store.experiments(Query(flagged=True, replaced=True)).total == 6 * importing.N
+
+
+@pytest.mark.slow
+def test_a_hundred_kills(store, url, tmp_path):
+    killed_often(store, url, tmp_path / "media", 100, seed=2)
+
+
+# --- a server that is killed --------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def at_statement(store, start, then):
+    """Do something once, right before a statement is sent."""
+    pending = [then]
+
+    def look(connection, cursor, statement, *_):
+        if pending and statement.startswith(start):
+            pending.pop()()
+
+    event.listen(store._engine, "before_cursor_execute", look)
+    yield
+    event.remove(store._engine, "before_cursor_execute", look)
+    assert not pending
+
+
+@contextlib.contextmanager
+def at_commit(store, then):
+    pending = [then]
+
+    def look(connection):
+        if pending:
+            pending.pop()()
+
+    event.listen(store._engine, "commit", look)
+    yield
+    event.remove(store._engine, "commit", look)
+    assert not pending
+
+
+def moments(store, die):
+    yield "before", contextlib.ExitStack(), die
+    yield "first row", at_statement(store, "INSERT INTO experiment", die), None
+    yield "last row", at_statement(store, "INSERT INTO flag", die), None
+    yield "commit", at_commit(store, die), None
+
+
+def test_a_server_that_is_killed_during_an_import(tmp_path):
+    if server.binaries() is None:
+        pytest.skip("no PostgreSQL on this machine")
+    with server.running() as own, Store(own.url, tmp_path / "media") as store:
+        store.upgrade()
+        for batch, (_, during, first) in enumerate(moments(store, own.kill)):
+            for k in range(5):
+                store.add_experiment(importing.experiment(batch, k))
+            if first is not None:
+                first()
+            with during, pytest.raises(StoreRefused, match="no connection to") as refused:
+                add_all_from(store, batch, 5)
+            assert "password" not in str(refused.value)
+            assert refused.value.hint == "check that the server runs"
+            with pytest.raises(StoreRefused, match="no connection to"):
+                store.experiments()
+            own.start()
+            assert whole(store, batch) in ({*range(5)}, {*range(6)})
+            add_all(store, batch)
+            assert whole(store, batch) == set(range(importing.N))
+
+
+def add_all_from(store, batch, first):
+    for k in range(first, importing.N):
+        store.add_experiment(importing.experiment(batch, k))
+
+
+# --- what stands in the way of a file -----------------------------------------------------------
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "experiments.db"
+
+
+@pytest.fixture
+def filled(file, tmp_path):
+    """A database with one experiment, closed."""
+    with Store(f"sqlite:///{file}", tmp_path / "media") as store:
+        store.upgrade()
+        store.add_experiment(importing.experiment(0, 1))
+    return file
+
+
+def store_of(file):
+    return Store(f"sqlite:///{file}", file.parent / "media")
+
+
+def refusal(act, *arguments):
+    with pytest.raises(StoreRefused) as refused:
+        act(*arguments)
+    assert refused.value.reason
+    return refused.value.reason, refused.value.hint
+
+
+def still_one(file):
+    with store_of(file) as store:
+        assert whole(store, 0) == {1}
+    with contextlib.closing(sqlite3.connect(file)) as raw:
+        assert raw.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        assert raw.execute("SELECT count(*) FROM series").fetchone() == (2,)
+
+
+@contextlib.contextmanager
+def nobody():
+    """Without the rights of root, to whom nothing is read-only."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.fixture
+def open_folder():
+    # tmp_path lies in a folder that only its owner may enter.
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        yield Path(folder)
+        os.chmod(folder, 0o755)
+
+
+def test_a_read_only_file(open_folder):
+    file = open_folder / "experiments.db"
+    with store_of(file) as store:
+        store.upgrade()
+        store.add_experiment(importing.experiment(0, 1))
+    file.chmod(0o444)
+    open_folder.chmod(0o555)
+    with nobody(), store_of(file) as store:
+        reason, hint = refusal(store.add_experiment, importing.experiment(0, 2))
+        refusal(store.upgrade)
+    assert reason == f"sqlite:///{file} is read-only"
+    assert hint == "make the file and its folder writable"
+    open_folder.chmod(0o755)
+    file.chmod(0o644)
+    still_one(file)
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_a_folder_that_is_missing_or_read_only(open_folder, missing):
+    folder = open_folder / "lab"
+    if not missing:
+        folder.mkdir(mode=0o555)
+    with nobody(), store_of(folder / "experiments.db") as store:
+        reason, hint = refusal(store.upgrade)
+    assert reason.endswith("cannot be opened")
+    assert hint == "check that its folder exists and may be written to"
+    assert not list(open_folder.rglob("*.db*"))
+
+
+def test_locked_by_another_process(filled, monkeypatch):
+    monkeypatch.setattr(engine, "WAIT_S", 0.05)
+    with (
+        contextlib.closing(sqlite3.connect(filled, isolation_level=None)) as other,
+        store_of(filled) as store,
+    ):
+        other.execute("BEGIN IMMEDIATE")
+        reason, hint = refusal(store.add_experiment, importing.experiment(0, 2))
+        assert whole(store, 0) == {1}  # readers do not wait
+        other.execute("ROLLBACK")
+        assert store.add_experiment(importing.experiment(0, 1)).new is False
+    assert reason.endswith("is locked by another process for more than 0.05 s")
+    assert hint == "wait for it to finish, or find it with: fuser FILE"
+    still_one(filled)
+
+
+def test_a_server_locked_by_another_process(store, monkeypatch):
+    if store.engine_name != "postgresql":
+        pytest.skip("of PostgreSQL")
+    monkeypatch.setattr(engine, "WAIT_S", 0.05)
+    with engine.writing(store._engine):
+        reason, hint = refusal(store.add_experiment, importing.experiment(0, 2))
+    assert "is locked by another process" in reason
+    assert hint == "wait for it to finish"
+    assert store.experiments().total == 0
+
+
+def test_a_full_disk(filled):
+    with store_of(filled) as store:
+
+        @event.listens_for(store._engine, "begin")
+        def no_more_pages(connection):
+            pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
+            connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
+
+        reason, hint = refusal(add_all, store, 0)
+        there = whole(store, 0)
+    assert reason == f"the disk of sqlite:///{filled} is full"
+    assert hint == "make room, then repeat the command"
+    with store_of(filled) as store:
+        assert whole(store, 0) == there
+        assert sum(added.new for added in add_all(store, 0)) == importing.N - len(there)
+
+
+def test_no_database(file):
+    file.write_bytes(b"time_s,x_m\n" * 1000)
+    before = file.read_bytes()
+    for act in ("upgrade", "check_version", "experiments"):
+        with store_of(file) as store:
+            reason, hint = refusal(getattr(store, act))
+            assert reason == f"sqlite:///{file} is no SQLite database"
+            assert hint.endswith("made with: fixel db backup")
+    assert file.read_bytes() == before
+
+
+def test_a_damaged_database(filled):
+    with contextlib.closing(sqlite3.connect(filled)) as raw:
+        raw.execute("PRAGMA journal_mode = DELETE")
+    data = bytearray(filled.read_bytes())
+    data[4096:] = b"\xff" * (len(data) - 4096)
+    filled.write_bytes(data)
+    with store_of(filled) as store:
+        reason, hint = refusal(store.experiments)
+    assert reason == f"sqlite:///{filled} is damaged"
+    assert hint == "see how far with: fixel db check"
+
+
+def test_a_schema_that_is_newer(store):
+    store.add_experiment(importing.experiment(0, 1))
+    with engine.writing(store._engine) as connection:
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
+    for act in (store.check_version, store.upgrade):
+        reason, hint = refusal(act)
+        assert "has schema 9999, and this fixel knows 0001 at most" in reason
+        assert hint == "install the fixel that wrote it, or a newer one"
+    assert whole(store, 0) == {1}
+
+
+def test_a_database_without_tables(url, tmp_path):
+    with Store(url, tmp_path / "media") as store:
+        reason, hint = refusal(store.check_version)
+        assert "is empty" in reason
+        assert hint == "run: fixel db upgrade"
+        for act, *arguments in (
+            (store.experiments,),
+            (store.experiment, 1),
+            (store.add_experiment, importing.experiment(0, 1)),
+        ):
+            reason, hint = refusal(act, *arguments)
+            assert reason.endswith("has no tables yet")
+            assert hint == "run: fixel db upgrade"
+        assert store.upgrade() == (None, "0001")
+
+
+def test_a_database_and_a_user_that_are_not_there(postgres, tmp_path):
+    there = sa.make_url(postgres.url)
+    for change, word, help_ in (
+        ({"database": "nowhere"}, "nowhere", "create the database"),
+        ({"username": "stranger", "password": "s3cret"}, "stranger", "check user and password"),
+    ):
+        url = there.set(**change).render_as_string(hide_password=False)
+        with Store(url, tmp_path / "media") as store:
+            reason, hint = refusal(store.experiments)
+        assert word in reason
+        assert "s3cret" not in reason
+        assert hint.startswith(help_)
+
+
+MOUNTS = """\
+/dev/sda1 / ext4 rw 0 0
+server:/home /home nfs4 rw 0 0
+/dev/sdb1 /home/local ext4 rw 0 0
+//nas/lab /mnt/the\\040lab cifs rw 0 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"), [("/home/me/e.db", "nfs4"), ("/mnt/the lab/e.db", "cifs")]
+)
+def test_a_network_file_system(path, kind):
+    reason, hint = refusal(engine.refuse_network, Path(path), MOUNTS)
+    assert f"network file system ({kind})" in reason
+    assert "local disk" in hint
+
+
+@pytest.mark.parametrize("path", ["/e.db", "/homes/e.db", "/home/local/e.db", "/mnt/the/e.db"])
+def test_a_local_file_system(path):
+    engine.refuse_network(Path(path), MOUNTS)
+
+
+@pytest.mark.parametrize("url", ["no url", "oracle+nothing://x"])
+def test_no_url(url, tmp_path):
+    _, hint = refusal(Store, url, tmp_path)
+    assert hint.startswith("write sqlite:///FILE or postgresql+psycopg://")
+
+
+def test_a_media_folder_that_cannot_be_written_to(tmp_path):
+    media = tmp_path / "media"
+    media.write_text("a file where the folder should be", encoding="utf-8")
+    with pytest.raises(StoreRefused, match="cannot be written to"):
+        arrays.keep(b"0" * 10, media)
+
+
+def test_a_database_of_somebody_else_is_left_alone(tmp_path):
+    path = tmp_path / "theirs.db"
+    with contextlib.closing(sqlite3.connect(path)) as theirs:
+        theirs.execute("CREATE TABLE bookmarks (url TEXT)")
+        theirs.commit()
+    with (
+        Store(f"sqlite:///{path}", tmp_path / "media") as store,
+        pytest.raises(StoreRefused, match="not fixel's"),
+    ):
+        store.upgrade()
