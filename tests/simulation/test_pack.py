@@ -8,7 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
 from fixel.kernels import codes
-from fixel.model import Body, Ellipsoid, NoSupport, PathDrive, Scene
+from fixel.model import Body, Ellipsoid, FrictionMap, NoSupport, PathDrive, Plane, Scene
 from fixel.simulation.pack import Variation, characteristic_units, pack, pusher_path, stack
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
 
@@ -139,3 +139,12 @@ def test_stacked_scenes_are_themselves():
         for name in together._fields:
             assert np.array_equal(getattr(together, name), getattr(alone, name)), name
     assert stack(parts[:1]) is parts[0].batch
+
+
+def test_kernels_compile_once_for_all_scenes():
+    # An array that cannot be written to has a type of its own: half a minute of compiling.
+    rough = FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[1.0, 2.0], [1.0, 1.0]])
+    packed = _pack(replace(grasp(), plane=Plane(friction_map=rough)))
+    for array in (*packed.batch.model[:-1], packed.batch.pose, packed.batch.velocity):
+        assert array.flags.writeable
+        assert array.flags.c_contiguous

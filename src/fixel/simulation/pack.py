@@ -433,7 +433,7 @@ def pack(
         drive_dof=drive_dof,
         plane=np.tile(np.array([*plane.anisotropy, plane.axis], np.float64), (n, 1)),
         map_frame=np.tile(frame, (n, 1)),
-        map_factor=factors.reshape(-1),
+        map_factor=np.array(factors, np.float64).reshape(-1),
         sides=0,
     )
     velocity = np.array([b.velocity for b in bodies], np.float64).reshape(-1, 3)
