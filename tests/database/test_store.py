@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from fixel.database import tables
 from fixel.database.query import Query
 from fixel.database.store import Store
-from fixel.errors import NotStored, StoreRefused
+from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import (
     CalibrationRecord,
@@ -202,6 +202,18 @@ def test_long_series_are_files_named_by_content(store, tmp_path):
     files[0].unlink()
     with pytest.raises(StoreRefused, match="is missing"):
         store.experiment(number)
+
+
+def test_videos_are_kept_by_content(store, tmp_path):
+    film = tmp_path / "run.mkv"
+    film.write_bytes(b"frames")
+    name = store.add_video(film)
+    assert store.add_video(film) == name
+    with_film, without = stored(store, experiment("1", video=name), experiment("2"))
+    assert store.video(with_film).read_bytes() == b"frames"
+    assert store.video(without) is None
+    with pytest.raises(InvalidInput, match="a file to read"):
+        store.add_video(tmp_path / "none.mkv")
 
 
 def test_simulations_calibrations_and_filters(store):

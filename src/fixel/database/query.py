@@ -85,8 +85,11 @@ COLUMNS = [
     for name in Summary._fields
 ]
 
-_LIVE_FLAG = sa.exists().where(
-    flag.c.experiment_id == experiment.c.id, flag.c.deleted_at_utc.is_(None)
+# Lists rather than one lookup a row: a server that has not yet counted its rows would look through
+# whole tables for each.
+_FLAGGED = sa.select(flag.c.experiment_id).where(flag.c.deleted_at_utc.is_(None))
+_REPLACED = sa.select(experiment.c.replaces_id).where(
+    experiment.c.replaces_id.is_not(None), experiment.c.deleted_at_utc.is_(None)
 )
 
 
@@ -96,12 +99,7 @@ def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
     gone = experiment.c.deleted_at_utc
     found.append(gone.is_not(None) if query.deleted else gone.is_(None))
     if not query.replaced:
-        newer = experiment.alias("newer")
-        found.append(
-            ~sa.exists().where(
-                newer.c.replaces_id == experiment.c.id, newer.c.deleted_at_utc.is_(None)
-            )
-        )
+        found.append(experiment.c.id.not_in(_REPLACED))
     if query.dataset is not None:
         found.append(experiment.c.dataset == query.dataset)
     if query.name is not None:
@@ -116,7 +114,7 @@ def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
             entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
         )
     if query.flag is not None:
-        found.append(_LIVE_FLAG.where(flag.c.name == query.flag))
+        found.append(experiment.c.id.in_(_FLAGGED.where(flag.c.name == query.flag)))
     return found
 
 
@@ -124,7 +122,7 @@ def only_clean(query: Query) -> list[sa.ColumnElement[bool]]:
     """What leaves out flagged rows, where the query does."""
     if query.flagged or query.flag is not None or query.deleted:
         return []
-    return [~_LIVE_FLAG.where(flag.c.is_fault)]
+    return [experiment.c.id.not_in(_FLAGGED.where(flag.c.is_fault))]
 
 
 def _pattern(name: str) -> str:

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from fixel.database import arrays, rows, schema, tables
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
-from fixel.errors import NotStored
+from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
@@ -287,6 +287,22 @@ class Store:
     def _require(self, number: int) -> None:
         if not self._has(number):
             raise _absent(f"experiment {number}")
+
+    # --- videos ---------------------------------------------------------------------------------
+
+    def add_video(self, file: Path) -> str:
+        """Copy a video into the media folder; returns what `Experiment.video` names it by."""
+        try:
+            return arrays.keep(file.read_bytes(), self._media)
+        except OSError as problem:
+            reason = (problem.strerror or str(problem)).lower()
+            raise InvalidInput(str(file), found=reason, expected="a file to read") from None
+
+    def video(self, number: int) -> Path | None:
+        """File of an experiment's video; none where there is none."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.experiment, number, "experiment")
+        return arrays.media_path(row.video_sha256, self._media) if row.video_sha256 else None
 
     # --- what is computed from them -------------------------------------------------------------
 
