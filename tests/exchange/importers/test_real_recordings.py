@@ -56,6 +56,8 @@ def test_all_pushes_of_the_end_point_set(data_root: Path) -> None:
 def test_the_record_of_a_push(data_root: Path) -> None:
     (push,) = _imported(data_root / "mit_timeseries" / "push_plywood_hex_v150.json", "mit-push")
     assert _imported(data_root / "mit_timeseries", "mit-push") == [push]
+    record = data_root / "mit_timeseries" / "push_plywood_hex_v150.json"
+    assert importer_for(record).name == "mit-push"
 
     assert push.scene is not None
     assert push.conditions["speed_m_s"] == pytest.approx(0.15)

@@ -96,9 +96,9 @@ class MitPush(Importer):
     }
 
     def recognised(self, source: Path) -> bool:
-        """A folder of the end-point set, or files named motion_surface=..."""
+        """A folder of the end-point set, or files named motion_surface=...; one named push_ too."""
         if source.is_file():
-            return source.suffix in (".h5", ".json") and source.name.startswith("motion_surface=")
+            return any(source.match(mask) for mask in RECORDS)
         if any(next(source.glob(mask), None) for mask in _masks(RECORDS[:2])):
             return True
         return mit_push.recognised(source)
