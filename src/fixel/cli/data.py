@@ -36,7 +36,7 @@ def data(
             typer.echo(f"  licence: {entry['licence']}\n  cite: {entry['citation']}")
         typer.echo("Next: fixel data URL --sha256 DIGITS, then: fixel import data/FILE --dry-run")
         return
-    found = fetch(url, folder, sha256, progress=False)
+    found = fetch(url, folder, sha256)
     if as_json:
         typer.echo(
             json.dumps({"file": str(found.file), "sha256": found.sha256, "bytes": found.n_byte})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -185,7 +186,7 @@ class Store:
             return int(key)
         dataset, slash, name = key.partition("/")
         query = Query(dataset=dataset, name=name) if slash else Query(name=key)
-        found = self.experiments(Query(**_fields(query), flagged=True), limit=2)
+        found = self.experiments(replace(query, flagged=True), limit=2)
         if found.total == 0:
             raise _absent(f"experiment {key!r}")
         if found.total > 1:
@@ -563,10 +564,6 @@ def _evaluations(series: list[rows.Measured], reasons: Mapping[str, str]) -> Eva
         error_mm2=values[:, -1],
         reasons=tuple(reasons.get(str(k), "") for k in range(len(values))),
     )
-
-
-def _fields(query: Query) -> dict[str, Any]:
-    return {"dataset": query.dataset, "name": query.name}
 
 
 def _absent(what: str) -> NotStored:

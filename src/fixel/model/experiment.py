@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -269,11 +269,6 @@ class Experiment(Comparable):
         """The same, with these flags too."""
         return replace(self, flags=(*self.flags, *flags))
 
-    def _compared(self) -> tuple[Any, ...]:
-        # A mapping has no hash.
-        compared = super(Experiment, self)._compared()
-        return tuple(tuple(x.items()) if isinstance(x, Mapping) else x for x in compared)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -298,6 +293,3 @@ class PlannedExperiment(Comparable):
         name_of(self.name, "planned.name")
         instance(self.scene, Scene, "planned.scene", "a Scene")
         settle(self, conditions=MappingProxyType(dict(sorted(self.conditions.items()))))
-
-    def _compared(self) -> tuple[Any, ...]:
-        return (self.name, self.scene, tuple(self.conditions.items()))

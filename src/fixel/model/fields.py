@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from numbers import Real
 from types import UnionType
 from typing import Any
@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class Comparable:
-    """Equality and hash by fields, for dataclasses built with `eq=False` that may hold arrays."""
+    """Equality and hash by fields, for dataclasses with `eq=False` that hold arrays or mappings."""
 
     __slots__ = ()
 
@@ -155,4 +155,6 @@ def _quoted(value: object) -> object:
 
 
 def _hashable(value: Any) -> Any:
-    return (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    return tuple(sorted(value.items())) if isinstance(value, Mapping) else value

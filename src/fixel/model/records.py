@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -51,9 +51,6 @@ class SimulationRecord(Comparable):
 
     def __post_init__(self) -> None:
         settle(self, method=MappingProxyType(dict(sorted(self.method.items()))))
-
-    def _compared(self) -> tuple[Any, ...]:
-        return _hashable(super(SimulationRecord, self)._compared())
 
 
 @final
@@ -148,9 +145,6 @@ class CalibrationRecord(Comparable):
         """Of the worst member [mm^2]."""
         return max(member.error_mm2 for member in self.members)
 
-    def _compared(self) -> tuple[Any, ...]:
-        return _hashable(super(CalibrationRecord, self)._compared())
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,9 +159,6 @@ class FilterParameters(Comparable):
     def __post_init__(self) -> None:
         name_of(self.name, "filter_parameters.name")
         settle(self, values=MappingProxyType(dict(sorted(self.values.items()))))
-
-    def _compared(self) -> tuple[Any, ...]:
-        return _hashable(super(FilterParameters, self)._compared())
 
 
 @final
@@ -206,7 +197,3 @@ class FilterRun(Comparable):
                 expected=f"{n} rows of {len(self.estimate_names)} values",
             )
         settle(self, estimates=values, estimate_names=tuple(self.estimate_names))
-
-
-def _hashable(values: Sequence[Any]) -> tuple[Any, ...]:
-    return tuple(tuple(x.items()) if isinstance(x, Mapping) else x for x in values)

@@ -46,12 +46,8 @@ def import_experiments(
     project: Project, plan: ImportPlan, progress: Progress | None = None
 ) -> Imported:
     """Store the experiments of a plan, each whole or not at all."""
-    command = typed()
-    experiments = (
-        replace(e, provenance=replace(e.provenance, command=command)) for e in plan.experiments()
-    )
     with project.store() as store:
-        return _add(store, experiments, plan.n_experiments, progress)
+        return _add(store, plan.experiments(), plan.n_experiments, progress)
 
 
 def run_testbed(
@@ -69,11 +65,7 @@ def run_testbed(
     from fixel.testbed.simulated import SimulatedTestbed
 
     planned = (thesis_plan() if plan is None else load_plan(plan)).experiments[:limit]
-    command = typed()
-    experiments = (
-        replace(e, provenance=replace(e.provenance, command=command))
-        for e in SimulatedTestbed(seed=seed).run(planned, threads=threads)
-    )
+    experiments = SimulatedTestbed(seed=seed).run(planned, threads=threads)
     with project.store() as store:
         return _add(store, experiments, len(planned), progress)
 
@@ -120,9 +112,12 @@ def typed() -> str:
 def _add(
     store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
 ) -> Imported:
+    """Store experiments, with the command that was typed as where they come from."""
     begun = time.monotonic()
+    command = typed()
     new = known = faulty = 0
-    for experiment in experiments:
+    for made in experiments:
+        experiment = replace(made, provenance=replace(made.provenance, command=command))
         if store.add_experiment(experiment).new:
             new += 1
             faulty += any(flag.fault for flag in experiment.flags)

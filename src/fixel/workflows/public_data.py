@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from fixel.errors import FixelError, InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.exchange.importers import IMPORTERS
 
 
@@ -34,7 +34,7 @@ def datasets() -> list[dict[str, str]]:
     ]
 
 
-def fetch(url: str, folder: Path, sha256: str | None = None, *, progress: bool = False) -> Fetched:
+def fetch(url: str, folder: Path, sha256: str | None = None) -> Fetched:
     """Fetch a file into a folder: complete, with the checksum asked for, or not at all.
 
     Parameters
@@ -61,9 +61,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None, *, progress: bool =
     pooch.get_logger().setLevel("ERROR")  # its warnings are ours to give
     wanted = None if sha256 is None else f"sha256:{sha256.lower()}"
     try:
-        path = Path(pooch.retrieve(url, wanted, fname=name, path=folder, progressbar=progress))
-    except FixelError:
-        raise
+        path = Path(pooch.retrieve(url, wanted, fname=name, path=folder))
     except ValueError as problem:
         raise StoreRefused(
             f"{url} is another file than the one asked for: {_one_line(problem)}",
@@ -73,8 +71,9 @@ def fetch(url: str, folder: Path, sha256: str | None = None, *, progress: bool =
         raise StoreRefused(
             f"{url} could not be fetched: {_one_line(problem)}", hint="check address and network"
         ) from None
-    data = path.read_bytes()
-    return Fetched(path, hashlib.sha256(data).hexdigest(), len(data))
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Fetched(path, digest, path.stat().st_size)
 
 
 def _name(url: str) -> str:
