@@ -21,7 +21,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar, final
 
-import numpy as np
 import sqlalchemy as sa
 from pydantic import ValidationError
 
@@ -210,9 +209,6 @@ class _Writer:
     def _simulations(self) -> Iterator[dict[str, Any]]:
         for number in self._of_experiments(tables.simulation):
             record = self._store.simulation(number)
-            measured: list[Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
-            if record.pusher is not None:
-                measured.append(("pusher", rows.PATH, rows.path_table(record.pusher)))
             yield {
                 "experiment": self._place[record.experiment_id],
                 "parameters": self._parameters_place(record.parameters),
@@ -220,7 +216,7 @@ class _Writer:
                 "status": record.status,
                 "contact_mode": record.contact_mode,
                 "error_mm2": record.error_mm2,
-                "series": self._series(measured),
+                "series": self._series(rows.paths_of(record.trajectory, record.pusher)),
                 **rows.provenance_row(record.provenance),
             }
 
@@ -238,10 +234,6 @@ class _Writer:
 
     def _calibration(self, record: CalibrationRecord) -> dict[str, Any]:
         tried = record.evaluations
-        measured: list[Measured] = []
-        if tried is not None:
-            table = np.column_stack((tried.values, tried.error_mm2))
-            measured = [("evaluations", (*tried.names, "error_mm2"), table)]
         return {
             "name": record.name,
             "parameters": self._parameters_place(record.parameters),
@@ -255,7 +247,7 @@ class _Writer:
                 for member in record.members
             ],
             "reasons": [] if tried is None else list(tried.reasons),
-            "series": self._series(measured),
+            "series": self._series(rows.trials_of(tried)),
             **rows.provenance_row(record.provenance),
         }
 
@@ -281,16 +273,13 @@ class _Writer:
         place = {number: k for k, number in enumerate(settings)}
         for number in self._of_experiments(tables.filter_run):
             record = self._store.filter_run(number)
-            measured: list[Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
-            if record.estimate_names:
-                measured.append(("estimates", record.estimate_names, record.estimates))
             yield {
                 "experiment": self._place[record.experiment_id],
                 "filter_parameters": place[record.filter_parameters_id],
                 "uses_tactile": record.uses_tactile,
                 "occlusion": record.occlusion,
                 "contact_mode": record.contact_mode,
-                "series": self._series(measured),
+                "series": self._series(rows.filtered_of(record)),
                 **rows.provenance_row(record.provenance),
             }
 

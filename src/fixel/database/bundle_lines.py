@@ -16,7 +16,6 @@ from fixel.database.rows import Measured
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
-    Evaluations,
     FilterParameters,
     FilterRun,
     Member,
@@ -161,18 +160,7 @@ class CalibrationLine(Recorded):
             members=tuple(Member(ids[m.experiment], m.weight, m.error_mm2) for m in self.members),
             provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
             method=self.method,
-            evaluations=self._evaluations(measured),
-        )
-
-    def _evaluations(self, measured: list[Measured]) -> Evaluations | None:
-        if not measured:
-            return None
-        _, columns, values = measured[0]
-        return Evaluations(
-            names=columns[:-1],
-            values=values[:, :-1],
-            error_mm2=values[:, -1],
-            reasons=tuple(self.reasons),
+            evaluations=rows.evaluations_of(measured, self.reasons),
         )
 
 

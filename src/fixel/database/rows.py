@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -25,6 +25,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
+from fixel.model.records import Evaluations, FilterRun
 
 FloatArray = NDArray[np.float64]
 Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
@@ -83,12 +84,47 @@ def trajectory_of(values: FloatArray) -> Trajectory:
 
 def series_of(experiment: Experiment) -> list[Measured]:
     """Name, columns and values of all that was measured in an experiment."""
-    found: list[Measured] = [("object", PATH, path_table(experiment.trajectory))]
-    if experiment.pusher is not None:
-        found.append(("pusher", PATH, path_table(experiment.pusher)))
+    found = paths_of(experiment.trajectory, experiment.pusher)
     for channel in experiment.channels:
         values = np.column_stack((channel.time, channel.values))
         found.append((f"channel {channel.name}", ("time_s", *channel.columns), values))
+    return found
+
+
+def paths_of(trajectory: Trajectory, pusher: Trajectory | None) -> list[Measured]:
+    """Series of the object's path and, where there is one, the pusher's."""
+    found: list[Measured] = [("object", PATH, path_table(trajectory))]
+    if pusher is not None:
+        found.append(("pusher", PATH, path_table(pusher)))
+    return found
+
+
+def trials_of(tried: Evaluations | None) -> list[Measured]:
+    """Series of what a calibration tried."""
+    if tried is None:
+        return []
+    table = np.column_stack((tried.values, tried.error_mm2))
+    return [("evaluations", (*tried.names, "error_mm2"), table)]
+
+
+def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluations | None:
+    """The other way round."""
+    if not measured:
+        return None
+    _, columns, values = measured[0]
+    return Evaluations(
+        names=columns[:-1],
+        values=values[:, :-1],
+        error_mm2=values[:, -1],
+        reasons=tuple(reasons),
+    )
+
+
+def filtered_of(run: FilterRun) -> list[Measured]:
+    """Series of what a filter estimated."""
+    found = paths_of(run.trajectory, None)
+    if run.estimate_names:
+        found.append(("estimates", run.estimate_names, run.estimates))
     return found
 
 

@@ -17,7 +17,6 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
-    Evaluations,
     FilterParameters,
     FilterRun,
     Member,
@@ -321,9 +320,7 @@ class Store:
     def add_simulation(self, record: SimulationRecord) -> int:
         """Store a simulation of an experiment; returns its id."""
         self._require(record.experiment_id)
-        series: list[rows.Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
-        if record.pusher is not None:
-            series.append(("pusher", rows.PATH, rows.path_table(record.pusher)))
+        series = rows.paths_of(record.trajectory, record.pusher)
         with writing(self._engine) as connection:
             number = _insert_one(
                 connection,
@@ -406,9 +403,7 @@ class Store:
                 ],
             )
             if tried is not None:
-                table = np.column_stack((tried.values, tried.error_mm2))
-                series = [("evaluations", (*tried.names, "error_mm2"), table)]
-                self._add_series(connection, "calibration", number, series)
+                self._add_series(connection, "calibration", number, rows.trials_of(tried))
         return number
 
     def calibration(self, number: int) -> CalibrationRecord:
@@ -431,7 +426,9 @@ class Store:
             members=tuple(Member(*m) for m in members),
             provenance=rows.provenance_of(row),
             method=row.method,
-            evaluations=_evaluations(series, row.reasons),
+            evaluations=rows.evaluations_of(
+                series, [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
+            ),
         )
 
     def add_filter_parameters(self, record: FilterParameters) -> int:
@@ -462,9 +459,6 @@ class Store:
     def add_filter_run(self, record: FilterRun) -> int:
         """Store what a filter made of an experiment; returns its id."""
         self._require(record.experiment_id)
-        series: list[rows.Measured] = [("object", rows.PATH, rows.path_table(record.trajectory))]
-        if record.estimate_names:
-            series.append(("estimates", record.estimate_names, record.estimates))
         occlusion = record.occlusion or (None, None)
         with writing(self._engine) as connection:
             number = _insert_one(
@@ -480,7 +474,7 @@ class Store:
                     **rows.provenance_row(record.provenance),
                 },
             )
-            self._add_series(connection, "filter_run", number, series)
+            self._add_series(connection, "filter_run", number, rows.filtered_of(record))
         return number
 
     def filter_run(self, number: int) -> FilterRun:
@@ -552,18 +546,6 @@ def _flag_row(number: int, flag: Flag) -> dict[str, Any]:
         "is_fault": flag.fault,
         "created_at_utc": rows.now(),
     }
-
-
-def _evaluations(series: list[rows.Measured], reasons: Mapping[str, str]) -> Evaluations | None:
-    if not series:
-        return None
-    _, columns, values = series[0]
-    return Evaluations(
-        names=columns[:-1],
-        values=values[:, :-1],
-        error_mm2=values[:, -1],
-        reasons=tuple(reasons.get(str(k), "") for k in range(len(values))),
-    )
 
 
 def _absent(what: str) -> NotStored:
