@@ -1,7 +1,7 @@
 """Is there a motion at all? The certificate that prescribed motions squeeze the bodies."""
 
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.jit import kernel, spliced_kernel
+from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense
 
 GAIN = (
@@ -11,7 +11,7 @@ LEFT = 1e-10  # squared distance from a certificate at which one counts as found
 PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each degree of freedom
 
 
-@spliced_kernel
+@kernel
 def squeezed(problem: Problem, work: Workspace) -> bool:
     """Whether contact impulses exist that move nothing and against which prescribed motions work.
 

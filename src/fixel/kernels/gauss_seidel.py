@@ -11,11 +11,11 @@ Source: Jourdan, Alart & Jean (1998) for the contacts; Rockafellar (1976) for th
 import math
 
 from fixel.kernels.arrays import FloatArray, Problem, Workspace
-from fixel.kernels.jit import kernel, spliced_kernel
+from fixel.kernels.jit import kernel
 from fixel.kernels.linear import invert_block
 
 
-@spliced_kernel
+@kernel
 def gauss_seidel(problem: Problem, work: Workspace, tolerance: float, max_sweeps: int) -> float:
     """Sweep until the largest velocity change of a sweep is below `tolerance`; returns that
     change."""

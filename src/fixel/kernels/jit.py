@@ -99,8 +99,8 @@ def allocating_kernel(function: Function) -> Function:
 def spliced_kernel(function: Function) -> Function:
     """A helper that becomes part of its caller before anything is compiled.
 
-    For the few levels between an entry and the loop of steps, and between that and the solvers. Not
-    for more than that: long functions take Numba longer than the short ones they are made of.
+    For the few levels between an entry and the loop of steps. Not for more than that: long
+    functions take Numba longer than the short ones they are made of.
     """
     return _inner(function, _nrt=False, inline="always")
 

@@ -16,7 +16,7 @@ Alart & Curnier (1991) for the springs.
 import math
 
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
+from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
 
@@ -42,7 +42,7 @@ def solve_any(problem: Problem, work: Workspace) -> bool:
     return solve_linear(problem, work, problem.size[0] <= DENSE_LIMIT)
 
 
-@spliced_kernel
+@kernel
 def newton_any(
     problem: Problem, work: Workspace, tolerance: float, max_iterations: int, stiffness: float
 ) -> float:
@@ -59,7 +59,7 @@ def newton_any(
     return worst
 
 
-@spliced_kernel
+@kernel
 def proximal_newton(
     problem: Problem,
     work: Workspace,
@@ -136,7 +136,7 @@ def proximal_newton(
     return sigma
 
 
-@spliced_kernel
+@kernel
 def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> tuple[float, bool]:
     """Newton with a line search until velocities and springs balance.
 
