@@ -6,6 +6,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import KNOWN_PARAMETERS, Body, Disk, Ellipsoid, Parameters, Scene
+from fixel.model.parameters import info_of
 
 
 def test_parameters_are_an_immutable_mapping():
@@ -21,8 +22,21 @@ def test_parameters_are_an_immutable_mapping():
 
 
 def test_every_parameter_has_a_unit_and_a_meaning():
-    assert set(KNOWN_PARAMETERS) == {"mu_support", "mu_fixel", "mu_pusher", "tripod_radius"}
+    assert {"mu_support", "mu_fixel", "mu_pusher", "tripod_radius"} <= set(KNOWN_PARAMETERS)
     assert all(info.unit and info.meaning for info in KNOWN_PARAMETERS.values())
+
+
+def test_every_point_of_a_net_has_a_load():
+    assert "point 12" in info_of("load_12").meaning
+    assert Parameters(load_12=0.5)["load_12"] == 0.5
+    with pytest.raises(InvalidInput, match="load_0"):
+        Parameters(load_0=0.5)
+
+
+def test_only_what_can_be_negative_may_be():
+    assert Parameters(registration_x=-1e-3)["registration_x"] == -1e-3
+    with pytest.raises(InvalidInput, match="ellipsoid_force"):
+        Parameters(ellipsoid_force=0.0)
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():

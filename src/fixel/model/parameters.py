@@ -3,31 +3,91 @@
 from __future__ import annotations
 
 import difflib
+import math
+import re
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import non_negative, positive
+from fixel.model.fields import finite
 from fixel.model.scene import Scene
 from fixel.model.support import Ellipsoid, Tripod
 
 
 class ParameterInfo(NamedTuple):
-    """Unit and meaning of a parameter."""
+    """Unit, range and meaning of a parameter."""
 
     unit: str
     meaning: str
+    lowest: float = 0.0  # a value below is refused
+    above: bool = False  # whether `lowest` itself is refused too
 
+
+_ANY = -math.inf
 
 KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
     {
         "mu_support": ParameterInfo("-", "friction of every support against the plane"),
         "mu_fixel": ParameterInfo("-", "friction of every free body against every fixel"),
         "mu_pusher": ParameterInfo("-", "friction of every free body against every pusher"),
-        "tripod_radius": ParameterInfo("m", "distance of tripod points from the centre of mass"),
+        "tripod_radius": ParameterInfo(
+            "m", "distance of tripod points from the centre of mass", above=True
+        ),
+        **{
+            f"support_{k}_{axis}": ParameterInfo(
+                "m", f"{axis} of the free support point {k}, in the frame of the shape", _ANY
+            )
+            for k in (1, 2, 3)
+            for axis in "xy"
+        },
+        "friction_centre_x": ParameterInfo("m", "shift of all supports along the body's x", _ANY),
+        "friction_centre_y": ParameterInfo("m", "shift of all supports along the body's y", _ANY),
+        "ellipsoid_force": ParameterInfo("N", "largest friction force of an ellipsoid", above=True),
+        "ellipsoid_torque": ParameterInfo(
+            "N m", "largest friction torque of an ellipsoid", above=True
+        ),
+        "anisotropy_xy": ParameterInfo(
+            "-", "friction of the plane along world x above its mean, and along y below it", -0.9
+        ),
+        "anisotropy_diagonal": ParameterInfo(
+            "-", "the same along the diagonals of world x and y", -0.9
+        ),
+        "registration_x": ParameterInfo(
+            "m", "shift along world x from where the pusher was recorded to where it was", _ANY
+        ),
+        "registration_y": ParameterInfo("m", "the same along world y", _ANY),
+        "registration_theta": ParameterInfo(
+            "rad", "turn of the recorded path of the pusher about the world's origin", _ANY
+        ),
+        "start_x": ParameterInfo("m", "error of the measured first pose along world x", _ANY),
+        "start_y": ParameterInfo("m", "the same along world y", _ANY),
+        "start_theta": ParameterInfo("rad", "error of the measured first angle", _ANY),
+        "outline_x": ParameterInfo(
+            "m", "x of the outline in the frame whose pose was measured", _ANY
+        ),
+        "outline_y": ParameterInfo("m", "y of the outline in that frame", _ANY),
+        "outline_theta": ParameterInfo("rad", "angle of the outline in that frame", _ANY),
+        "contact_offset": ParameterInfo("m", "how much larger a round pusher is than drawn", _ANY),
     }
 )
+
+_LOAD = re.compile(r"load_[1-9]\d{0,4}")
+
+
+def info_of(name: str) -> ParameterInfo:
+    """Unit, range and meaning of a parameter, or a refusal."""
+    if name in KNOWN_PARAMETERS:
+        return KNOWN_PARAMETERS[name]
+    if _LOAD.fullmatch(str(name)):
+        return ParameterInfo("-", f"load on support point {name[5:]}, relative to the others")
+    close = difflib.get_close_matches(str(name), KNOWN_PARAMETERS, n=1)
+    raise InvalidInput(
+        "parameters",
+        found=repr(name),
+        expected="one of " + ", ".join(KNOWN_PARAMETERS) + ", load_1, load_2, ...",
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )
 
 
 @final
@@ -92,14 +152,12 @@ class Parameters(Mapping[str, float]):
 
 
 def _checked(name: str, value: float) -> float:
-    if name not in KNOWN_PARAMETERS:
-        close = difflib.get_close_matches(str(name), KNOWN_PARAMETERS, n=1)
+    info = info_of(name)
+    number = finite(value, name, info.unit if info.unit != "-" else "")
+    if number < info.lowest or (info.above and number == info.lowest):
+        relation = "greater than" if info.above else "of at least"
+        unit = f" [{info.unit}]" if info.unit != "-" else ""
         raise InvalidInput(
-            "parameters",
-            found=repr(name),
-            expected="one of " + ", ".join(KNOWN_PARAMETERS),
-            hint=f"did you mean {close[0]!r}?" if close else None,
+            name, found=number, expected=f"a number {relation} {info.lowest:g}{unit}"
         )
-    if name == "tripod_radius":
-        return positive(value, name, "m")
-    return non_negative(value, name)
+    return number

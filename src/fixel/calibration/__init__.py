@@ -1,0 +1,1 @@
+"""Parameters from experiments, and how far the experiments determine them."""

@@ -1,0 +1,1 @@
+"""Estimates of poses and parameters while a run goes on."""
