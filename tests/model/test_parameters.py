@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.model import KNOWN_PARAMETERS, Body, Disk, Ellipsoid, Parameters, Scene
+from fixel.model import KNOWN_PARAMETERS, Parameters
 from fixel.model.parameters import info_of
 
 
@@ -53,14 +53,3 @@ def test_a_value_that_cannot_be_is_refused(value):
 def test_a_tripod_has_a_size():
     with pytest.raises(InvalidInput, match="tripod_radius"):
         Parameters(tripod_radius=0.0)
-
-
-def test_an_ellipsoid_has_no_coefficient_to_change():
-    support = Ellipsoid(force=1.0, torque=0.1)
-    body = Body(name="a", shape=Disk(1.0), mass=1.0, pose=(0, 0, 0), support=support)
-    scene = Scene(bodies=[body], duration=1.0)
-    Parameters(mu_fixel=0.2).check(scene)
-    with pytest.raises(InvalidInput, match="ellipsoidal"):
-        Parameters(mu_support=0.2).check(scene)
-    with pytest.raises(InvalidInput, match="no tripod"):
-        Parameters(tripod_radius=0.2).check(scene)

@@ -11,8 +11,6 @@ from typing import Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import finite
-from fixel.model.scene import Scene
-from fixel.model.support import Ellipsoid, Tripod
 
 
 class ParameterInfo(NamedTuple):
@@ -135,20 +133,6 @@ class Parameters(Mapping[str, float]):
 
     def __reduce__(self) -> tuple[type[Parameters], tuple[dict[str, float]]]:
         return Parameters, (dict(self),)
-
-    def check(self, scene: Scene) -> None:
-        """Refuse values that would change nothing, or nothing known, in a scene."""
-        if "mu_support" in self:
-            for body in scene.bodies:
-                if isinstance(body.support, Ellipsoid):
-                    raise InvalidInput(
-                        "mu_support",
-                        found=f"an ellipsoidal limit surface under body {body.name!r}",
-                        expected="supports with a coefficient of friction",
-                        hint="change the force and torque of the ellipsoid instead",
-                    )
-        if "tripod_radius" in self and not any(isinstance(b.support, Tripod) for b in scene.bodies):
-            raise InvalidInput("tripod_radius", found="no tripod", expected="a body on a tripod")
 
 
 def _checked(name: str, value: float) -> float:

@@ -233,16 +233,14 @@ def _point_loads(
 
 def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
     """Shares of three points in a weight at the origin; refused when one would pull."""
-    size = float(np.ptp(points, axis=0).max())
-    balance = np.vstack((points.T / size if size > 0.0 else points.T, np.ones(3)))
-    if abs(np.linalg.det(balance)) < 1e-9:
+    share = triangle_shares(points)
+    if np.isnan(share).any():
         raise InvalidInput(
             "support.points.at",
             found="three points on one line",
             expected="a triangle",
             hint="give more points, or move one",
         )
-    share = np.linalg.solve(balance, np.array([0.0, 0.0, 1.0]))
     if share.min() < -LOAD_ROUNDING:
         weights = ", ".join(f"{s:.4g}" for s in share)
         raise InvalidInput(
@@ -253,6 +251,27 @@ def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
             hint="the body would tip over: move a point, or the centre of mass",
         )
     return np.maximum(share, 0.0)
+
+
+def triangle_shares(points: FloatArray) -> FloatArray:
+    """Shares (..., 3) of three points (..., 3, 2) in a weight at the origin.
+
+    The barycentric coordinates of the origin: negative where a point would have to pull, NaN where
+    the three lie on one line.
+
+    Source: ASME 2006 paper, balance out of the plane.
+    """
+    a, b, c = (points[..., k, :] for k in range(3))
+    area = np.stack((_cross(b, c), _cross(c, a), _cross(a, b)), axis=-1)
+    total = area.sum(axis=-1, keepdims=True)
+    size = np.ptp(points, axis=-2).max(axis=-1)[..., None]
+    flat = np.abs(total) < 1e-9 * size**2
+    share = np.divide(area, total, out=np.full_like(area, np.nan), where=~flat & (size > 0.0))
+    return np.asarray(share)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArray:

@@ -79,7 +79,7 @@ def simulate_batch(
     motion = motion or Dynamic()
     stepper = stepper or Adaptive()
     solver = solver or Newton()
-    _refuse_plugins(motion, stepper, solver)
+    refuse_plugins(motion, stepper, solver)
     method = method_of(motion, stepper, solver, max_contacts)
     if not isinstance(scene, Scene):
         if parameters is not None or start is not None or waypoints is not None:
@@ -95,13 +95,14 @@ def simulate_batch(
     packed = pack_with(scene, motion, stepper, variation, n, seconds)
     moments = _moments(times, seconds)
     record = empty_record(packed, len(moments), 0, moments)
-    _roll(packed.batch, method, record, threads)
+    roll(packed.batch, method, record, threads)
     return _unpack(scene, packed, record, moments)
 
 
-def _refuse_plugins(
+def refuse_plugins(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> None:
+    """Refuse parts of a method that the compiled loop does not know."""
     for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
         if not is_compiled(part):
             raise InvalidInput(
@@ -183,7 +184,7 @@ def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
     return moments
 
 
-def _roll(batch: Batch, method: Method, record: BatchRecord, threads: int | None) -> None:
+def roll(batch: Batch, method: Method, record: BatchRecord, threads: int | None) -> None:
     """Share the rollouts among threads, in ranges small enough to end at the same time."""
     n = len(record.status)
     n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
@@ -255,11 +256,11 @@ def _simulate_scenes(
     if not packed:
         return []
     batch = stack(packed)
-    whole = Packed(batch, packed[0].units, packed[0].com)
+    whole = Packed(batch, packed[0].units, packed[0].com, None)
     record = empty_record(whole, len(moments[0]), 0)
     for r, part in enumerate(packed):
         record.time[r] = moments[r] / part.units.time
-    _roll(batch, method, record, threads)
+    roll(batch, method, record, threads)
     results = []
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
         n_driven = len(scene.pushers)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from statistics import median
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
@@ -31,6 +31,18 @@ from fixel.model import (
     support_points,
 )
 from fixel.simulation.geometry import contact_pieces
+from fixel.simulation.vary import (
+    Elements,
+    Values,
+    grown_by,
+    moves,
+    outline_of,
+    varied_elements,
+    varied_friction,
+    varied_path,
+    varied_plane,
+    varied_start,
+)
 
 # A part of the time in which the fastest body moves by one characteristic length; friction
 # impulses over such a step are of the order of one in scaled units.
@@ -62,15 +74,13 @@ class Units(NamedTuple):
         return self.force * self.length
 
 
-def characteristic_units(scene: Scene) -> Units:
-    """Units of a scene: radius of gyration, fastest prescribed or initial motion, mass or
-    friction."""
+def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
+    """Units of a scene: radius of gyration, fastest prescribed or initial motion (or a `speed`
+    given [m/s]), mass or friction."""
     bodies = scene.bodies
     length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in bodies)
-    speed = max(
-        [_fastest(p, length) for p in scene.pushers]
-        + [math.hypot(*b.velocity[:2]) + abs(b.velocity[2]) * length for b in bodies]
-    )
+    if speed is None:
+        speed = fastest_motion(scene, length)
     mass = median(b.mass for b in bodies)
     forces = [_friction_force(b, scene.gravity) + math.hypot(*b.force[:2]) for b in bodies]
     force = median(forces)
@@ -81,6 +91,13 @@ def characteristic_units(scene: Scene) -> Units:
     # Slow pushing: inertia is nothing against friction, which then sets the scale of impulses.
     mass = max(mass, TYPICAL_STEP * force * time**2 / length)
     return Units(length, time, mass)
+
+
+def fastest_motion(scene: Scene, length: float) -> float:
+    """Of pushers and bodies at the start [m/s]; turning counts at the given arm [m]."""
+    pushed = [_fastest(p, length) for p in scene.pushers]
+    own = [math.hypot(*b.velocity[:2]) + abs(float(b.velocity[2])) * length for b in scene.bodies]
+    return max(pushed + own)
 
 
 def _fastest(pusher: Pusher, length: float) -> float:
@@ -99,18 +116,6 @@ def _friction_force(body: Body, gravity: float) -> float:
         return float(body.support.force)
     _, loads, friction = support_points(body.support, body.shape, body.com, body.mass, gravity)
     return float(loads @ friction)
-
-
-class Elements(NamedTuple):
-    """Support friction elements of all free bodies, SI."""
-
-    body: IntArray  # (n,)
-    kind: IntArray  # (n,)
-    point: FloatArray  # (n, 2) from the centre of mass [m]
-    load: FloatArray  # (n,) normal force [N]; of an ellipsoid its largest force, with friction 1
-    friction: FloatArray  # (n,)
-    arm: FloatArray  # (n,) ellipsoid: largest torque over largest force [m]
-    unit: FloatArray  # (n, 2) tripods: direction of the point, else zero
 
 
 def _elements(scene: Scene) -> Elements:
@@ -258,8 +263,9 @@ class Variation(NamedTuple):
     """What differs from rollout to rollout of one scene; None where nothing does."""
 
     parameters: Mapping[str, FloatArray]  # name -> (n,)
-    start: FloatArray | None  # (n, n_free, 3) poses of the free bodies' shape frames
-    path: FloatArray | None  # (n, n_sample, 4) waypoints of the one pusher
+    start: FloatArray | None = None  # (n, n_free, 3) poses of the free bodies' shape frames
+    path: FloatArray | None = None  # (n_path, n_sample, 4) waypoints of the one pusher
+    path_of: IntArray | None = None  # (n,) which path a rollout takes; its own where left out
 
 
 class Packed(NamedTuple):
@@ -268,6 +274,7 @@ class Packed(NamedTuple):
     batch: Batch
     units: Units
     com: FloatArray  # (n_free, 2) centres of mass in their shape frames [m]
+    outline: FloatArray | None  # (n, 3) of the outline in the frame whose poses are meant
 
 
 def pack(
@@ -300,170 +307,267 @@ def pack(
     duration : float
         [s].
     """
-    refuse_motion(scene, motion_kind)
-    units = characteristic_units(scene)
-    length, force = units.length, units.force
-    bodies, pushers = scene.bodies, scene.pushers
-    n_free, n_driven = len(bodies), len(pushers)
-    n_body = len(scene.names)
-    elements = _elements(scene)
-    pieces = _pieces(scene)
-    friction, restitution = _pair_tables(scene)
-    com = np.array([b.com for b in bodies], np.float64).reshape(-1, 2)
-    values = variation.parameters
-
-    limit = elements.load * elements.friction
-    point = elements.point
-    if "mu_support" in values:
-        _refuse_ellipsoid(elements, "mu_support")
-        limit = values["mu_support"][:, None] * elements.load
-    if "tripod_radius" in values:
-        tripod = np.any(elements.unit != 0.0, axis=1)
-        if not tripod.any():
-            raise InvalidInput(
-                "parameters.tripod_radius",
-                found="no body on a tripod",
-                expected="a tripod support to change the radius of",
-            )
-        moved = values["tripod_radius"][:, None, None] * elements.unit
-        point = np.where(tripod[:, None], moved, elements.point)
-    own_friction = friction
-    for name, first, last in (
-        ("mu_pusher", n_free, n_free + n_driven),
-        ("mu_fixel", n_free + n_driven, n_body),
-    ):
-        if name in values:
-            own_friction = np.array(np.broadcast_to(own_friction, (n, n_body, n_body)))
-            own_friction[:, :n_free, first:last] = values[name][:, None, None]
-            own_friction[:, first:last, :n_free] = values[name][:, None, None]
-
-    count = np.zeros((n, families.N_FAMILY), np.int64)
-    begin = np.zeros((n, families.N_FAMILY), np.int64)
-
-    def place(family: int, rows: int, own: bool) -> None:
-        count[:, family] = rows
-        if own:
-            begin[:, family] = rows * np.arange(n)
-
-    # Elements whose limits or points differ, and what depends on them, get rows of their own.
-    own_elements = limit.ndim == 2 or point.ndim == 3
-    if own_elements:
-        limit = np.ascontiguousarray(np.broadcast_to(limit, (n, len(elements.body))))
-        point = np.ascontiguousarray(np.broadcast_to(point, (n, len(elements.body), 2)))
-    copies = n if own_elements else 1
-    own_drag = own_elements and motion_kind == codes.FIRST_ORDER
-    drag = np.zeros((n_free, 3, 3))
-    if motion_kind == codes.FIRST_ORDER:
-        drag = _drag(elements, n_free, limit, point, units.speed)
-    scale = np.array([1.0, 1.0, length])
-    drag = drag * (units.speed / force) / np.outer(scale, scale)
-    free_copies = n if own_drag else 1
-
-    place(families.FREE, n_free, own_drag)
-    place(families.PAIR, n_body * n_body, own_friction.ndim == 3)
-    place(families.PIECE, len(pieces.body), False)
-    place(families.PIECE_START, len(pieces.start), False)
-    place(families.VERTEX, len(pieces.vertex), False)
-    place(families.ELEMENT, len(elements.body), own_elements)
-    place(families.DRIVEN, n_driven, False)
-    place(families.PATH_START, n_driven + 1, False)
-    place(families.BODY, n_body, variation.start is not None)
-
-    path, path_start = _paths(scene, duration)
-    if variation.path is not None:
-        path_start = np.array([0, variation.path.shape[1]], np.int64)
-        path = variation.path.reshape(-1, 4)
-    place(families.PATH, int(path_start[-1]), variation.path is not None)
-
-    pose = np.zeros((n_body, 3))
-    for k, item in enumerate(_items(scene)):
-        pose[k] = item.pose
-    if variation.start is not None:
-        pose = np.array(np.broadcast_to(pose, (n, n_body, 3)))
-        pose[:, :n_free] = variation.start
-    c, s = np.cos(pose[..., :n_free, 2]), np.sin(pose[..., :n_free, 2])
-    pose[..., :n_free, 0] += c * com[:, 0] - s * com[:, 1]
-    pose[..., :n_free, 1] += s * com[:, 0] + c * com[:, 1]
-
-    plane = scene.plane
-    factors = np.zeros((0, 0))
-    frame = np.zeros(4)
-    if plane.friction_map is not None:
-        factors = np.ascontiguousarray(plane.friction_map.factor, dtype=np.float64)
-        frame = np.concatenate((plane.friction_map.origin, plane.friction_map.cell)) / length
-    place(families.MAP, factors.size, False)
-
-    limits = np.array(
-        [math.inf if p.drive.force_limit is None else p.drive.force_limit for p in pushers]
-    ).reshape(-1)
-    limited = np.isfinite(limits)
-    drive_dof = np.where(limited, 3 * n_free + np.cumsum(limited) - 1, -1).astype(np.int64)
-    tolerance_scaled = TOLERANCE if tolerance is None else tolerance / length
-    first_step = TYPICAL_STEP if step is None else step / units.time
-    pace = np.array([duration / units.time, first_step, tolerance_scaled, 1e-7, largest])
-
-    per_length = np.array([length, length, 1.0])
-    model = Model(
-        mass=np.tile([b.mass / units.mass for b in bodies], free_copies),
-        inertia=np.tile(
-            [b.moment_of_inertia / (units.mass * length**2) for b in bodies], free_copies
-        ),
-        wrench=np.tile(
-            np.array([b.force for b in bodies]) / (force * np.array([1.0, 1.0, length])),
-            (free_copies, 1),
-        ),
-        spring=np.tile(np.array([_spring(b, units) for b in bodies]), (free_copies, 1)),
-        drag=np.ascontiguousarray(drag.reshape(-1, 3, 3)),
-        piece_body=pieces.body,
-        piece_start=pieces.start,
-        piece_bound=pieces.bound / length,
-        piece_radius=pieces.radius / length,
-        vertex=np.ascontiguousarray(pieces.vertex / length),
-        edge_real=pieces.edge_real,
-        friction=np.ascontiguousarray(own_friction, dtype=np.float64).reshape(-1),
-        restitution=np.tile(restitution.reshape(-1), n if own_friction.ndim == 3 else 1),
-        element_body=np.tile(elements.body, copies),
-        element_kind=np.tile(elements.kind, copies),
-        element_point=np.ascontiguousarray(point.reshape(-1, 2) / length),
-        element_limit=np.ascontiguousarray(limit.reshape(-1) / force),
-        element_ratio=np.tile(elements.arm / length, copies),
-        path_start=path_start,
-        path=np.ascontiguousarray(path / np.array([units.time, length, length, 1.0])),
-        force_limit=limits / force,
-        drive_dof=drive_dof,
-        plane=np.tile(np.array([*plane.anisotropy, plane.axis], np.float64), (n, 1)),
-        map_frame=np.tile(frame, (n, 1)),
-        map_factor=np.array(factors, np.float64).reshape(-1),
-        sides=0,
-    )
-    velocity = np.array([b.velocity for b in bodies], np.float64).reshape(-1, 3)
-    velocity = velocity / (np.array([length, length, 1.0]) / units.time)
-    batch = Batch(
-        begin=begin,
-        count=count,
-        model=model,
-        map_shape=np.tile(np.array(factors.shape, np.int64), (n, 1)),
-        sides=np.full(n, scene.support_directions or 0, np.int64),
-        pose=np.ascontiguousarray(pose.reshape(-1, 3) / per_length),
-        velocity=np.tile(velocity, (free_copies, 1)),
-        pace=np.tile(pace, (n, 1)),
-    )
-    return Packed(batch, units, com)
+    template = Template(scene, motion_kind, step=step, tolerance=tolerance, largest=largest)
+    return template.packed(variation, n, duration)
 
 
-def _refuse_ellipsoid(elements: Elements, name: str) -> None:
-    if np.any(elements.kind == codes.ELLIPSOID):
-        raise InvalidInput(
-            f"parameters.{name}",
-            found="a body on an ellipsoidal limit surface, which has no coefficient",
-            expected="bodies on support points",
+@final
+class Template:
+    """A scene as arrays, ready to be filled with what varies from rollout to rollout.
+
+    Parameters
+    ----------
+    scene : Scene
+    motion_kind, step, tolerance, largest
+        As for `pack`.
+    speed : float, optional
+        Characteristic speed [m/s]; the scene's own where left out.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        motion_kind: int,
+        *,
+        step: float | None,
+        tolerance: float | None,
+        largest: float,
+        speed: float | None = None,
+    ) -> None:
+        refuse_motion(scene, motion_kind)
+        self.scene = scene
+        self.motion_kind = motion_kind
+        self.units = characteristic_units(scene, speed)
+        self.com = np.array([b.com for b in scene.bodies], np.float64).reshape(-1, 2)
+        self._elements = _elements(scene)
+        self._friction, restitution = _pair_tables(scene)
+        self._pieces = _pieces(scene)
+        self._pace = self._paced(step, tolerance, largest)
+        self._model = self._constant(restitution)
+
+    def _paced(self, step: float | None, tolerance: float | None, largest: float) -> FloatArray:
+        units = self.units
+        return np.array(
+            [
+                0.0,
+                TYPICAL_STEP if step is None else step / units.time,
+                TOLERANCE if tolerance is None else tolerance / units.length,
+                1e-7,
+                largest,
+            ]
         )
 
+    def _constant(self, restitution: FloatArray) -> Model:
+        """The model with what no parameter changes; the rest is empty or the scene's own."""
+        bodies, units = self.scene.bodies, self.units
+        length, force = units.length, units.force
+        pieces, elements = self._pieces, self._elements
+        drives = [p.drive for p in self.scene.pushers]
+        limits = np.array(
+            [math.inf if d.force_limit is None else d.force_limit for d in drives]
+        ).reshape(-1)
+        limited = np.isfinite(limits)
+        drive_dof = np.where(limited, 3 * len(bodies) + np.cumsum(limited) - 1, -1)
+        factors, _ = self._map()
+        return Model(
+            mass=np.array([b.mass / units.mass for b in bodies]),
+            inertia=np.array([b.moment_of_inertia / (units.mass * length**2) for b in bodies]),
+            wrench=np.array([b.force for b in bodies]) / (force * np.array([1.0, 1.0, length])),
+            spring=np.array([_spring(b, units) for b in bodies]),
+            drag=np.zeros((len(bodies), 3, 3)),
+            piece_body=pieces.body,
+            piece_start=pieces.start,
+            piece_bound=pieces.bound / length,
+            piece_radius=pieces.radius / length,
+            vertex=np.ascontiguousarray(pieces.vertex / length),
+            edge_real=pieces.edge_real,
+            friction=np.zeros(0),
+            restitution=restitution.reshape(-1),
+            element_body=elements.body,
+            element_kind=elements.kind,
+            element_point=np.zeros((0, 2)),
+            element_limit=np.zeros(0),
+            element_ratio=np.zeros(0),
+            path_start=np.zeros(0, np.int64),
+            path=np.zeros((0, 4)),
+            force_limit=limits / force,
+            drive_dof=drive_dof.astype(np.int64),
+            plane=np.zeros((0, 3)),
+            map_frame=np.zeros((0, 4)),
+            map_factor=np.array(factors, np.float64).reshape(-1),
+            sides=0,
+        )
 
-def _paths(scene: Scene, duration: float) -> tuple[FloatArray, IntArray]:
-    paths = [pusher_path(p, duration) for p in scene.pushers]
-    start = np.concatenate(([0], np.cumsum([len(p) for p in paths]))).astype(np.int64)
-    return (np.concatenate(paths) if paths else np.zeros((0, 4))), start
+    def _map(self) -> tuple[FloatArray, FloatArray]:
+        """Factors of the friction map, (0, 0) without one; its origin and cell, scaled."""
+        own = self.scene.plane.friction_map
+        if own is None:
+            return np.zeros((0, 0)), np.zeros(4)
+        return own.factor, np.concatenate((own.origin, own.cell)) / self.units.length
+
+    def packed(self, variation: Variation, n: int, duration: ArrayLike) -> Packed:
+        """Arrays of `n` rollouts, each of a duration [s] of its own or all of one."""
+        scene, units, values = self.scene, self.units, variation.parameters
+        length = units.length
+        rows = _Rows(n)
+        n_body, n_driven = len(scene.names), len(scene.pushers)
+        elements = varied_elements(scene, self._elements, values)
+        point, limit, arm, drag = self._scaled(elements, n, rows)
+        friction = varied_friction(scene, self._friction, values)
+        rows.place(families.PAIR, n_body * n_body, own=friction.ndim == 3)
+        radius, bound = self._radii(values, rows)
+        rows.place(families.PIECE_START, len(self._pieces.start))
+        rows.place(families.VERTEX, len(self._pieces.vertex))
+        rows.place(families.DRIVEN, n_driven)
+        rows.place(families.PATH_START, n_driven + 1)
+        path, path_start = self._paths(variation, float(np.max(duration)), rows)
+        pose = self._poses(variation, rows)
+        factors, frame = self._map()
+        rows.place(families.MAP, factors.size)
+        model = self._model
+        copies = {name: n if own else 1 for name, own in rows.own.items()}
+        per_free, per_pair = copies[families.FREE], copies[families.PAIR]
+        per_piece, per_element = copies[families.PIECE], copies[families.ELEMENT]
+        plane = np.broadcast_to(varied_plane(scene, values), (n, 3))
+        velocity = np.array([b.velocity for b in scene.bodies], np.float64).reshape(-1, 3)
+        velocity = velocity / (np.array([length, length, 1.0]) / units.time)
+        pace = np.tile(self._pace, (n, 1))
+        pace[:, 0] = np.asarray(duration) / units.time
+        batch = Batch(
+            begin=rows.begin,
+            count=rows.count,
+            model=model._replace(
+                mass=np.tile(model.mass, per_free),
+                inertia=np.tile(model.inertia, per_free),
+                wrench=np.tile(model.wrench, (per_free, 1)),
+                spring=np.tile(model.spring, (per_free, 1)),
+                drag=drag,
+                piece_body=np.tile(model.piece_body, per_piece),
+                piece_bound=bound,
+                piece_radius=radius,
+                friction=np.ascontiguousarray(friction, dtype=np.float64).reshape(-1),
+                restitution=np.tile(model.restitution, per_pair),
+                element_body=np.tile(model.element_body, per_element),
+                element_kind=np.tile(model.element_kind, per_element),
+                element_point=point,
+                element_limit=limit,
+                element_ratio=arm,
+                path_start=path_start,
+                path=np.ascontiguousarray(path / np.array([units.time, length, length, 1.0])),
+                plane=np.array(plane),
+                map_frame=np.tile(frame, (n, 1)),
+            ),
+            map_shape=np.tile(np.array(factors.shape, np.int64), (n, 1)),
+            sides=np.full(n, scene.support_directions or 0, np.int64),
+            pose=pose,
+            velocity=np.tile(velocity, (per_free, 1)),
+            pace=pace,
+        )
+        return Packed(batch, units, self.com, outline_of(values))
+
+    def _scaled(
+        self, elements: Elements, n: int, rows: _Rows
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Points, limits and arms of the supports, and the drag of the bodies on them, scaled."""
+        units, n_free = self.units, len(self.scene.bodies)
+        n_element = len(elements.body)
+        limit = elements.load * elements.friction
+        point, arm = elements.point, elements.arm
+        own = limit.ndim == 2 or point.ndim == 3 or arm.ndim == 2
+        rows.place(families.ELEMENT, n_element, own=own)
+        if own:
+            limit = np.broadcast_to(limit, (n, n_element))
+            point = np.broadcast_to(point, (n, n_element, 2))
+            arm = np.broadcast_to(arm, (n, n_element))
+        first_order = self.motion_kind == codes.FIRST_ORDER
+        rows.place(families.FREE, n_free, own=own and first_order)
+        drag = np.zeros((n_free, 3, 3))
+        if first_order:
+            drag = _drag(elements._replace(arm=arm), n_free, limit, point, units.speed)
+        scale = np.array([1.0, 1.0, units.length])
+        drag = drag * (units.speed / units.force) / np.outer(scale, scale)
+        return (
+            np.ascontiguousarray(point.reshape(-1, 2) / units.length),
+            np.ascontiguousarray(limit.reshape(-1) / units.force),
+            np.ascontiguousarray(arm.reshape(-1) / units.length),
+            np.ascontiguousarray(drag.reshape(-1, 3, 3)),
+        )
+
+    def _radii(self, values: Values, rows: _Rows) -> tuple[FloatArray, FloatArray]:
+        """Rounding radii and bounding circles of the pieces, scaled; pushers may be larger."""
+        grown = grown_by(self.scene, values)
+        radius, bound = self._model.piece_radius, self._model.piece_bound
+        rows.place(families.PIECE, len(radius), own=grown is not None)
+        if grown is None:
+            return radius, bound
+        first = len(self.scene.bodies)
+        body = self._pieces.body
+        pusher = (body >= first) & (body < first + len(self.scene.pushers))
+        more = np.where(pusher, grown[:, None] / self.units.length, 0.0)
+        wide = np.repeat(bound[None], len(grown), axis=0)
+        wide[:, :, 2] += more
+        return np.ascontiguousarray((radius + more).reshape(-1)), wide.reshape(-1, 3)
+
+    def _paths(
+        self, variation: Variation, duration: float, rows: _Rows
+    ) -> tuple[FloatArray, IntArray]:
+        """Waypoints of all pushers, and where each one's begin."""
+        path = variation.path
+        if path is None:
+            waypoints = [pusher_path(p, duration) for p in self.scene.pushers]
+            start = np.cumsum([0, *(len(p) for p in waypoints)]).astype(np.int64)
+            if not moves(variation.parameters) or not waypoints:
+                rows.place(families.PATH, int(start[-1]))
+                return (np.concatenate(waypoints) if waypoints else np.zeros((0, 4))), start
+            if len(waypoints) > 1:
+                raise InvalidInput(
+                    "parameters.registration_x",
+                    found=f"{len(waypoints)} pushers",
+                    expected="a scene with one",
+                )
+            path = waypoints[0][None]
+        of = variation.path_of
+        moved = varied_path(path if of is None else path[of], variation.parameters)
+        if moved is not None:
+            path, of = moved, None
+        n_sample = path.shape[1]
+        rows.place(families.PATH, n_sample, own=True)
+        if of is not None:
+            rows.begin[:, families.PATH] = n_sample * of
+        return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
+
+    def _poses(self, variation: Variation, rows: _Rows) -> FloatArray:
+        """Poses of all bodies at time zero, of centres of mass where they are free, scaled."""
+        scene, length = self.scene, self.units.length
+        n_free = len(scene.bodies)
+        start = varied_start(scene, variation.start, variation.parameters)
+        own = start is not None
+        rows.place(families.BODY, len(scene.names), own=own)
+        pose = np.array([item.pose for item in _items(scene)])
+        if start is not None:
+            pose = np.tile(pose, (len(start), 1, 1))
+            pose[:, :n_free] = start
+        pose = pose.reshape(-1, len(scene.names), 3)
+        c, s = np.cos(pose[:, :n_free, 2]), np.sin(pose[:, :n_free, 2])
+        pose[:, :n_free, 0] += c * self.com[:, 0] - s * self.com[:, 1]
+        pose[:, :n_free, 1] += s * self.com[:, 0] + c * self.com[:, 1]
+        return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
+
+
+class _Rows:
+    """Which rows of each family a rollout owns, or shares with the others."""
+
+    def __init__(self, n: int) -> None:
+        self.count = np.zeros((n, families.N_FAMILY), np.int64)
+        self.begin = np.zeros((n, families.N_FAMILY), np.int64)
+        self.own = dict.fromkeys(range(families.N_FAMILY), False)
+
+    def place(self, family: int, rows: int, own: bool = False) -> None:
+        """Every rollout has so many rows, all the same or each its own."""
+        self.count[:, family] = rows
+        self.own[family] = own
+        if own:
+            self.begin[:, family] = rows * np.arange(len(self.begin))
 
 
 def _spring(body: Body, units: Units) -> list[float]:

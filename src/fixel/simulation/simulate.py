@@ -23,6 +23,7 @@ from fixel.simulation.plain import roll_plainly
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
+from fixel.simulation.vary import composed, inverted
 
 MAX_STEPS = 1_000_000
 MAX_SAMPLES = 200_000
@@ -79,8 +80,6 @@ def simulate(
     solver = solver or Newton()
     duration = positive_time("duration", scene.duration if duration is None else duration)
     refuse_method(scene, solver)
-    if parameters is not None:
-        parameters.check(scene)
     packed = pack_with(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
     compiled = all(is_compiled(part) for part in (motion, stepper, solver))
@@ -111,7 +110,7 @@ def positive_time(where: str, value: float) -> float:
 def one_variation(parameters: Parameters | None) -> Variation:
     """The variation of a single rollout."""
     values = {} if parameters is None else dict(parameters)
-    return Variation({k: np.array([v]) for k, v in values.items()}, None, None)
+    return Variation({k: np.array([v]) for k, v in values.items()})
 
 
 def refuse_method(scene: Scene, solver: AbstractSolver) -> None:
@@ -267,6 +266,11 @@ def shape_poses(packed: Packed, pose: FloatArray) -> FloatArray:
     x, y = packed.com[:, 0], packed.com[:, 1]
     out[..., :n_free, 0] -= c * x - s * y
     out[..., :n_free, 1] -= s * x + c * y
+    if packed.outline is not None:
+        frame = inverted(packed.outline)[:, None, None]
+        out[..., :n_free, :] = composed(
+            out[..., :n_free, :], frame if out.ndim == 4 else frame[0, 0]
+        )
     return np.asarray(out)
 
 

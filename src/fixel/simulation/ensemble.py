@@ -1,0 +1,285 @@
+"""Several scenes packed once and simulated over and over, with parameters that vary.
+
+What a calibration needs: thousands of short calls, each a few parameter sets on many scenes. Scenes
+that differ only in where things start and how the pusher moves share one template.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels import codes
+from fixel.kernels.arrays import BatchRecord, FloatArray, IntArray
+from fixel.model import Scene
+from fixel.simulation.batch import refuse_plugins, roll
+from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
+from fixel.simulation.pack import Packed, Template, Variation, fastest_motion, pusher_path, stack
+from fixel.simulation.simulate import empty_record, method_of, shape_poses
+from fixel.simulation.solver import AbstractSolver, Newton
+from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.vary import infeasible
+
+# Poses recorded in one pass, all rollouts together; more of them run in several passes.
+MOST_POSES = 300_000
+
+
+class Case(NamedTuple):
+    """A scene with one free body, and when to look at it."""
+
+    scene: Scene
+    times: FloatArray  # (n_sample,) increasing, above 0 [s]; the last is the end
+
+
+class Outcome(NamedTuple):
+    """What the rollouts of one call came to."""
+
+    status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where none was tried
+    pose: FloatArray  # (n, n_sample, 3) of the body; the last one held where a case has fewer
+    stopped_at: FloatArray  # (n,) time reached [s]
+    reasons: list[str]  # why there is no simulation, or it ended early; empty where it did not
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(n,) which simulations came to their end."""
+        return np.equal(self.status, codes.CONVERGED)
+
+
+INFEASIBLE = -1
+
+
+@final
+class Ensemble:
+    """Scenes that are simulated many times.
+
+    Bits depend on a case, its parameters and the method only: not on which other cases there are,
+    on the order or on the number of threads.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        Each with one free body and at most one pusher.
+    motion, stepper, solver : optional
+        `QuasiStatic()`, `Adaptive()` and `Newton()` where left out.
+    threads : int, optional
+        All cores where left out.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        motion: AbstractMotionModel | None = None,
+        stepper: AbstractStepper | None = None,
+        solver: AbstractSolver | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.motion = motion or QuasiStatic()
+        self.stepper = stepper or Adaptive()
+        self.solver = solver or Newton()
+        refuse_plugins(self.motion, self.stepper, self.solver)
+        if not cases:
+            raise InvalidInput("cases", found="none", expected="one at least")
+        for case in cases:
+            _check(case)
+        self.cases = tuple(cases)
+        self._threads = threads
+        self._method = method_of(self.motion, self.stepper, self.solver, 4096)
+        keys = [_key(case.scene) for case in cases]
+        number = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+        self._group = np.array([number[key] for key in keys])
+        self._templates = [self._template(key, keys) for key in number]
+        self._start = np.array([case.scene.bodies[0].pose for case in cases])
+        self._duration = np.array([case.times[-1] for case in cases])
+        self._place, self._paths = self._stacked_paths()
+        longest = max(len(case.times) for case in cases)
+        self._times = np.array(
+            [np.pad(c.times, (0, longest - len(c.times)), "edge") for c in cases], np.float64
+        )
+
+    @property
+    def n_sample(self) -> int:
+        """Instants of the case that has the most."""
+        return int(self._times.shape[1])
+
+    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> Outcome:
+        """Simulate cases under parameters.
+
+        Parameters
+        ----------
+        which : (n,) int
+            Number of the case of each rollout.
+        values : mapping of name to (n,) float64
+            Parameters of each rollout.
+        """
+        per_pass = max(1, MOST_POSES // self.n_sample)
+        parts = [
+            self._pass(which[k : k + per_pass], {m: v[k : k + per_pass] for m, v in values.items()})
+            for k in range(0, len(which), per_pass)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return Outcome(
+            np.concatenate([p.status for p in parts]),
+            np.concatenate([p.pose for p in parts]),
+            np.concatenate([p.stopped_at for p in parts]),
+            [reason for p in parts for reason in p.reasons],
+        )
+
+    def _pass(self, which: IntArray, values: Mapping[str, FloatArray]) -> Outcome:
+        reasons = self._refused(which, values)
+        ready = np.array([not reason for reason in reasons], bool)
+        rows, packed = self._packed(which, values, ready)
+        n = len(which)
+        status = np.full(n, INFEASIBLE, np.int64)
+        pose = np.repeat(self._start[which][:, None], self.n_sample, axis=1)
+        reached = np.zeros(n)
+        if packed:
+            record = self._rolled(which, rows, packed)
+            at = 0
+            for part, own in zip(packed, rows, strict=True):
+                part_record = BatchRecord._make(a[at : at + len(own)] for a in record)
+                at += len(own)
+                status[own] = part_record.status
+                pose[own] = _track(part, part_record)
+                reached[own] = part_record.total[:, 0] * part.units.time
+        for k in np.flatnonzero(ready & (status != codes.CONVERGED)):
+            reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
+        return Outcome(status, pose, reached, reasons)
+
+    def _refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
+        """Why rollouts cannot be, case by case of one template together."""
+        reasons = [""] * len(which)
+        if not values:
+            return reasons
+        group = self._group[which]
+        for g in np.unique(group):
+            own = np.flatnonzero(group == g)
+            found = infeasible(self._templates[g].scene, {m: v[own] for m, v in values.items()})
+            for k, reason in zip(own, found, strict=True):
+                reasons[k] = reason
+        return reasons
+
+    def _packed(
+        self, which: IntArray, values: Mapping[str, FloatArray], ready: NDArray[np.bool_]
+    ) -> tuple[list[IntArray], list[Packed]]:
+        """Batches template by template, and which rollouts are in each."""
+        group = self._group[which]
+        rows, packed = [], []
+        for g in np.unique(group[ready]):
+            own = np.flatnonzero(ready & (group == g))
+            cases = which[own]
+            paths = self._paths[g]
+            variation = Variation(
+                {m: v[own] for m, v in values.items()},
+                self._start[cases][:, None],
+                paths,
+                None if paths is None else self._place[cases],
+            )
+            rows.append(own)
+            packed.append(self._templates[g].packed(variation, len(own), self._duration[cases]))
+        return rows, packed
+
+    def _rolled(self, which: IntArray, rows: list[IntArray], packed: list[Packed]) -> BatchRecord:
+        batch = stack(packed)
+        record = empty_record(packed[0]._replace(batch=batch), self.n_sample, 0)
+        at = 0
+        for part, own in zip(packed, rows, strict=True):
+            record.time[at : at + len(own)] = self._times[which[own]] / part.units.time
+            at += len(own)
+        roll(batch, self._method, record, self._threads)
+        return record
+
+    def _template(self, key: Any, keys: list[Any]) -> Template:
+        scene = self.cases[keys.index(key)].scene
+        adaptive = self.stepper if isinstance(self.stepper, Adaptive) else None
+        return Template(
+            scene,
+            self.motion.kind,
+            step=self.stepper.first_step,
+            tolerance=adaptive.tolerance if adaptive else None,
+            largest=adaptive.largest_step if adaptive else math.inf,
+            speed=_round_speed(scene) or None,
+        )
+
+    def _stacked_paths(self) -> tuple[IntArray, list[FloatArray | None]]:
+        """Paths (n_case, n_waypoint, 4) of each template's cases, and each case's place in them."""
+        place = np.zeros(len(self.cases), np.int64)
+        paths: list[FloatArray | None] = []
+        for g in range(len(self._templates)):
+            own = np.flatnonzero(self._group == g)
+            place[own] = np.arange(len(own))
+            scenes = [self.cases[k].scene for k in own]
+            if not scenes[0].pushers:
+                paths.append(None)
+                continue
+            tracks = [
+                pusher_path(s.pushers[0], float(self._duration[k]))
+                for s, k in zip(scenes, own, strict=True)
+            ]
+            longest = max(len(track) for track in tracks)
+            paths.append(np.array([_padded(track, longest) for track in tracks]))
+        return place, paths
+
+
+def _check(case: Case) -> None:
+    scene, times = case.scene, np.asarray(case.times)
+    if len(scene.bodies) != 1 or len(scene.pushers) > 1:
+        raise InvalidInput(
+            "case.scene",
+            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
+            expected="one free body and at most one pusher",
+        )
+    if len(times) == 0 or times[0] <= 0.0 or (np.diff(times) <= 0.0).any():
+        raise InvalidInput("case.times", found=times, expected="increasing times above 0 s")
+
+
+def _key(scene: Scene) -> tuple[Any, ...]:
+    """What scenes of one template share: all but the start of the body and the pusher's path."""
+    body = replace(scene.bodies[0], pose=np.zeros(3))
+    pushers = tuple((p.name, p.shape, p.friction, p.restitution) for p in scene.pushers)
+    return (
+        body,
+        pushers,
+        tuple(p.drive.force_limit for p in scene.pushers),
+        scene.fixels,
+        scene.contact_friction,
+        scene.plane,
+        scene.gravity,
+        scene.support_directions,
+        _round_speed(scene),
+    )
+
+
+def _round_speed(scene: Scene) -> float:
+    """The characteristic speed to the next power of two, so that bits do not depend on which scene
+    of a template was the first; zero where nothing moves."""
+    body = scene.bodies[0]
+    speed = fastest_motion(scene, math.sqrt(body.moment_of_inertia / body.mass))
+    return 2.0 ** round(math.log2(speed)) if speed > 0.0 else 0.0
+
+
+def _padded(track: FloatArray, n: int) -> FloatArray:
+    """A path with waypoints at rest appended: a path holds its last pose anyway."""
+    more = n - len(track)
+    if more == 0:
+        return track
+    rest = np.repeat(track[-1:], more, axis=0)
+    rest[:, 0] += 1.0 + np.arange(more)
+    return np.concatenate((track, rest))
+
+
+def _track(packed: Packed, record: BatchRecord) -> FloatArray:
+    """(n, n_sample, 3) poses of the first body; the last one held where a rollout stopped early."""
+    pose = shape_poses(packed, record.pose)[:, :, 0]
+    written = record.count[:, 0]
+    n_sample = pose.shape[1]
+    for r in np.flatnonzero(written < n_sample):
+        # One that stopped before its first sample has nothing to hold; its status says so.
+        pose[r, written[r] :] = pose[r, max(written[r] - 1, 0)]
+    return pose

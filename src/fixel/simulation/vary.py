@@ -1,0 +1,329 @@
+"""What named parameters do to a scene: the one place that gives their names a meaning.
+
+Everything here is SI, and vectorised over rollouts: a value (n,) makes what it changes (n, ...),
+and leaves the rest shared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels import codes
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import Disk, Pusher, Scene, SupportPoints
+from fixel.model.support import LOAD_ROUNDING, triangle_shares
+
+Values = Mapping[str, FloatArray]  # name -> (n,)
+
+LEAST_FACTOR = 0.05  # of the plane's friction in one direction, of its mean
+
+_CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
+
+
+class Elements(NamedTuple):
+    """Support friction elements of all free bodies."""
+
+    body: IntArray  # (n_element,)
+    kind: IntArray  # (n_element,)
+    point: FloatArray  # ([n,] n_element, 2) from the centre of mass [m]
+    load: FloatArray  # ([n,] n_element) force [N]; of an ellipsoid its largest, with friction 1
+    friction: FloatArray  # ([n,] n_element)
+    arm: FloatArray  # ([n,] n_element) ellipsoid: largest torque over largest force [m]
+    unit: FloatArray  # (n_element, 2) tripods: direction of the point, else zero
+
+
+# --- supports -----------------------------------------------------------------------------------
+
+
+def varied_elements(scene: Scene, elements: Elements, values: Values) -> Elements:
+    """Supports under parameters; a refusal where the scene has none that a name could mean."""
+    if any(name in values for name in _CORNERS):
+        elements = _on_three_points(scene, elements, values)
+    if any(name.startswith("load_") for name in values):
+        elements = _under_loads(scene, elements, values)
+    if "tripod_radius" in values:
+        elements = _at_radius(elements, values["tripod_radius"])
+    if "mu_support" in values:
+        _refuse_ellipsoid(elements, "mu_support")
+        mu = values["mu_support"][:, None] * np.ones(len(elements.body))
+        elements = elements._replace(friction=mu)
+    if "ellipsoid_force" in values or "ellipsoid_torque" in values:
+        elements = _of_ellipsoid(elements, values)
+    for axis, name in enumerate(("friction_centre_x", "friction_centre_y")):
+        if name in values:
+            point = np.array(_own(elements.point, len(values[name]), 2))
+            point[:, :, axis] += values[name][:, None]
+            elements = elements._replace(point=point)
+    return elements
+
+
+def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
+    """The free support points (n, 3, 2) in the frame of the shape [m], and their shares (n, 3) of
+    the weight; negative where the body would tip over, NaN where the three lie on one line."""
+    body = scene.bodies[0]
+    support = body.support
+    if len(scene.bodies) != 1 or not isinstance(support, SupportPoints) or len(support.points) != 3:
+        raise InvalidInput(
+            "parameters.support_1_x",
+            found="no body on three support points",
+            expected="one body that rests on three points, to move them",
+        )
+    n = next(len(values[name]) for name in _CORNERS if name in values)
+    points = np.array(np.broadcast_to(support.points, (n, 3, 2)))
+    for place, name in enumerate(_CORNERS):
+        if name in values:
+            points[:, place // 2, place % 2] = values[name]
+    return points, triangle_shares(points - body.com)
+
+
+def _on_three_points(scene: Scene, elements: Elements, values: Values) -> Elements:
+    points, share = three_points(scene, values)
+    if not (share >= -LOAD_ROUNDING).all():
+        raise InvalidInput(
+            "parameters.support_1_x",
+            found="support points with the centre of mass outside their triangle",
+            expected="points that carry the body",
+        )
+    body = scene.bodies[0]
+    return elements._replace(
+        point=points - body.com, load=body.mass * scene.gravity * np.maximum(share, 0.0)
+    )
+
+
+def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
+    body = scene.bodies[0]
+    support = body.support
+    if len(scene.bodies) != 1 or not isinstance(support, SupportPoints) or len(support.points) < 4:
+        raise InvalidInput(
+            "parameters.load_1",
+            found="no body on a net of support points",
+            expected="one body that rests on four points or more",
+            hint="the loads on three points follow from their places",
+        )
+    given = {int(name[5:]): v for name, v in values.items() if name.startswith("load_")}
+    if max(given) > len(support.points):
+        raise InvalidInput(
+            f"parameters.load_{max(given)}",
+            found=f"{len(support.points)} support points",
+            expected="a load for one of them",
+        )
+    n = len(next(iter(given.values())))
+    load = np.array(_own(elements.load, n, 1))
+    load /= load.mean(axis=1, keepdims=True)
+    for k, value in given.items():
+        load[:, k - 1] = value
+    total = load.sum(axis=1, keepdims=True)
+    if not (total > 0.0).all():
+        raise InvalidInput("parameters.load_1", found="only zeros", expected="one load above 0")
+    return elements._replace(load=body.mass * scene.gravity * load / total)
+
+
+def _at_radius(elements: Elements, radius: FloatArray) -> Elements:
+    tripod = np.any(elements.unit != 0.0, axis=1)
+    if not tripod.any():
+        raise InvalidInput(
+            "parameters.tripod_radius",
+            found="no body on a tripod",
+            expected="a tripod support to change the radius of",
+        )
+    moved = radius[:, None, None] * elements.unit
+    return elements._replace(point=np.where(tripod[:, None], moved, elements.point))
+
+
+def _of_ellipsoid(elements: Elements, values: Values) -> Elements:
+    if not np.any(elements.kind == codes.ELLIPSOID):
+        raise InvalidInput(
+            "parameters.ellipsoid_force",
+            found="no body on an ellipsoidal limit surface",
+            expected="an ellipsoid to change the axes of",
+        )
+    n = next(len(v) for name, v in values.items() if name.startswith("ellipsoid_"))
+    curved = elements.kind == codes.ELLIPSOID
+    old_force = _own(elements.load, n, 1)
+    old_torque = old_force * elements.arm
+    force = np.where(curved, values.get("ellipsoid_force", np.ones(n))[:, None], old_force)
+    if "ellipsoid_force" not in values:
+        force = old_force
+    torque = old_torque
+    if "ellipsoid_torque" in values:
+        torque = np.where(curved, values["ellipsoid_torque"][:, None], old_torque)
+    arm = np.divide(torque, force, out=np.zeros_like(force), where=curved)
+    return elements._replace(load=force, arm=arm)
+
+
+def _refuse_ellipsoid(elements: Elements, name: str) -> None:
+    if np.any(elements.kind == codes.ELLIPSOID):
+        raise InvalidInput(
+            f"parameters.{name}",
+            found="a body on an ellipsoidal limit surface, which has no coefficient",
+            expected="bodies on support points",
+            hint="change the force and torque of the ellipsoid instead",
+        )
+
+
+def _own(array: FloatArray, n: int, n_axis: int) -> FloatArray:
+    """An array with one leading row a rollout, of one that may be shared."""
+    return array if array.ndim > n_axis else np.broadcast_to(array, (n, *array.shape))
+
+
+# --- contacts, plane, poses ---------------------------------------------------------------------
+
+
+def varied_friction(scene: Scene, friction: FloatArray, values: Values) -> FloatArray:
+    """([n,] n_body, n_body) coefficients of friction of the pairs under parameters."""
+    n_free = len(scene.bodies)
+    n_moving, n_body = n_free + len(scene.pushers), len(scene.names)
+    for name, first, last in (("mu_pusher", n_free, n_moving), ("mu_fixel", n_moving, n_body)):
+        if name in values:
+            n = len(values[name])
+            friction = np.array(_own(friction, n, 2))
+            friction[:, :n_free, first:last] = values[name][:, None, None]
+            friction[:, first:last, :n_free] = values[name][:, None, None]
+    return friction
+
+
+def varied_plane(scene: Scene, values: Values) -> FloatArray:
+    """(3,) or (n, 3) factors of support friction along the plane's axes, angle of the first [rad].
+
+    The two components are those of a symmetric tensor without trace, which has no kink where the
+    plane is the same in all directions.
+    """
+    plane = scene.plane
+    if "anisotropy_xy" not in values and "anisotropy_diagonal" not in values:
+        return np.array([*plane.anisotropy, plane.axis], np.float64)
+    n = next(len(v) for name, v in values.items() if name.startswith("anisotropy_"))
+    a = values.get("anisotropy_xy", np.zeros(n))
+    b = values.get("anisotropy_diagonal", np.zeros(n))
+    size = np.hypot(a, b)
+    return np.column_stack((1.0 + size, 1.0 - size, 0.5 * np.arctan2(b, a)))
+
+
+def outline_of(values: Values) -> FloatArray | None:
+    """(n, 3) pose of the outline in the frame whose pose was measured; None for the same frame."""
+    return _columns(values, "outline")
+
+
+def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> FloatArray | None:
+    """(n, n_free, 3) poses of the outlines at the start; None where they are the scene's."""
+    shift, outline = _columns(values, "start"), outline_of(values)
+    if shift is None and outline is None:
+        return start
+    if len(scene.bodies) != 1:
+        raise InvalidInput(
+            "parameters.start_x", found=f"{len(scene.bodies)} free bodies", expected="one"
+        )
+    n = len(shift if shift is not None else outline)  # type: ignore[arg-type]
+    poses = np.array(scene.bodies[0].pose[None, None] if start is None else start)
+    poses = np.array(np.broadcast_to(poses, (n, 1, 3)))
+    if shift is not None:
+        poses += shift[:, None]
+    if outline is not None:
+        poses = composed(poses, outline[:, None])
+    return poses
+
+
+def moves(values: Values) -> bool:
+    """Whether parameters say that the pusher was elsewhere than recorded."""
+    return any(name.startswith("registration_") for name in values)
+
+
+def varied_path(path: FloatArray, values: Values) -> FloatArray | None:
+    """(n, n_sample, 4) paths of the one pusher where it really was, from (n, n_sample, 4) recorded;
+    None where no parameter says otherwise."""
+    moved = _columns(values, "registration")
+    if moved is None:
+        return None
+    out = np.array(np.broadcast_to(path, (len(moved), *path.shape[1:])))
+    out[:, :, 1:] = composed(moved[:, None], path[:, :, 1:])
+    return out
+
+
+def grown_by(scene: Scene, values: Values) -> FloatArray | None:
+    """(n,) how much larger the pushers are than drawn [m]."""
+    if "contact_offset" not in values:
+        return None
+    if not scene.pushers or not all(isinstance(p.shape, Disk) for p in scene.pushers):
+        raise InvalidInput(
+            "parameters.contact_offset", found="a pusher that is not round", expected="disks"
+        )
+    if values["contact_offset"].min() <= -_smallest(scene.pushers):
+        raise InvalidInput(
+            "parameters.contact_offset",
+            found=float(values["contact_offset"].min()),
+            expected="less than the pusher's radius taken away",
+        )
+    return values["contact_offset"]
+
+
+def _smallest(pushers: tuple[Pusher, ...]) -> float:
+    return min((p.shape.radius for p in pushers if isinstance(p.shape, Disk)), default=math.inf)
+
+
+def _columns(values: Values, prefix: str) -> FloatArray | None:
+    """(n, 3) x, y and angle of a family of names; zero for those left out, None without any."""
+    names = [f"{prefix}_{axis}" for axis in ("x", "y", "theta")]
+    n = next((len(values[name]) for name in names if name in values), None)
+    if n is None:
+        return None
+    return np.column_stack([values.get(name, np.zeros(n)) for name in names])
+
+
+def composed(outer: FloatArray, inner: FloatArray) -> FloatArray:
+    """a_from_c (..., 3) of poses a_from_b and b_from_c."""
+    outer, inner = np.broadcast_arrays(outer, inner)
+    c, s = np.cos(outer[..., 2]), np.sin(outer[..., 2])
+    x, y = inner[..., 0], inner[..., 1]
+    return np.stack(
+        (
+            outer[..., 0] + c * x - s * y,
+            outer[..., 1] + s * x + c * y,
+            outer[..., 2] + inner[..., 2],
+        ),
+        axis=-1,
+    )
+
+
+def inverted(pose: FloatArray) -> FloatArray:
+    """b_from_a (..., 3) of poses a_from_b."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = pose[..., 0], pose[..., 1]
+    return np.stack((-c * x - s * y, s * x - c * y, -pose[..., 2]), axis=-1)
+
+
+# --- what cannot be -----------------------------------------------------------------------------
+
+
+def infeasible(scene: Scene, values: Values) -> list[str]:
+    """Why each of n sets of values has no simulation; empty where it has one."""
+    n = len(next(iter(values.values())))
+    reasons = [""] * n
+    if any(name in values for name in _CORNERS):
+        points, share = three_points(scene, values)
+        outline = shapely.Polygon(scene.bodies[0].shape.outline)
+        inside = shapely.intersects_xy(outline, points[..., 0], points[..., 1]).all(axis=1)
+        _note(reasons, ~inside, "a support point outside the outline")
+        carried = np.all(share >= -LOAD_ROUNDING, axis=1)
+        _note(reasons, ~carried, "the centre of mass outside the support triangle")
+    loads = [v for name, v in values.items() if name.startswith("load_")]
+    if loads:
+        _note(reasons, np.asarray(np.sum(loads, axis=0) <= 0.0), "no load on any support point")
+    if "contact_offset" in values:
+        gone = np.asarray(values["contact_offset"] <= -_smallest(scene.pushers))
+        _note(reasons, gone, "a pusher without extent")
+    if "anisotropy_xy" in values or "anisotropy_diagonal" in values:
+        _note(
+            reasons, varied_plane(scene, values)[:, 1] <= 0.05, "a plane without friction one way"
+        )
+    return reasons
+
+
+def _note(reasons: list[str], where: NDArray[np.bool_], reason: str) -> None:
+    for k in np.flatnonzero(where):
+        reasons[k] = reasons[k] or reason

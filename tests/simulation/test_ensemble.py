@@ -1,0 +1,125 @@
+"""Many scenes, many parameters, one call: the same as one by one, whatever else is in the call."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.kernels import codes
+from fixel.model import Parameters, SupportPoints
+from fixel.simulation import QuasiStatic, simulate
+from fixel.simulation.ensemble import INFEASIBLE, Case, Ensemble
+from fixel.testing.scenes import grasp, heap, micro_push
+
+TIMES = np.linspace(0.5, 5.0, 10)
+
+
+def _cases():
+    scene = grasp()
+    body = scene.bodies[0]
+    turned = replace(
+        scene, bodies=(replace(body, pose=body.pose + np.array([0.004, 0.002, 0.05])),)
+    )
+    fewer = replace(scene, fixels=scene.fixels[:1])
+    return [
+        Case(scene, TIMES),
+        Case(turned, TIMES[:7]),
+        Case(fewer, TIMES),
+        Case(micro_push(3), TIMES[:3] / 6),
+    ]
+
+
+def _values(n, rng=0):
+    draw = np.random.default_rng(rng)
+    return {
+        "mu_pusher": draw.uniform(0.1, 0.5, n),
+        "mu_fixel": draw.uniform(0.1, 0.5, n),
+        "registration_y": draw.uniform(-1e-3, 1e-3, n),
+    }
+
+
+def test_as_one_by_one():
+    cases = _cases()[:3]
+    which = np.array([0, 1, 2, 1, 0])
+    values = _values(5)
+    outcome = Ensemble(cases).simulate(which, values)
+    assert outcome.converged.all()
+    for r, k in enumerate(which):
+        case = cases[k]
+        alone = simulate(
+            case.scene,
+            Parameters({name: float(v[r]) for name, v in values.items()}),
+            motion=QuasiStatic(),
+            duration=float(case.times[-1]),
+            output_interval=0.5,
+        )
+        pose = alone.pose[case.scene.bodies[0].name][1:]
+        assert outcome.pose[r, : len(pose)] == pytest.approx(pose, abs=5e-5)
+        assert (outcome.pose[r, len(pose) :] == outcome.pose[r, len(pose) - 1]).all()
+
+
+def test_bits_depend_on_neither_company_order_nor_threads():
+    cases = _cases()
+    which = np.array([3, 0, 1, 2, 1, 0, 3])
+    values = _values(7) | {"registration_y": np.zeros(7)}
+    together = Ensemble(cases, threads=2).simulate(which, values)
+    order = np.array([4, 2, 0, 6, 5, 1, 3])
+    again = Ensemble(cases[::-1], threads=1).simulate(
+        3 - which[order], {name: v[order] for name, v in values.items()}
+    )
+    assert (again.pose == together.pose[order]).all()
+    alone = Ensemble([cases[1]]).simulate(
+        np.zeros(1, int), {name: v[2:3] for name, v in values.items()}
+    )
+    assert (alone.pose[0] == together.pose[2, :7]).all()
+
+
+def test_scenes_that_differ_in_start_and_path_share_a_template():
+    ensemble = Ensemble(_cases())
+    assert len(ensemble._templates) == 3
+
+
+def test_what_cannot_be_is_not_tried_and_says_why():
+    points = SupportPoints(points=[(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3)
+    scene = grasp()
+    scene = replace(scene, bodies=(replace(scene.bodies[0], support=points),))
+    outcome = Ensemble([Case(scene, TIMES)]).simulate(
+        np.zeros(2, int), {"support_1_x": np.array([0.03, -0.03])}
+    )
+    assert outcome.status.tolist() == [codes.CONVERGED, INFEASIBLE]
+    assert outcome.reasons[0] == ""
+    assert "triangle" in outcome.reasons[1]
+    assert np.isfinite(outcome.pose).all()
+
+
+def test_a_simulation_that_stops_early_says_when():
+    scene = grasp(force_limit=None)
+    outcome = Ensemble([Case(scene, np.array([5.0, scene.duration]))]).simulate(
+        np.zeros(1, int), {}
+    )
+    assert outcome.reasons[0].startswith("jammed at ")
+    assert np.isfinite(outcome.pose).all()
+
+
+def test_many_rollouts_run_in_several_passes(monkeypatch):
+    whole = Ensemble(_cases()).simulate(np.arange(4).repeat(3), _values(12))
+    monkeypatch.setattr("fixel.simulation.ensemble.MOST_POSES", 50)
+    parts = Ensemble(_cases()).simulate(np.arange(4).repeat(3), _values(12))
+    assert (whole.pose == parts.pose).all()
+    assert (whole.status == parts.status).all()
+    assert whole.reasons == parts.reasons
+
+
+@pytest.mark.parametrize(
+    ("cases", "where"),
+    [
+        ([], "cases"),
+        ([Case(heap(4), TIMES)], "case.scene"),
+        ([Case(grasp(), np.zeros(1))], "case.times"),
+        ([Case(grasp(), np.zeros(0))], "case.times"),
+    ],
+)
+def test_what_is_no_case_is_refused(cases, where):
+    with pytest.raises(InvalidInput, match=where):
+        Ensemble(cases)

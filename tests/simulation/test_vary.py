@@ -1,0 +1,180 @@
+"""Each named parameter changes the scene as a scene with that value built in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Disk,
+    Ellipsoid,
+    Parameters,
+    PathDrive,
+    Plane,
+    Polygon,
+    SupportPoints,
+    Tripod,
+)
+from fixel.simulation import QuasiStatic, simulate
+from fixel.simulation.vary import composed, infeasible, inverted
+from fixel.testing.scenes import grasp
+
+POINTS = np.array([(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.025)])
+NET = np.array([(0.04, 0.0), (0.0, 0.04), (-0.04, 0.0), (0.0, -0.04)])
+
+
+def _scene(support=None, round_pusher=False):
+    scene = grasp()
+    body = scene.bodies[0]
+    if support is not None:
+        body = replace(body, support=support)
+    pushers = scene.pushers
+    if round_pusher:
+        pushers = (replace(pushers[0], shape=Disk(0.0143)),)
+    return replace(scene, bodies=(body,), pushers=pushers, duration=5.0)
+
+
+def _end(scene, **values):
+    done = simulate(scene, Parameters(values), motion=QuasiStatic())
+    assert done.converged, done.status
+    return done.final[scene.bodies[0].name]
+
+
+def _with_body(scene, **changes):
+    return replace(scene, bodies=(replace(scene.bodies[0], **changes),))
+
+
+def _moved_path(scene, registration):
+    pusher = scene.pushers[0]
+    drive = pusher.drive
+    start = np.array([0.0, *pusher.pose])
+    end = start.copy()
+    end[0] = scene.duration
+    end[1:3] += drive.speed * scene.duration * np.asarray(drive.direction)
+    track = np.stack((start, end))
+    track[:, 1:] = composed(np.array(registration), track[:, 1:])
+    moved = replace(pusher, pose=track[0, 1:], drive=PathDrive(waypoints=track))
+    return replace(scene, pushers=(moved,))
+
+
+@pytest.mark.parametrize(
+    ("scene", "values", "same"),
+    [
+        (
+            _scene(SupportPoints(points=POINTS, friction=0.3)),
+            {"support_1_x": 0.035, "support_1_y": 0.004, "support_3_y": -0.03},
+            lambda s: _with_body(
+                s,
+                support=SupportPoints(
+                    points=[(0.035, 0.004), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3
+                ),
+            ),
+        ),
+        (
+            _scene(SupportPoints(points=NET, friction=0.3)),
+            {"load_1": 3.0, "load_4": 0.5},
+            lambda s: _with_body(
+                s, support=SupportPoints(points=NET, friction=0.3, loads=[3.0, 1.0, 1.0, 0.5])
+            ),
+        ),
+        (
+            _scene(SupportPoints(points=NET, friction=0.3)),
+            {"friction_centre_x": 0.004, "friction_centre_y": -0.003},
+            lambda s: _with_body(
+                s, support=SupportPoints(points=NET + np.array([0.004, -0.003]), friction=0.3)
+            ),
+        ),
+        (
+            _scene(Ellipsoid(force=0.8, torque=0.02)),
+            {"ellipsoid_force": 0.7, "ellipsoid_torque": 0.03},
+            lambda s: _with_body(s, support=Ellipsoid(force=0.7, torque=0.03)),
+        ),
+        (
+            _scene(Tripod(radius=0.04, friction=0.3)),
+            {"tripod_radius": 0.05, "mu_support": 0.2},
+            lambda s: _with_body(s, support=Tripod(radius=0.05, friction=0.2)),
+        ),
+        (
+            _scene(),
+            {"anisotropy_xy": 0.06, "anisotropy_diagonal": 0.08},
+            lambda s: replace(
+                s, plane=Plane(anisotropy=(1.1, 0.9), axis=0.5 * np.arctan2(0.08, 0.06))
+            ),
+        ),
+        (
+            _scene(),
+            {"registration_x": -0.002, "registration_y": 0.003, "registration_theta": 0.01},
+            lambda s: _moved_path(s, (-0.002, 0.003, 0.01)),
+        ),
+        (
+            _scene(),
+            {"start_x": 0.002, "start_y": -0.001, "start_theta": 0.02},
+            lambda s: _with_body(s, pose=s.bodies[0].pose + np.array([0.002, -0.001, 0.02])),
+        ),
+        (
+            _scene(round_pusher=True),
+            {"contact_offset": 0.001},
+            lambda s: replace(s, pushers=(replace(s.pushers[0], shape=Disk(0.0153)),)),
+        ),
+    ],
+    ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
+)
+def test_a_parameter_is_the_scene_with_that_value(scene, values, same):
+    nominal, varied, built = _end(scene), _end(scene, **values), _end(same(scene))
+    assert varied == pytest.approx(built, abs=2e-5)
+    assert np.abs(varied - nominal).max() > 1e-5
+
+
+def test_an_outline_elsewhere_in_the_tracked_frame_is_a_shifted_polygon():
+    scene = _scene()
+    body = scene.bodies[0]
+    outline = np.array([0.003, -0.002, 0.1])
+    placed = composed(
+        outline, np.column_stack((body.shape.vertices, np.zeros(len(body.shape.vertices))))
+    )
+    com = composed(outline, np.array([*body.com, 0.0]))[:2]
+    moved = _with_body(
+        scene,
+        shape=Polygon(placed[:, :2]),
+        centre_of_mass=com,
+        support=replace(body.support, angle=getattr(body.support, "angle", 0.0) + 0.1),
+    )
+    values = {"outline_x": 0.003, "outline_y": -0.002, "outline_theta": 0.1}
+    assert _end(scene, **values) == pytest.approx(_end(moved), abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("support", "values", "found"),
+    [
+        (Ellipsoid(force=1.0, torque=0.1), {"mu_support": 0.2}, "ellipsoidal"),
+        (Ellipsoid(force=1.0, torque=0.1), {"tripod_radius": 0.2}, "no body on a tripod"),
+        (None, {"support_1_x": 0.01}, "no body on three support points"),
+        (SupportPoints(points=POINTS, friction=0.3), {"load_1": 2.0}, "net"),
+        (SupportPoints(points=NET, friction=0.3), {"load_5": 2.0}, "4 support points"),
+        (None, {"ellipsoid_force": 1.0}, "no body on an ellipsoidal"),
+        (None, {"contact_offset": 1e-3}, "not round"),
+        (SupportPoints(points=POINTS, friction=0.3), {"support_1_x": -0.04}, "outside"),
+    ],
+)
+def test_a_parameter_without_a_meaning_is_refused(support, values, found):
+    with pytest.raises(InvalidInput, match=found):
+        _end(_scene(support), **values)
+
+
+def test_infeasible_sets_have_their_reasons():
+    scene = _scene(SupportPoints(points=POINTS, friction=0.3))
+    values = {
+        "support_1_x": np.array([0.03, -0.04, 0.2, -0.02]),
+        "anisotropy_xy": np.array([0.0, 0.0, 0.0, 0.96]),
+    }
+    reasons = infeasible(scene, values)
+    assert reasons[0] == ""
+    assert "outside the support triangle" in reasons[1]
+    assert "outside the outline" in reasons[2]
+    assert reasons[3]
+
+
+def test_a_pose_and_its_inverse_cancel():
+    pose = np.array([[0.3, -0.2, 2.0], [1.0, 2.0, -3.0]])
+    assert composed(pose, inverted(pose)) == pytest.approx(np.zeros((2, 3)), abs=1e-15)
