@@ -234,7 +234,7 @@ def _drag(
         safe = np.where(f > 0.0, f, 1.0)
         centre = (limit[..., own, None] * point[..., own, :]).sum(axis=-2) / safe[..., None]
         arm = np.hypot(*np.moveaxis(point[..., own, :] - centre[..., None, :], -1, 0))
-        arm = np.where(elements.kind[own] == codes.ELLIPSOID, elements.arm[own], arm)
+        arm = np.where(elements.kind[own] == codes.ELLIPSOID, elements.arm[..., own], arm)
         torque = (limit[..., own] * arm).sum(axis=-1)
         x, y = centre[..., 0], centre[..., 1]
         drag[..., b, 0, 0] = f
