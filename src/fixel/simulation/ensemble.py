@@ -132,7 +132,7 @@ class Ensemble:
         )
 
     def _pass(self, which: IntArray, values: Mapping[str, FloatArray]) -> Outcome:
-        reasons = self._refused(which, values)
+        reasons = self.refused(which, values)
         ready = np.array([not reason for reason in reasons], bool)
         rows, packed = self._packed(which, values, ready)
         n = len(which)
@@ -152,8 +152,8 @@ class Ensemble:
             reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
         return Outcome(status, pose, reached, reasons)
 
-    def _refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
-        """Why rollouts cannot be, case by case of one template together."""
+    def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
+        """Why rollouts of cases `which` (n,) have no simulation; empty where they have one."""
         reasons = [""] * len(which)
         if not values:
             return reasons

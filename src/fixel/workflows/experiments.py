@@ -8,25 +8,22 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel.calibration.target import clock_start, scene_of, useful_poses
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import (
     Channel,
     Experiment,
-    LineDrive,
     Parameters,
     Provenance,
-    Scene,
     Trajectory,
     pose_error,
 )
 from fixel.model.experiment import unit_of
-from fixel.model.fields import BoolArray
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, Simulation, simulate
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
-ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
 SAMPLES: Final = 200  # of a simulation of two poses
 NOISE: Final = 1e-3  # [m]; a way is measured in strides no shorter than this
 
@@ -178,11 +175,11 @@ def comparison(
     InvalidInput
         No scene, no pose within `effective`, or parameters that change nothing in the scene.
     """
-    scene = _scene(experiment)
-    useful = _useful(experiment)
+    scene = scene_of(experiment)
+    useful = useful_poses(experiment)
     time = experiment.trajectory.time[useful]
     parameters = parameters or Parameters()
-    start = _start(experiment, scene)
+    start = clock_start(experiment, scene)
     duration = float(time[-1]) - start
     if not duration > 0.0:
         raise InvalidInput(
@@ -211,46 +208,6 @@ def comparison(
         position=position,
         angle=angle,
     )
-
-
-def _scene(experiment: Experiment) -> Scene:
-    if experiment.scene is None:
-        reasons = "; ".join(flag.detail for flag in experiment.flags if flag.detail)
-        raise InvalidInput(
-            f"experiment {experiment.key}",
-            found="no scene" + (f": {reasons}" if reasons else ""),
-            expected="one whose object, pusher and fixels are known",
-            hint="fixel show has its path",
-        )
-    return experiment.scene
-
-
-def _useful(experiment: Experiment) -> BoolArray:
-    """(n,) which measured poses after the first lie within `effective`."""
-    time = experiment.trajectory.time
-    first, last = experiment.effective or (time[0], time[-1])
-    useful = np.asarray((time >= first - ON_CLOCK) & (time <= last + ON_CLOCK))
-    useful[0] = False
-    if not useful.any():
-        raise InvalidInput(
-            f"experiment {experiment.key}.effective",
-            found=f"no measured pose from {first:g} to {last:g} s",
-            expected="one at least, after the first",
-        )
-    return useful
-
-
-def _start(experiment: Experiment, scene: Scene) -> float:
-    """Instant of the experiment's clock at which the scene's own clock starts [s].
-
-    A measured path of the pusher is on the experiment's clock. A planned line starts when the
-    scene does, and the recording may have been running for a while by then.
-    """
-    planned = [pusher for pusher in scene.pushers if isinstance(pusher.drive, LineDrive)]
-    if not planned:
-        return 0.0
-    first = experiment.effective[0] if experiment.effective else experiment.trajectory.time[0]
-    return float(first)
 
 
 def _interval(time: FloatArray, duration: float) -> float:

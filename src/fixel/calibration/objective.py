@@ -1,0 +1,332 @@
+"""From parameters to one number: how far simulations are from experiments."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.target import Target
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.fields import BoolArray, positive
+from fixel.model.space import ParameterSpace
+from fixel.model.trajectory import wrapped
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+
+ANGLE_SCALE: Final = 35e-3  # [m/rad], what the thesis counts an angle as
+
+# Rollouts whose poses are held in memory at a time.
+MOST_ROLLOUTS: Final = 4096
+
+
+class AbstractError(abc.ABC):
+    """How far one simulation is from one experiment."""
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+
+    @abc.abstractmethod
+    def of(self, difference: FloatArray) -> FloatArray:
+        """(n,) errors of simulations, from how far (n, n_sample, 3) simulated poses are from
+        measured ones: x, y [m], angle the short way [rad]."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanSquare(AbstractError):
+    """The thesis's E: mean squared distance of the poses [mm^2], angles at a length.
+
+    Source: RPI thesis, eq. 5.1, in millimetres, without the first pose, where the simulation
+    starts.
+    """
+
+    name: ClassVar[str] = "mean-square"
+    unit: ClassVar[str] = "mm^2"
+    angle_scale: float = ANGLE_SCALE  # [m/rad]
+
+    def __post_init__(self) -> None:
+        positive(self.angle_scale, "error.angle_scale", "m/rad")
+
+    def of(self, difference: FloatArray) -> FloatArray:
+        return np.asarray(_squares(difference, self.angle_scale).mean(axis=1))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RootMeanSquare(AbstractError):
+    """The ASME paper's f: norm of the root mean squares of x, y and L theta [mm].
+
+    Source: ASME 2006 paper, eqs. 3-4.
+    """
+
+    name: ClassVar[str] = "root-mean-square"
+    unit: ClassVar[str] = "mm"
+    angle_scale: float = ANGLE_SCALE  # L, the characteristic length of the part [m/rad]
+
+    def __post_init__(self) -> None:
+        positive(self.angle_scale, "error.angle_scale", "m/rad")
+
+    def of(self, difference: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(_squares(difference, self.angle_scale).mean(axis=1)))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndPose(AbstractError):
+    """Squared distance of the last poses [mm^2], for data that have little else."""
+
+    name: ClassVar[str] = "end-pose"
+    unit: ClassVar[str] = "mm^2"
+    angle_scale: float = ANGLE_SCALE  # [m/rad]
+
+    def __post_init__(self) -> None:
+        positive(self.angle_scale, "error.angle_scale", "m/rad")
+
+    def of(self, difference: FloatArray) -> FloatArray:
+        return _squares(difference[:, -1:], self.angle_scale)[:, 0]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Robust(AbstractError):
+    """Mean square that grows only linearly beyond a distance: outliers do not rule [mm^2].
+
+    The loss is ``2 c^2 (sqrt(1 + d^2 / c^2) - 1)`` of each distance d, soft L1.
+    """
+
+    name: ClassVar[str] = "robust"
+    unit: ClassVar[str] = "mm^2"
+    angle_scale: float = ANGLE_SCALE  # [m/rad]
+    distance: float = 2e-3  # c, where squares become lines [m]
+
+    def __post_init__(self) -> None:
+        positive(self.angle_scale, "error.angle_scale", "m/rad")
+        positive(self.distance, "error.distance", "m")
+
+    def of(self, difference: FloatArray) -> FloatArray:
+        square = (1e3 * self.distance) ** 2
+        squares = _squares(difference, self.angle_scale)
+        loss = 2.0 * square * (np.sqrt(1.0 + squares / square) - 1.0)
+        return np.asarray(loss.mean(axis=1))
+
+
+ERRORS: Final = (MeanSquare, RootMeanSquare, EndPose, Robust)
+
+
+def _squares(difference: FloatArray, angle_scale: float) -> FloatArray:
+    """Squared distances (n, n_sample) [mm^2]."""
+    scaled = difference * np.array([1e3, 1e3, 1e3 * angle_scale])
+    return np.asarray(np.einsum("nsk,nsk->ns", scaled, scaled))
+
+
+class Evaluated(NamedTuple):
+    """Errors of rollouts, one experiment under one set of parameters each."""
+
+    error: FloatArray  # (n,) inf where there is none
+    reasons: list[str]  # why there is none; empty where there is one
+
+
+@final
+class Comparer:
+    """Simulates experiments under points of a parameter space and tells how far off they are.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    space : ParameterSpace
+        Every free unknown must be shared by an experiment.
+    error : AbstractError, optional
+        `MeanSquare()` where left out.
+    motion, stepper : optional
+        `QuasiStatic()` and `Adaptive()` where left out.
+    threads : int, optional
+        All cores where left out; no bit depends on it.
+    """
+
+    def __init__(
+        self,
+        targets: Sequence[Target],
+        space: ParameterSpace,
+        error: AbstractError | None = None,
+        motion: AbstractMotionModel | None = None,
+        stepper: AbstractStepper | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.targets = tuple(targets)
+        self.space = space
+        self.error = error or MeanSquare()
+        _refuse_idle(self.targets, space)
+        cases = [target.case for target in self.targets]
+        self.ensemble = Ensemble(cases, motion, stepper, threads=threads)
+        self._columns = _Columns(self.targets, space)
+        self._length = np.array([len(target.pose) for target in self.targets])
+        self._measured = np.zeros((len(self.targets), self.ensemble.n_sample, 3))
+        for k, target in enumerate(self.targets):
+            self._measured[k, : len(target.pose)] = target.pose
+
+    def errors(self, which: IntArray, points: FloatArray) -> Evaluated:
+        """Errors of experiments under points.
+
+        Parameters
+        ----------
+        which : (n,) int
+            Number of the target of each rollout.
+        points : (n, n_free) float64
+        """
+        error, reasons = np.full(len(which), math.inf), []
+        for k in range(0, len(which), MOST_ROLLOUTS):
+            rows = slice(k, k + MOST_ROLLOUTS)
+            difference, good, why = self.differences(which[rows], points[rows])
+            length = self._length[which[rows]]
+            # By length, not padded: how numbers add up depends on how many there are.
+            for n in np.unique(length):
+                own = length == n
+                error[rows][own] = self.error.of(difference[own, :n])
+            error[rows][~good] = math.inf
+            reasons += why
+        return Evaluated(error, reasons)
+
+    def feasible(self, points: FloatArray) -> BoolArray:
+        """(k,) whether every experiment can be simulated at the points at all."""
+        n = len(self.targets)
+        which = np.tile(np.arange(n), len(points))
+        reasons = [""] * len(which)
+        rows = np.repeat(np.asarray(points, np.float64), n, axis=0)
+        for own, values in self._columns.groups(which, rows):
+            for k, reason in zip(own, self.ensemble.refused(which[own], values), strict=True):
+                reasons[k] = reason
+        good = np.array([not r for r in reasons], bool).reshape(len(points), n)
+        return np.asarray(good.all(axis=1))
+
+    def differences(
+        self, which: IntArray, points: FloatArray
+    ) -> tuple[FloatArray, BoolArray, list[str]]:
+        """How far (n, n_sample, 3) simulated poses are from measured ones, zero beyond an
+        experiment's last; which simulations came to their end; why the others did not."""
+        n, n_sample = len(which), self.ensemble.n_sample
+        pose = np.zeros((n, n_sample, 3))
+        good = np.zeros(n, bool)
+        reasons = [""] * n
+        for own, values in self._columns.groups(which, points):
+            outcome = self.ensemble.simulate(which[own], values)
+            pose[own] = outcome.pose
+            good[own] = outcome.converged
+            for k, reason in zip(own, outcome.reasons, strict=True):
+                reasons[k] = reason
+        difference = pose - self._measured[which]
+        difference[:, :, 2] = wrapped(difference[:, :, 2])
+        difference[np.arange(n_sample) >= self._length[which][:, None]] = 0.0
+        return difference, good, reasons
+
+
+class _Columns:
+    """Which unknown gives which experiment its value of a parameter."""
+
+    def __init__(self, targets: Sequence[Target], space: ParameterSpace) -> None:
+        free = {label: k for k, label in enumerate(space.labels)}
+        n_free = len(free)
+        # Frozen unknowns stand behind the free ones, as columns that are the same in every row.
+        place = {u.label: free.get(u.label, n_free + k) for k, u in enumerate(space.unknowns)}
+        self._constant = np.array([u.nominal for u in space.unknowns])
+        rows = []
+        for target in targets:
+            found: dict[str, int] = {}
+            for unknown in space.unknowns:
+                if unknown.name not in found and unknown.covers(target.conditions):
+                    found[unknown.name] = place[unknown.label]
+            rows.append(found)
+        names = [tuple(sorted(found)) for found in rows]
+        self._kinds = sorted(set(names))
+        self._kind = np.array([self._kinds.index(own) for own in names])
+        self._place = [
+            np.array([[found.get(name, 0) for name in kind] for found in rows], np.int64)
+            for kind in self._kinds
+        ]
+
+    def groups(
+        self, which: IntArray, points: FloatArray
+    ) -> list[tuple[IntArray, Mapping[str, FloatArray]]]:
+        """Rollouts that vary the same parameters, and the values (n,) of these by name."""
+        constant = np.broadcast_to(self._constant, (len(points), len(self._constant)))
+        table = np.concatenate((points, constant), axis=1)
+        kind = self._kind[which]
+        groups: list[tuple[IntArray, Mapping[str, FloatArray]]] = []
+        for k in np.unique(kind):
+            own = np.flatnonzero(kind == k)
+            place = self._place[k][which[own]]
+            values = np.take_along_axis(table[own], place, axis=1)
+            groups.append((own, dict(zip(self._kinds[k], values.T.copy(), strict=True))))
+        return groups
+
+
+def _refuse_idle(targets: Sequence[Target], space: ParameterSpace) -> None:
+    """Refuse an unknown that no experiment could say anything about."""
+    for unknown in space.free:
+        if not any(unknown.covers(target.conditions) for target in targets):
+            raise InvalidInput(
+                unknown.label,
+                found="no experiment under these conditions",
+                expected="one at least that could inform it",
+                hint="freeze it, or leave it out",
+            )
+
+
+COMBINATIONS: Final = ("sum", "mean", "largest")
+
+
+@final
+class Objective:
+    """The error of several experiments together, at points of the space.
+
+    Parameters
+    ----------
+    comparer : Comparer
+    members : sequence of int, optional
+        Numbers of the targets; all where left out.
+    combine : str
+        `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
+    """
+
+    def __init__(
+        self, comparer: Comparer, members: Sequence[int] | None = None, combine: str = "mean"
+    ) -> None:
+        if combine not in COMBINATIONS:
+            raise InvalidInput(
+                "combine", found=repr(combine), expected="one of " + ", ".join(COMBINATIONS)
+            )
+        self.comparer = comparer
+        self.members = np.asarray(
+            range(len(comparer.targets)) if members is None else members, np.int64
+        )
+        self.combine = combine
+
+    def members_at(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
+        """Errors (k, n_member) at points (k, n_free), and why a point has none."""
+        k, n = len(points), len(self.members)
+        evaluated = self.comparer.errors(
+            np.tile(self.members, k), np.repeat(np.asarray(points, np.float64), n, axis=0)
+        )
+        reasons = []
+        for row in range(k):
+            own = evaluated.reasons[row * n : (row + 1) * n]
+            first = next((m for m, reason in enumerate(own) if reason), None)
+            key = "" if first is None else self.comparer.targets[self.members[first]].key
+            reasons.append("" if first is None else f"{key}: {own[first]}")
+        return evaluated.error.reshape(k, n), reasons
+
+    def combined(self, errors: FloatArray) -> FloatArray:
+        """(k,) of errors (k, n_member)."""
+        if self.combine == "largest":
+            return np.asarray(errors.max(axis=1))
+        return np.asarray(errors.sum(axis=1) if self.combine == "sum" else errors.mean(axis=1))
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """(k,) combined errors at points (k, n_free)."""
+        return self.combined(self.members_at(points)[0])
