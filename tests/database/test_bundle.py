@@ -21,6 +21,7 @@ from fixel.errors import InvalidInput, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import (
     CalibrationRecord,
+    Estimate,
     Evaluations,
     FilterParameters,
     FilterRun,
@@ -96,12 +97,17 @@ def fill(store):
             )
         )  # fmt: skip
     tried = Evaluations(
-        names=("mu_support",), values=[[0.1], [0.3]], error_mm2=[math.inf, 2.0], reasons=("x", "")
+        names=("mu_support",), values=[[0.1], [0.3]], error=[math.inf, 2.0], reasons=("x", "")
     )
     for members in ((Member(a, 1.0, 2.0), Member(c, 0.5, 3.0)), (Member(gone, 1.0, 2.0),)):
         store.add_calibration(
             CalibrationRecord(
-                name="best", parameters=p, members=members, provenance=HERE, evaluations=tried
+                name="best",
+                parameters=p,
+                members=members,
+                provenance=HERE,
+                evaluations=tried,
+                estimates=(Estimate(label="mu_support", unit="-", value=0.3, low=0.2),),
             )
         )
     f = store.add_filter_parameters(

@@ -343,7 +343,7 @@ def test_a_database_without_tables(url, tmp_path):
             reason, hint = refusal(act, *arguments)
             assert reason.endswith("has no tables yet")
             assert hint == "run: fixel db upgrade"
-        assert store.upgrade() == (None, "0001")
+        assert store.upgrade() == (None, "0002")
 
 
 def test_a_database_and_a_user_that_are_not_there(postgres, tmp_path):

@@ -14,6 +14,7 @@ from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import (
     CalibrationRecord,
+    Estimate,
     Evaluations,
     FilterParameters,
     FilterRun,
@@ -238,7 +239,8 @@ def test_simulations_calibrations_and_filters(store):
     tried = Evaluations(
         names=("mu_support", "tripod_radius"),
         values=[[0.3, 0.04], [0.2, 0.05]],
-        error_mm2=[1.0, math.inf],
+        error=[1.0, math.inf],
+        unit="mm",
         reasons=("", "jammed at 2 s"),
     )
     calibration = CalibrationRecord(
@@ -248,8 +250,14 @@ def test_simulations_calibrations_and_filters(store):
         provenance=HERE,
         method={"optimiser": "pattern-search"},
         evaluations=tried,
+        estimates=(
+            Estimate(label="mu_support", unit="-", value=0.3, verdict="not identified"),
+            Estimate(label="tripod_radius", unit="m", value=0.04, low=0.03, high=0.05),
+        ),
     )
-    found = store.calibration(store.add_calibration(calibration))
+    number = store.add_calibration(calibration)
+    assert store.calibrations() == [number]
+    found = store.calibration(number)
     assert same_but_for_time(calibration, found)
     assert (found.mean_error_mm2, found.sum_error_mm2, found.max_error_mm2) == (2.0, 4.0, 3.0)
 

@@ -247,6 +247,7 @@ class _Writer:
                 for member in record.members
             ],
             "reasons": [] if tried is None else list(tried.reasons),
+            "estimates": rows.estimates_row(record.estimates),
             "series": self._series(rows.trials_of(tried)),
             **rows.provenance_row(record.provenance),
         }

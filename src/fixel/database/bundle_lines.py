@@ -140,6 +140,18 @@ class MemberLine(Line):
     error_mm2: float
 
 
+class EstimateLine(Line):
+    """What a calibration says about a parameter."""
+
+    label: str
+    unit: str
+    value: float
+    low: float | None
+    high: float | None
+    verdict: str
+    reason: str
+
+
 class CalibrationLine(Recorded):
     """A calibration."""
 
@@ -148,6 +160,7 @@ class CalibrationLine(Recorded):
     method: Plain
     members: list[MemberLine]
     reasons: list[str]
+    estimates: list[EstimateLine] | None = None
     series: list[SeriesLine]
 
     def record(
@@ -161,6 +174,7 @@ class CalibrationLine(Recorded):
             provenance=rows.provenance_of(cast("sa.Row[Any]", self)),
             method=self.method,
             evaluations=rows.evaluations_of(measured, self.reasons),
+            estimates=rows.estimates_of([line.model_dump() for line in self.estimates or ()]),
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
-from fixel.model.records import Evaluations, FilterRun
+from fixel.model.records import Estimate, Evaluations, FilterRun
 
 FloatArray = NDArray[np.float64]
 Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
@@ -103,8 +104,8 @@ def trials_of(tried: Evaluations | None) -> list[Measured]:
     """Series of what a calibration tried."""
     if tried is None:
         return []
-    table = np.column_stack((tried.values, tried.error_mm2))
-    return [("evaluations", (*tried.names, "error_mm2"), table)]
+    table = np.column_stack((tried.values, tried.error))
+    return [("evaluations", (*tried.names, f"error_{tried.unit}"), table)]
 
 
 def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluations | None:
@@ -115,9 +116,20 @@ def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluati
     return Evaluations(
         names=columns[:-1],
         values=values[:, :-1],
-        error_mm2=values[:, -1],
+        error=values[:, -1],
         reasons=tuple(reasons),
+        unit=columns[-1].removeprefix("error_"),
     )
+
+
+def estimates_row(estimates: Sequence[Estimate]) -> list[dict[str, Any]] | None:
+    """Plain values of estimates, as a column and a bundle hold them."""
+    return [dataclasses.asdict(estimate) for estimate in estimates] or None
+
+
+def estimates_of(row: Sequence[Mapping[str, Any]] | None) -> tuple[Estimate, ...]:
+    """The other way round."""
+    return tuple(Estimate(**plain) for plain in row or ())
 
 
 def filtered_of(run: FilterRun) -> list[Measured]:

@@ -380,12 +380,13 @@ class Store:
                     "name": record.name,
                     "system_parameters_id": _parameters_id(connection, record.parameters),
                     "method": dict(record.method),
-                    "n_evaluation": 0 if tried is None else len(tried.error_mm2),
+                    "n_evaluation": 0 if tried is None else len(tried.error),
                     "n_member": len(record.members),
                     "mean_error_mm2": record.mean_error_mm2,
                     "sum_error_mm2": record.sum_error_mm2,
                     "max_error_mm2": record.max_error_mm2,
                     "reasons": reasons,
+                    "estimates": rows.estimates_row(record.estimates),
                     **rows.provenance_row(record.provenance),
                 },
             )
@@ -429,7 +430,15 @@ class Store:
             evaluations=rows.evaluations_of(
                 series, [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
             ),
+            estimates=rows.estimates_of(row.estimates),
         )
+
+    def calibrations(self) -> list[int]:
+        """Ids of all calibrations, the oldest first."""
+        table = tables.calibration
+        wanted = sa.select(table.c.id).where(table.c.deleted_at_utc.is_(None)).order_by(table.c.id)
+        with reading(self._engine) as connection:
+            return list(connection.scalars(wanted))
 
     def add_filter_parameters(self, record: FilterParameters) -> int:
         """Store settings of a filter; returns their id."""

@@ -160,6 +160,7 @@ calibration = sa.Table(
     sa.Column("sum_error_mm2", _FLOAT, nullable=False),
     sa.Column("max_error_mm2", _FLOAT, nullable=False),
     sa.Column("reasons", sa.JSON, nullable=False),  # JSON: of evaluations that failed, by number
+    sa.Column("estimates", sa.JSON(none_as_null=True)),  # JSON list, one a parameter
     *_provenance(),
 )
 

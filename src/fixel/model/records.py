@@ -62,19 +62,22 @@ class Evaluations(Comparable):
     ----------
     names : tuple of str
     values : (n, n_name) array_like
-    error_mm2 : (n,) array_like
+    error : (n,) array_like
         Infinite where there is none.
     reasons : tuple of str
         Why there is none; empty where there is one.
+    unit : str
+        Of the error: `"mm2"` or `"mm"`.
     """
 
     names: tuple[str, ...]
     values: FloatArray
-    error_mm2: FloatArray
+    error: FloatArray
     reasons: tuple[str, ...] = ()
+    unit: str = "mm2"
 
     def __post_init__(self) -> None:
-        values, error = frozen(self.values), frozen(self.error_mm2)
+        values, error = frozen(self.values), frozen(self.error)
         reasons = tuple(self.reasons) or ("",) * len(error)
         if values.shape != (len(error), len(self.names)) or len(reasons) != len(error):
             raise InvalidInput(
@@ -82,7 +85,7 @@ class Evaluations(Comparable):
                 found=f"values of shape {values.shape} for {len(error)} errors",
                 expected=f"a row of {len(self.names)} values and a reason an error",
             )
-        settle(self, names=tuple(self.names), values=values, error_mm2=error, reasons=reasons)
+        settle(self, names=tuple(self.names), values=values, error=error, reasons=reasons)
 
 
 @final
@@ -96,6 +99,35 @@ class Member:
 
 
 @final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """What a calibration says about one unknown.
+
+    Parameters
+    ----------
+    label : str
+        Name of the parameter, with whom it is shared by: `"mu_pusher[surface=plywood]"`.
+    unit : str
+    value : float
+    low, high : float, optional
+        Ends of its interval; none where the data set no end.
+    verdict : str
+        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`, or
+        `"frozen"`; empty where nobody asked.
+    reason : str
+        A sentence why.
+    """
+
+    label: str
+    unit: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    verdict: str = ""
+    reason: str = ""
+
+
+@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationRecord(Comparable):
     """A finished calibration.
@@ -106,9 +138,11 @@ class CalibrationRecord(Comparable):
     method : mapping of str to str or float
         Optimiser and its options.
     parameters : Parameters
-        The best.
+        The best, as far as all members share them.
     members : tuple of Member
     evaluations : Evaluations, optional
+    estimates : tuple of Estimate
+        One an unknown.
     """
 
     name: str
@@ -117,6 +151,7 @@ class CalibrationRecord(Comparable):
     provenance: Provenance
     method: Mapping[str, str | float] = field(default_factory=dict)
     evaluations: Evaluations | None = None
+    estimates: tuple[Estimate, ...] = ()
 
     def __post_init__(self) -> None:
         name_of(self.name, "calibration.name")
@@ -127,6 +162,7 @@ class CalibrationRecord(Comparable):
         settle(
             self,
             members=tuple(self.members),
+            estimates=tuple(self.estimates),
             method=MappingProxyType(dict(sorted(self.method.items()))),
         )
 

@@ -1,0 +1,308 @@
+"""Studies: which simulations a calibration wants, as a conversation.
+
+A study is a generator that asks for rollouts, is sent their errors, and returns its result. It
+never simulates: `conducted` does, or a cluster, or a journal of what was evaluated before an
+interruption. Sent the same errors, a study asks for the same rollouts, bit by bit.
+
+Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's search in
+`fixel.calibration.pattern_search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from fixel.calibration.objective import Evaluated
+from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.space import ParameterSpace
+
+T = TypeVar("T")
+
+
+class Ask(NamedTuple):
+    """Rollouts a study wants next."""
+
+    which: IntArray  # (n,) target of each
+    points: FloatArray  # (n, n_free)
+
+
+Study = Generator[Ask, Evaluated, T]
+
+
+class Trace(NamedTuple):
+    """All that one search evaluated, in order."""
+
+    point: FloatArray  # (n_free,) the best
+    error: float  # inf where nothing could be evaluated
+    points: FloatArray  # (n, n_free)
+    errors: FloatArray  # (n,)
+    reasons: list[str]  # why an evaluation failed; empty where it did not
+    ended: str  # why the search ended
+
+
+def box_of(space: ParameterSpace) -> Box:
+    """Where a search of the space goes."""
+    return Box(space.low, space.high, space.nominal, space.scale)
+
+
+def conducted(
+    study: Study[T],
+    evaluate: Callable[[Ask], Evaluated],
+    progress: Callable[[Ask, Evaluated], None] | None = None,
+) -> T:
+    """Hold the conversation to its end."""
+    try:
+        ask = next(study)
+        while True:
+            answer = evaluate(ask)
+            if progress is not None:
+                progress(ask, answer)
+            ask = study.send(answer)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+# --- searches -----------------------------------------------------------------------------------
+
+
+def each_alone(
+    members: Sequence[int],
+    box: Box,
+    optimiser: AbstractOptimiser,
+    seed: int = 0,
+    feasible: Feasible | None = None,
+) -> Study[list[Trace]]:
+    """Calibrate every member by itself; all searches go in step, so that batches are large.
+
+    A member's result does not depend on which others there are.
+    """
+    logs = [_Log(optimiser.start(box, seed, feasible)) for _ in members]
+    while True:
+        running = [(m, log) for m, log in zip(members, logs, strict=True) if not log.search.done]
+        if not running:
+            return [log.trace() for log in logs]
+        asked = [log.search.ask() for _, log in running]
+        which = np.repeat([m for m, _ in running], [len(points) for points in asked])
+        answer = yield Ask(which, np.concatenate(asked))
+        at = 0
+        for (_, log), points in zip(running, asked, strict=True):
+            end = at + len(points)
+            log.tell(points, answer.error[at:end], answer.reasons[at:end])
+            at = end
+
+
+def together(
+    members: Sequence[int],
+    box: Box,
+    optimiser: AbstractOptimiser,
+    combine: Callable[[FloatArray], FloatArray],
+    seed: int = 0,
+    feasible: Feasible | None = None,
+) -> Study[tuple[Trace, Search]]:
+    """One set of parameters for all members, by direct minimisation of their combined error.
+
+    Parameters
+    ----------
+    combine : callable
+        (k, n_member) errors -> (k,): their sum, mean or largest.
+    """
+    log = _Log(optimiser.start(box, seed, feasible))
+    while not log.search.done:
+        points = log.search.ask()
+        errors, reasons = yield from at_points(members, points)
+        log.tell(points, combine(errors), reasons)
+    return log.trace(), log.search
+
+
+def at_points(members: Sequence[int], points: FloatArray) -> Study[tuple[FloatArray, list[str]]]:
+    """Errors (k, n_member) of all members at points (k, n_free), and why a point has none."""
+    k, n = len(points), len(members)
+    answer = yield Ask(np.tile(np.asarray(members, np.int64), k), np.repeat(points, n, axis=0))
+    reasons = []
+    for row in range(k):
+        own = answer.reasons[row * n : (row + 1) * n]
+        reasons.append(next((reason for reason in own if reason), ""))
+    return answer.error.reshape(k, n), reasons
+
+
+class _Log:
+    """A search and what it was told."""
+
+    def __init__(self, search: Search) -> None:
+        self.search = search
+        self._points: list[FloatArray] = []
+        self._errors: list[FloatArray] = []
+        self._reasons: list[str] = []
+
+    def tell(self, points: FloatArray, errors: FloatArray, reasons: list[str]) -> None:
+        self.search.tell(errors)
+        self._points.append(points)
+        self._errors.append(errors)
+        self._reasons += reasons
+
+    def trace(self) -> Trace:
+        best = self.search.best
+        n = self.search.box.n
+        return Trace(
+            best.point,
+            best.error,
+            np.concatenate([np.zeros((0, n)), *self._points]),
+            np.concatenate([np.zeros(0), *self._errors]),
+            self._reasons,
+            self.search.reason,
+        )
+
+
+# --- several experiments ------------------------------------------------------------------------
+
+
+def polished(
+    points: FloatArray, errors: FloatArray, groups: Sequence[Sequence[int]]
+) -> Study[tuple[FloatArray, FloatArray]]:
+    """Give each member the best of its neighbours' parameters, where they do better than its own.
+
+    Parameters
+    ----------
+    points : (n_member, n_free) float64
+        Of the single calibrations.
+    errors : (n_member,) float64
+    groups : sequence of sequences of int
+        Neighbours: the members that differ in x, in y or in theta only.
+
+    Returns
+    -------
+    points, errors
+        The same or better.
+
+    Source: RPI thesis, section 5.2.1.
+    """
+    pairs = sorted({(a, b) for group in groups for a in group for b in group if a != b})
+    if not pairs:
+        return points, errors
+    own, other = np.array(pairs).T
+    answer = yield Ask(own, points[other])
+    best, least = points.copy(), errors.copy()
+    for k, (a, b) in enumerate(pairs):
+        if answer.error[k] < least[a]:
+            best[a], least[a] = points[b], answer.error[k]
+    return best, least
+
+
+NOMINAL: Final = "nominal"  # axis of the experiment that all others of a layout are offset from
+
+# Errors smaller than this count as this, or one perfect fit would rule alone [mm^2 or mm].
+LEAST_ERROR: Final = 1e-6
+
+
+def weighted_mean(points: FloatArray, errors: FloatArray) -> FloatArray:
+    """(n_free,) mean of points (n, n_free), each weighted with the inverse of its error (n,).
+
+    Source: RPI thesis, section 5.2.2.
+    """
+    found = np.isfinite(errors)
+    if not found.any():
+        raise InvalidInput(
+            "weighted mean", found="no calibrated member", expected="one with a finite error"
+        )
+    weight = 1.0 / np.maximum(errors[found], LEAST_ERROR)
+    return np.asarray(weight @ points[found] / weight.sum())
+
+
+class Pooled(NamedTuple):
+    """One set of parameters made of those of single calibrations."""
+
+    point: FloatArray  # (n_free,)
+    members: FloatArray  # (n_member,) errors of all members with it
+    used: tuple[int, ...]  # places of the members whose parameters went in
+
+
+def weighted(members: Sequence[int], points: FloatArray, errors: FloatArray) -> Study[Pooled]:
+    """The weighted mean of all single calibrations, and how every member does with it."""
+    mean = weighted_mean(points, errors)
+    found, _ = yield from at_points(members, mean[None])
+    return Pooled(mean, found[0], tuple(np.flatnonzero(np.isfinite(errors)).tolist()))
+
+
+def best_subset(
+    members: Sequence[int],
+    points: FloatArray,
+    errors: FloatArray,
+    combine: Callable[[FloatArray], FloatArray],
+    seed: int = 0,
+    candidates: int = 24,
+    rounds: int = 20,
+) -> Study[Pooled]:
+    """The weighted mean of the subset of single calibrations that does best on all members.
+
+    From all members on, each round leaves members out one at a time and in random halves, and goes
+    on with the best subset found, until none does better.
+
+    Source: RPI thesis, section 5.2.2, "iteratively with many different combinations of the sample
+    set"; which combinations it does not say.
+    """
+    draw = np.random.default_rng(seed)
+    best = yield from weighted(members, points, errors)
+    value = float(combine(best.members[None])[0])
+    for _ in range(rounds):
+        subsets = _smaller(best.used, draw, candidates)
+        if not subsets:
+            break
+        means = np.array([weighted_mean(points[list(s)], errors[list(s)]) for s in subsets])
+        found, _ = yield from at_points(members, means)
+        values = combine(found)
+        k = int(np.argmin(values))
+        if not values[k] < value:
+            break
+        best, value = Pooled(means[k], found[k], subsets[k]), float(values[k])
+    return best
+
+
+def _smaller(
+    used: tuple[int, ...], draw: np.random.Generator, candidates: int
+) -> list[tuple[int, ...]]:
+    """Subsets to try: each without one member, and halves, `candidates` of each kind at most."""
+    n = len(used)
+    if n < 2:
+        return []
+    left_out = draw.permutation(n)[:candidates].tolist()
+    singles = [tuple(m for k, m in enumerate(used) if k != out) for out in left_out]
+    halves = [
+        tuple(used[k] for k in sorted(draw.permutation(n)[: (n + 1) // 2].tolist()))
+        for _ in range(candidates if n > 3 else 0)
+    ]
+    return list(dict.fromkeys(singles + halves))
+
+
+def best_stored(members: Sequence[int], points: FloatArray) -> Study[Pooled]:
+    """Of stored points (k, n_free), the one whose largest error over the members is smallest."""
+    found, _ = yield from at_points(members, points)
+    k = int(np.argmin(found.max(axis=1)))
+    return Pooled(points[k], found[k], (k,))
+
+
+def neighbours(conditions: Sequence[Mapping[str, str | float]]) -> list[list[int]]:
+    """Groups of experiments of one shape and layout that differ along one axis only.
+
+    Parameters
+    ----------
+    conditions : sequence of mappings
+        Of the experiments, as a sampling plan writes them: `shape`, `layout` and `axis`, which is
+        `"nominal"` for the one that belongs to every group. Experiments without are in none.
+    """
+    groups: dict[tuple[str, str, str], list[int]] = {}
+    for k, own in enumerate(conditions):
+        if "axis" in own:
+            key = (str(own.get("shape", "")), str(own.get("layout", "")), str(own["axis"]))
+            groups.setdefault(key, []).append(k)
+    nominal = {key[:2]: group for key, group in groups.items() if key[2] == NOMINAL}
+    return [
+        sorted({*group, *nominal.get(key[:2], [])})
+        for key, group in groups.items()
+        if key[2] != NOMINAL
+    ]
