@@ -175,6 +175,13 @@ def test_infeasible_sets_have_their_reasons():
     assert reasons[3]
 
 
+def test_what_is_below_its_range_has_no_simulation():
+    values = {"tripod_radius": np.array([0.0, 0.01]), "mu_pusher": np.array([0.1, -0.1])}
+    reasons = infeasible(_scene(), values)
+    assert "tripod_radius" in reasons[0]
+    assert "mu_pusher" in reasons[1]
+
+
 def test_a_pose_and_its_inverse_cancel():
     pose = np.array([[0.3, -0.2, 2.0], [1.0, 2.0, -3.0]])
     assert composed(pose, inverted(pose)) == pytest.approx(np.zeros((2, 3)), abs=1e-15)

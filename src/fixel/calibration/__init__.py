@@ -1,1 +1,32 @@
 """Parameters from experiments, and how far the experiments determine them."""
+
+from fixel.calibration.evolution import CmaEs
+from fixel.calibration.mads import Mads
+from fixel.calibration.multi_start import MultiStart
+from fixel.calibration.nelder_mead import NelderMead
+from fixel.calibration.optimiser import AbstractOptimiser, Best, Box, Feasible, Search
+from fixel.calibration.pattern_search import FixedStepSearch, PatternSearch
+
+__all__ = [
+    "OPTIMISERS",
+    "AbstractOptimiser",
+    "Best",
+    "Box",
+    "CmaEs",
+    "Feasible",
+    "FixedStepSearch",
+    "Mads",
+    "MultiStart",
+    "NelderMead",
+    "PatternSearch",
+    "Search",
+]
+
+# Those that run on their own; `MultiStart` runs another.
+OPTIMISERS: tuple[type[AbstractOptimiser], ...] = (
+    PatternSearch,
+    FixedStepSearch,
+    NelderMead,
+    CmaEs,
+    Mads,
+)

@@ -18,6 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Disk, Pusher, Scene, SupportPoints
+from fixel.model.parameters import info_of
 from fixel.model.support import LOAD_ROUNDING, triangle_shares
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
@@ -304,6 +305,10 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
     """Why each of n sets of values has no simulation; empty where it has one."""
     n = len(next(iter(values.values())))
     reasons = [""] * n
+    for name, value in values.items():
+        info = info_of(name)
+        low = value <= info.lowest if info.above else value < info.lowest
+        _note(reasons, np.asarray(low), f"{name} below what it can be")
     if any(name in values for name in _CORNERS):
         points, share = three_points(scene, values)
         outline = shapely.Polygon(scene.bodies[0].shape.outline)

@@ -1,0 +1,180 @@
+"""Covariance matrix adaptation: a cloud of points that learns the shape of the valley."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.options import positive, settle, whole
+from fixel.calibration.starts import feasible_points
+from fixel.calibration.walk import Moves, Walk
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+
+_MORE_WORDS = {
+    "tolx": "the cloud shrank to the tolerance",
+    "tolflatfitness": "all points are equally bad or good",
+    "tolfun": "errors in the cloud no longer differ",
+    "tolfunhist": "errors no longer change",
+    "tolstagnation": "errors no longer fall",
+    "tolxstagnation": "the cloud no longer moves",
+}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CmaEs(AbstractOptimiser):
+    """CMA-ES, for errors that are rough or have several minima, and for more unknowns than five.
+
+    It needs hundreds of evaluations before it is any good: where a few dozen must do, or the error
+    is smooth with one minimum, `NelderMead` gets there sooner. Needs `pip install "fixel[cma]"`.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of the first cloud about the start, in scales of the box. With the scale
+        a tenth of the range, 3 covers the box.
+    population : int, optional
+        Points an iteration; 4 + 3 ln(n) where left out.
+    tolerance : float
+        The search ends when the cloud is smaller, in scales.
+    restarts : int
+        New clouds from random feasible points after the first, each twice as large as the last.
+    max_evaluations : int
+        No new iteration begins once they were made.
+
+    Notes
+    -----
+    The start is asked for along with the first cloud. Points that failed rank behind all others,
+    by their distance from the best point known: a cloud that lies on nothing else comes home.
+
+    Source
+    ------
+    Hansen & Ostermeier (2001); restarts after Auger & Hansen (2005); the package pycma.
+    """
+
+    name: ClassVar[str] = "cma-es"
+    sigma: float = 2.0
+    population: int | None = None
+    tolerance: float = 1e-4
+    restarts: int = 0
+    max_evaluations: int = 20_000
+
+    def __post_init__(self) -> None:
+        population = self.population
+        settle(
+            self,
+            sigma=positive(self.sigma, "CmaEs.sigma"),
+            population=None if population is None else whole(population, "CmaEs.population", 3),
+            tolerance=positive(self.tolerance, "CmaEs.tolerance"),
+            restarts=whole(self.restarts, "CmaEs.restarts", 0),
+            max_evaluations=whole(self.max_evaluations, "CmaEs.max_evaluations"),
+        )
+
+    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+        if find_spec("cma") is None:
+            raise InvalidInput(
+                "CmaEs",
+                found="no package cma",
+                expected="it to be installed",
+                hint='pip install "fixel[cma]"',
+            )
+        starts = box.start[None]
+        if self.restarts:
+            more = feasible_points(box, self.restarts, seed, feasible)
+            starts = np.concatenate((starts, more))
+        return _CmaWalk(box, self, starts, np.random.default_rng(seed))
+
+
+@final
+class _CmaWalk(Walk):
+    def __init__(
+        self, box: Box, options: CmaEs, starts: FloatArray, dice: np.random.Generator
+    ) -> None:
+        super().__init__(box)
+        self.options = options
+        self._starts = starts
+        self._dice = dice
+
+    def _walk(self) -> Moves:
+        reason = ""
+        population = self.options.population or 4 + int(3 * math.log(self.box.n))
+        for k, start in enumerate(self._starts):
+            reason = yield from self._cloud(start, population * 2**k)
+            if self.evaluations >= self.options.max_evaluations:
+                break
+        return reason
+
+    def _cloud(self, start: FloatArray, population: int) -> Moves:
+        """One run, in coordinates that are scales from its start."""
+        cloud = self._strategy(start, population)
+        worst = -math.inf
+        first = True
+        while not (reason := self._ended(cloud)):
+            with _quiet():
+                places = cloud.ask()
+            # The start itself comes first: its coordinates here are zero.
+            table = np.array([np.zeros_like(places[0])] * first + places)[:, : self.box.n]
+            points = start + table * self.box.scale
+            errors = yield np.clip(points, self.box.low, self.box.high)
+            errors = errors[1:] if first else errors
+            first = False
+            worst = float(np.max(errors, initial=worst, where=np.isfinite(errors)))
+            home = (self.best.point - start) / self.box.scale
+            away = np.linalg.norm(np.array(places)[:, : self.box.n] - home, axis=1)
+            with _quiet():
+                cloud.tell(places, _ranked(errors, worst, away).tolist())
+        return reason
+
+    def _strategy(self, start: FloatArray, population: int) -> Any:
+        box = self.box
+        # The package does not do one unknown: a second one goes along that nothing depends on.
+        spare = max(0, 2 - box.n)
+        low = [*((box.low - start) / box.scale).tolist(), *[-10.0] * spare]
+        high = [*((box.high - start) / box.scale).tolist(), *[10.0] * spare]
+        options = {
+            "bounds": [low, high],
+            "popsize": population,
+            "tolx": self.options.tolerance,
+            "seed": math.nan,  # leave NumPy's own random numbers alone
+            "randn": _normal(self._dice),
+            "verbose": -10,  # and read no file of signals
+            "verb_log": 0,
+            "verb_disp": 0,
+        }
+        with _quiet():
+            strategy = import_module("cma").CMAEvolutionStrategy
+            return strategy([0.0] * len(low), self.options.sigma, options)
+
+    def _ended(self, cloud: Any) -> str:
+        if self.evaluations >= self.options.max_evaluations:
+            return f"{self.options.max_evaluations} evaluations were made"
+        with _quiet():
+            stopped = list(cloud.stop())
+        return _MORE_WORDS.get(stopped[0], f"CMA-ES stopped: {stopped[0]}") if stopped else ""
+
+
+def _ranked(errors: FloatArray, worst: float, away: FloatArray) -> FloatArray:
+    """Errors with those that failed behind the worst told; the package takes no inf."""
+    behind = 0.0 if worst == -math.inf else worst
+    return np.where(np.isfinite(errors), errors, behind + max(abs(behind), 1.0) * (1.0 + away))
+
+
+def _normal(dice: np.random.Generator) -> Callable[..., FloatArray]:
+    return lambda *shape: dice.standard_normal(shape)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

@@ -1,0 +1,183 @@
+"""Mesh adaptive direct search, by NOMAD."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import subprocess
+import sys
+import weakref
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, Any, ClassVar, final
+
+import numpy as np
+
+from fixel.calibration import mads_child
+from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.options import positive, settle, whole
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+
+_WORDS = (
+    ("frame size", "the frame shrank to {0.threshold:g} of the scale"),
+    ("mesh", "the mesh became as fine as numbers are"),
+    ("number of blackbox", "{0.max_evaluations} evaluations were made"),
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mads(AbstractOptimiser):
+    """MADS: a pattern search whose directions become dense, with models of the error to guess by.
+
+    Converges for errors that are not smooth, where `PatternSearch` can get stuck at a crease, and
+    takes few evaluations where the error is smooth. It asks for one or two points at a time, so
+    many cores are no use to it. Needs `pip install "fixel[mads]"` (NOMAD is under the LGPL).
+
+    Parameters
+    ----------
+    initial_frame : float
+        First steps, in scales of the box.
+    threshold : float
+        The search ends when its frame is smaller, in scales.
+    max_evaluations : int
+        At most so many.
+
+    Notes
+    -----
+    NOMAD calls back for errors and keeps its state, random numbers included, in variables of the
+    process: two searches in one process would disturb each other. So each runs in a process of its
+    own, which ends with the search or when the search is dropped.
+
+    Source
+    ------
+    Audet & Dennis (2006); Audet et al. (2022), NOMAD 4.
+    """
+
+    name: ClassVar[str] = "mads"
+    initial_frame: float = 1.0
+    threshold: float = 1e-6
+    max_evaluations: int = 20_000
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            initial_frame=positive(self.initial_frame, "Mads.initial_frame"),
+            threshold=positive(self.threshold, "Mads.threshold"),
+            max_evaluations=whole(self.max_evaluations, "Mads.max_evaluations"),
+        )
+
+    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+        if find_spec("PyNomad") is None:
+            raise InvalidInput(
+                "Mads",
+                found="no package PyNomad",
+                expected="it to be installed",
+                hint='pip install "fixel[mads]"',
+            )
+        return _MadsSearch(box, self, seed)
+
+
+@final
+class _MadsSearch(Search):
+    def __init__(self, box: Box, options: Mads, seed: int) -> None:
+        super().__init__(box)
+        self.options = options
+        self._seed = seed
+        self._nomad: _Nomad | None = None
+        self._points = np.zeros((0, box.n))
+
+    def _next(self) -> FloatArray:
+        if self._nomad is None:
+            self._nomad = _Nomad(self._problem())
+            self._take(self._nomad.answer())
+            if self.reason:
+                raise InvalidInput("Mads", found=self.reason, expected="NOMAD to begin")
+        return self._points
+
+    def _learn(self, points: FloatArray, errors: FloatArray) -> None:
+        if self._nomad is None or self.done:
+            return
+        self._nomad.tell([e if math.isfinite(e) else None for e in errors.tolist()])
+        self._take(self._nomad.answer())
+
+    def _take(self, answer: dict[str, Any]) -> None:
+        if "points" in answer:
+            places = np.array(answer["points"], np.float64)
+            points = self.box.start + places * self.box.scale
+            self._points = np.clip(points, self.box.low, self.box.high)
+            return
+        self.reason = _in_words(answer.get("ended"), self.options)
+        if self._nomad is not None:
+            self._nomad.close()
+
+    def _problem(self) -> dict[str, Any]:
+        """In coordinates that are scales from the start."""
+        box, options = self.box, self.options
+        return {
+            "start": [0.0] * box.n,
+            "low": ((box.low - box.start) / box.scale).tolist(),
+            "high": ((box.high - box.start) / box.scale).tolist(),
+            "options": [
+                "BB_OUTPUT_TYPE OBJ",
+                "DISPLAY_DEGREE 0",
+                f"SEED {self._seed % 2**31}",
+                f"BB_MAX_BLOCK_SIZE {2 * box.n}",
+                f"MAX_BB_EVAL {options.max_evaluations}",
+                f"INITIAL_FRAME_SIZE * {options.initial_frame!r}",
+                f"MIN_FRAME_SIZE * {options.threshold!r}",
+            ],
+        }
+
+
+class _Nomad:
+    """NOMAD in a process of its own."""
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        child = str(Path(mads_child.__file__))
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", child],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            encoding="utf-8",
+        )
+        self.close = weakref.finalize(self, _end, self._process)
+        self.tell(problem)
+
+    def tell(self, content: object) -> None:
+        stream = _open(self._process.stdin)
+        with contextlib.suppress(OSError):  # it died: the answer will say so
+            stream.write(json.dumps(content) + "\n")
+            stream.flush()
+
+    def answer(self) -> dict[str, Any]:
+        """What it wants next; empty where it died."""
+        line = _open(self._process.stdout).readline()
+        return dict(json.loads(line)) if line.endswith("\n") else {}
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.wait()
+    _open(process.stdout).close()
+    with contextlib.suppress(OSError):  # of a line that it no longer read
+        _open(process.stdin).close()
+
+
+def _open(stream: IO[str] | None) -> IO[str]:
+    assert stream is not None
+    return stream
+
+
+def _in_words(ended: str | None, options: Mads) -> str:
+    if ended is None:
+        return "NOMAD ended without an answer"
+    for part, words in _WORDS:
+        if part in ended.lower():
+            return words.format(options)
+    return f"NOMAD ended: {ended.strip()}"

@@ -1,0 +1,189 @@
+"""The search of Nelder and Mead: a simplex that tumbles downhill and shrinks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import ClassVar, Final, final
+
+import numpy as np
+
+from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible
+from fixel.calibration.options import positive, settle, whole
+from fixel.calibration.starts import feasible_points
+from fixel.calibration.walk import Moves, Walk, inside
+from fixel.kernels.arrays import FloatArray
+
+# Where the trials lie, in distances from the worst vertex to the centre of the others, beyond it.
+REFLECTION, EXPANSION, OUTSIDE, INSIDE = range(4)
+_PLACE: Final = np.array([1.0, 2.0, 0.5, -0.5])
+_SHRINK: Final = 0.5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NelderMead(AbstractOptimiser):
+    """Nelder-Mead on n + 1 vertices, the search of the 2006 paper.
+
+    Good with few unknowns (up to about eight) and rough errors; it proves nothing, can stop where
+    nothing is, and finds one minimum. Run it from several starts (`MultiStart`).
+
+    Parameters
+    ----------
+    size : float
+        The search ends when the mean distance of the vertices from their centre, in scales of the
+        box, is below it. The size at the end is reported as the uncertainty of the minimum.
+    step : float
+        From the start to each of the other vertices of the first simplex, in scales.
+    random_simplex : bool
+        First vertices at random feasible points instead, as in the paper; the start is one of them.
+    speculative : bool
+        Ask for the reflected point, the expanded one and both contractions at once. The decisions
+        are the same, and take one evaluation's time instead of two; the evaluations are more.
+    restarts : int
+        New simplices of the first one's size about the best point, as long as each finds a better
+        one: a simplex can collapse at a crease where nothing is.
+    max_evaluations : int
+        No new step begins once they were made.
+
+    Notes
+    -----
+    A point outside the bounds counts as failed without being asked for.
+
+    Source
+    ------
+    Nelder & Mead (1965); the rules are those of Lagarias et al. (1998), with coefficients 1, 2,
+    1/2, 1/2; size, random vertices and failed points as in the ASME paper (2006); restarts after
+    Kelley (1999), from the plain simplex.
+    """
+
+    name: ClassVar[str] = "nelder-mead"
+    size: float = 1e-4
+    step: float = 1.0
+    random_simplex: bool = False
+    speculative: bool = True
+    restarts: int = 0
+    max_evaluations: int = 20_000
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            size=positive(self.size, "NelderMead.size"),
+            step=positive(self.step, "NelderMead.step"),
+            restarts=whole(self.restarts, "NelderMead.restarts", 0),
+            max_evaluations=whole(self.max_evaluations, "NelderMead.max_evaluations"),
+        )
+
+    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> NelderMeadSearch:
+        if self.random_simplex:
+            others = feasible_points(box, box.n, seed, feasible)
+            if len(others) == box.n:
+                return NelderMeadSearch(box, self, np.concatenate((box.start[None], others)))
+        return NelderMeadSearch(box, self, stepped_simplex(box, self.step))
+
+
+@final
+class NelderMeadSearch(Walk):
+    """A running search.
+
+    Attributes
+    ----------
+    size : float
+        Mean distance of the vertices from their centre, in scales.
+    vertices : (n + 1, n) float64
+        The simplex, best vertex first.
+    """
+
+    def __init__(self, box: Box, options: NelderMead, vertices: FloatArray) -> None:
+        super().__init__(box)
+        self.options = options
+        self.vertices = vertices
+        self.size = simplex_size(box, vertices)
+
+    def _walk(self) -> Moves:
+        reason = yield from self._descent()
+        for _ in range(self.options.restarts):
+            point, error = self.best
+            self.vertices = stepped_simplex(self.box._replace(start=point), self.options.step)
+            reason = yield from self._descent()
+            if not self.best.error < error:
+                break
+        return reason
+
+    def _descent(self) -> Moves:
+        errors = yield from self._errors(self.vertices)
+        while True:
+            order = np.argsort(errors, kind="stable")
+            self.vertices, errors = self.vertices[order], errors[order]
+            self.size = simplex_size(self.box, self.vertices)
+            if self.size < self.options.size:
+                return f"the simplex shrank to {self.options.size:g} of the scale"
+            if self.evaluations >= self.options.max_evaluations:
+                return f"{self.options.max_evaluations} evaluations were made"
+            errors = yield from self._step(errors)
+
+    def _step(self, errors: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
+        """Replace the worst vertex, or shrink; the new errors, unsorted."""
+        centre = self.vertices[:-1].mean(axis=0)
+        trials = centre + _PLACE[:, None] * (centre - self.vertices[-1])
+        found = np.full(len(trials), math.inf)
+        first = slice(None) if self.options.speculative else slice(1)
+        found[first] = yield from self._errors(trials[first])
+        other = _after_reflection(found[REFLECTION], errors)
+        if other != REFLECTION and not self.options.speculative:
+            found[other] = (yield from self._errors(trials[other][None]))[0]
+        chosen = _choice(found, other, errors[-1])
+        if chosen is None:
+            return (yield from self._shrink(errors))
+        self.vertices = np.concatenate((self.vertices[:-1], trials[chosen][None]))
+        return np.append(errors[:-1], found[chosen])
+
+    def _shrink(self, errors: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
+        best = self.vertices[0]
+        shrunk = best + _SHRINK * (self.vertices[1:] - best)
+        self.vertices = np.concatenate((best[None], shrunk))
+        return np.append(errors[:1], (yield from self._errors(shrunk)))
+
+    def _errors(self, points: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
+        """Errors (k,) of points (k, n), of which only those within the bounds are asked for."""
+        errors = np.full(len(points), math.inf)
+        within = inside(self.box, points)
+        if within.any():
+            errors[within] = yield points[within]
+        return errors
+
+
+def stepped_simplex(box: Box, step: float) -> FloatArray:
+    """(n + 1, n): the start, and a step from it along every unknown, to the roomier side where the
+    upper bound is in the way."""
+    vertices = np.tile(box.start, (box.n + 1, 1))
+    for i in range(box.n):
+        above, below = box.high[i] - box.start[i], box.start[i] - box.low[i]
+        length = min(step * box.scale[i], max(above, below))
+        vertices[i + 1, i] += length if length <= above else -length
+    return np.clip(vertices, box.low, box.high)
+
+
+def simplex_size(box: Box, vertices: FloatArray) -> float:
+    """Mean distance of vertices (k, n) from their centre, in scales."""
+    places = vertices / box.scale
+    return float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+
+
+def _after_reflection(reflected: float, errors: FloatArray) -> int:
+    """Which trial is looked at beside the reflected point; itself where it is taken at once."""
+    if reflected < errors[0]:
+        return EXPANSION
+    if reflected < errors[-2]:
+        return REFLECTION
+    return OUTSIDE if reflected < errors[-1] else INSIDE
+
+
+def _choice(found: FloatArray, other: int, worst: float) -> int | None:
+    """The trial that replaces the worst vertex; None to shrink."""
+    if other in (REFLECTION, EXPANSION):
+        return other if found[other] < found[REFLECTION] else REFLECTION
+    if other == OUTSIDE:
+        return OUTSIDE if found[OUTSIDE] <= found[REFLECTION] else None
+    return INSIDE if found[INSIDE] < worst else None

@@ -1,0 +1,227 @@
+"""Pattern searches: try a step up and down along every unknown, take the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.options import between, positive, settle, whole
+from fixel.calibration.walk import Moves, Walk, inside
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import finite, non_negative
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatternSearch(AbstractOptimiser):
+    """The search of the thesis: Dakota's `coliny_pattern_search`, coordinate basis, basic pattern.
+
+    All trials of an iteration are asked for at once; those out of bounds are left out, not moved
+    inside. Robust and easy to follow; where unknowns are strongly correlated it crawls, and
+    `NelderMead` gets further on the same number of evaluations.
+
+    Parameters
+    ----------
+    initial_delta : float
+        First step, in scales of the box. An unknown's scale is a tenth of its range unless it was
+        given, which is Dakota's rescaling.
+    threshold_delta : float
+        The search ends when the step is not above it.
+    contraction_factor : float
+        Of the step, after an iteration without success.
+    expand_after : int, optional
+        Successes in a row after which the step grows by 1 / `contraction_factor`; None: never.
+    sufficient_decrease : float
+        A trial succeeds when its error is below the iterate's by more than this times the square
+        of the step.
+    solution_accuracy : float, optional
+        An error at which to stop.
+    max_iterations, max_function_evaluations : int
+        No new iteration begins once one of them is reached.
+    contract_always : bool
+        Contract at every iteration, never expand: what the thesis's prose says in 5.1.1, not what
+        Dakota does.
+
+    Source
+    ------
+    Dakota reference manual, `coliny_pattern_search`; SCOLIB, PatternSearch.cpp; options of the
+    input file in appendix C.7 of the thesis (RPI, 2011).
+    """
+
+    name: ClassVar[str] = "pattern-search"
+    initial_delta: float = 0.5
+    threshold_delta: float = 1e-6
+    contraction_factor: float = 0.9
+    expand_after: int | None = 5
+    sufficient_decrease: float = 0.01
+    solution_accuracy: float | None = 1e-6
+    max_iterations: int = 10_000
+    max_function_evaluations: int = 20_000
+    contract_always: bool = False
+
+    def __post_init__(self) -> None:
+        expand, accuracy = self.expand_after, self.solution_accuracy
+        settle(
+            self,
+            initial_delta=positive(self.initial_delta, "PatternSearch.initial_delta"),
+            threshold_delta=positive(self.threshold_delta, "PatternSearch.threshold_delta"),
+            contraction_factor=between(self.contraction_factor, "PatternSearch.contraction_factor"),
+            expand_after=None if expand is None else whole(expand, "PatternSearch.expand_after"),
+            sufficient_decrease=non_negative(
+                self.sufficient_decrease, "PatternSearch.sufficient_decrease"
+            ),
+            solution_accuracy=None
+            if accuracy is None
+            else finite(accuracy, "PatternSearch.solution_accuracy"),
+            max_iterations=whole(self.max_iterations, "PatternSearch.max_iterations"),
+            max_function_evaluations=whole(
+                self.max_function_evaluations, "PatternSearch.max_function_evaluations"
+            ),
+        )
+
+    def start(
+        self, box: Box, seed: int = 0, feasible: Feasible | None = None
+    ) -> PatternSearchSearch:
+        return PatternSearchSearch(box, self)
+
+
+@final
+class PatternSearchSearch(Walk):
+    """A running pattern search.
+
+    Attributes
+    ----------
+    delta : float
+        The step, in scales.
+    iterations : int
+        Finished or under way.
+    """
+
+    def __init__(self, box: Box, options: PatternSearch) -> None:
+        super().__init__(box)
+        self.options = options
+        self.delta = options.initial_delta
+        self.iterations = 0
+        self._successes = 0
+
+    def _walk(self) -> Moves:
+        point = self.box.start
+        error = (yield point[None].copy())[0]
+        while not (reason := self._ended()):
+            self.iterations += 1
+            trials = self._trials(point)
+            errors = (yield trials) if len(trials) else np.array([np.inf])
+            k = int(np.argmin(errors))
+            enough = self.options.sufficient_decrease * self.delta**2
+            success = bool(errors[k] < error - enough)
+            if success:
+                point, error = trials[k], errors[k]
+            self._adapt(success)
+        return reason
+
+    def _trials(self, point: FloatArray) -> FloatArray:
+        """Up along every unknown, then down along every unknown: SCOLIB's order."""
+        step = self.delta * np.diag(self.box.scale)
+        trials = np.concatenate((point + step, point - step))
+        return np.asarray(trials[inside(self.box, trials)], np.float64)
+
+    def _adapt(self, success: bool) -> None:
+        options = self.options
+        if not success or options.contract_always:
+            self._successes = 0
+            self.delta *= options.contraction_factor
+            return
+        self._successes += 1
+        if options.expand_after is not None and self._successes >= options.expand_after:
+            self._successes = 0
+            self.delta *= 1.0 / options.contraction_factor
+
+    def _ended(self) -> str:
+        options = self.options
+        if self.delta <= options.threshold_delta:
+            return f"the step shrank to {options.threshold_delta:g} of the scale"
+        if options.solution_accuracy is not None and self.best.error <= options.solution_accuracy:
+            return f"the error fell to {options.solution_accuracy:g}"
+        if self.iterations >= options.max_iterations:
+            return f"{options.max_iterations} iterations were made"
+        if self.evaluations >= options.max_function_evaluations:
+            return f"{options.max_function_evaluations} evaluations were made"
+        return ""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedStepSearch(AbstractOptimiser):
+    """The thesis's own search: a few rounds of steps that never shrink, to polish a good start.
+
+    It goes at most `rounds` steps from its start, so it is no search for a start that is not good.
+
+    Parameters
+    ----------
+    step : float
+        Of every unknown, in scales of the box.
+    steps : sequence of float, optional
+        One step an unknown, in the unknown's own unit, in place of `step`. The thesis takes 0.05
+        for each friction and 0.002 m for the tripod radius.
+    rounds : int
+        At most so many; the first that finds nothing better is the last.
+
+    Notes
+    -----
+    A trial beyond a bound is moved onto it. The thesis moves negative values to zero and has no
+    upper bounds: the same for unknowns whose lower bound is zero, as long as the upper is far.
+
+    Source
+    ------
+    Appendix C.5 of the thesis (RPI, 2011).
+    """
+
+    name: ClassVar[str] = "fixed-step"
+    step: float = 0.5
+    steps: Sequence[float] | None = None
+    rounds: int = 10
+
+    def __post_init__(self) -> None:
+        steps = self.steps
+        settle(
+            self,
+            step=positive(self.step, "FixedStepSearch.step"),
+            steps=None
+            if steps is None
+            else tuple(positive(h, f"FixedStepSearch.steps[{i}]") for i, h in enumerate(steps)),
+            rounds=whole(self.rounds, "FixedStepSearch.rounds"),
+        )
+
+    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+        if self.steps is not None and len(self.steps) != box.n:
+            raise InvalidInput(
+                "FixedStepSearch.steps",
+                found=f"{len(self.steps)} steps",
+                expected=f"{box.n}, one an unknown",
+            )
+        return _FixedStepWalk(box, self)
+
+
+@final
+class _FixedStepWalk(Walk):
+    def __init__(self, box: Box, options: FixedStepSearch) -> None:
+        super().__init__(box)
+        self.options = options
+
+    def _walk(self) -> Moves:
+        options, box = self.options, self.box
+        step = np.diag(options.step * box.scale if options.steps is None else options.steps)
+        # Up and down along the first unknown, then the second: the order of the thesis.
+        pattern = np.stack((step, -step), axis=1).reshape(-1, box.n)
+        yield box.start[None].copy()
+        for _ in range(options.rounds):
+            point, error = self.best
+            yield np.clip(point + pattern, box.low, box.high)
+            if not self.best.error < error:
+                return "no step along any unknown was better"
+        return f"{options.rounds} rounds were made"

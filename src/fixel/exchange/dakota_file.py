@@ -1,0 +1,378 @@
+"""Dakota input files of a pattern search, such as the thesis's.
+
+Read are the method `coliny_pattern_search` and a block of continuous design variables. What is left
+out takes Dakota's default, not fixel's. Blocks that say how Dakota was run are skipped.
+
+Source: Dakota reference manual, input file formatting and `coliny_pattern_search`; SCOLIB for
+defaults; appendix C.7 of the thesis (RPI, 2011).
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from fixel.calibration.pattern_search import PatternSearch
+from fixel.errors import InvalidInput
+from fixel.model.parameters import KNOWN_PARAMETERS
+from fixel.model.space import ParameterSpace, Unknown
+
+MAX_BYTES: Final = 1_000_000
+
+# Descriptors of the thesis: our name, and what one of theirs is in our unit.
+DESCRIPTORS: Final = {
+    "fC": ("mu_fixel", 1.0),
+    "pCFC": ("mu_pusher", 1.0),
+    "sPRD": ("tripod_radius", 1e-3),  # mm
+    "sFC": ("mu_support", 1.0),
+}
+
+BLOCKS: Final = (
+    "strategy",
+    "environment",
+    "method",
+    "model",
+    "variables",
+    "interface",
+    "responses",
+)
+_SKIPPED: Final = ("strategy", "environment", "interface", "responses")
+
+# What stands after each keyword, and its newer or shorter name first.
+_FLAG, _NUMBER, _COUNT, _NUMBERS, _STRINGS = "", "a number", "a whole number", "numbers", "strings"
+_METHOD: Final[dict[str, object]] = {
+    "coliny_pattern_search": _FLAG,
+    "id_method": _STRINGS,
+    "output": ("silent", "quiet", "normal", "verbose", "debug"),
+    "initial_delta": _NUMBER,
+    "variable_tolerance": _NUMBER,
+    "contraction_factor": _NUMBER,
+    "solution_target": _NUMBER,
+    "max_iterations": _COUNT,
+    "max_function_evaluations": _COUNT,
+    "expand_after_success": _COUNT,
+    "expansion": _FLAG,
+    "no_expansion": _FLAG,
+    "exploratory_moves": ("basic_pattern",),
+    "pattern_basis": ("coordinate",),
+    "synchronization": ("blocking", "nonblocking"),
+}
+_VARIABLES: Final[dict[str, object]] = {
+    "id_variables": _STRINGS,
+    "continuous_design": _COUNT,
+    "initial_point": _NUMBERS,
+    "lower_bounds": _NUMBERS,
+    "upper_bounds": _NUMBERS,
+    "descriptors": _STRINGS,
+}
+_MODEL: Final[dict[str, object]] = {
+    "single": _FLAG,
+    "id_model": _STRINGS,
+    "variables_pointer": _STRINGS,
+    "interface_pointer": _STRINGS,
+    "responses_pointer": _STRINGS,
+}
+_KNOWN: Final = {"method": _METHOD, "variables": _VARIABLES, "model": _MODEL}
+_OTHER_NAMES: Final = {
+    "threshold_delta": "variable_tolerance",
+    "solution_accuracy": "solution_target",
+    "cdv_initial_point": "initial_point",
+    "cdv_lower_bounds": "lower_bounds",
+    "cdv_upper_bounds": "upper_bounds",
+    "cdv_descriptors": "descriptors",
+    "cdv_descriptor": "descriptors",
+    "descriptor": "descriptors",
+}
+
+# Dakota's own, where a file says nothing.
+_DEFAULTS: Final = {
+    "initial_delta": 1.0,
+    "variable_tolerance": 1e-5,
+    "contraction_factor": 0.5,
+    "max_iterations": 100,
+    "max_function_evaluations": 1000,
+    "expand_after_success": 5,
+}
+
+_TOKEN: Final = re.compile(
+    r"""
+      (?P<blank>[\s,=\\]+|\#[^\n]*)
+    | (?P<text>'[^'\n]*'|"[^"\n]*"|[‘’][^‘’'\n]*[‘’']|[“”][^“”"\n]*[“”"])
+    | (?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.]))
+    | (?P<endless>[+-]?(?:inf|infinity|nan)\b)
+    | (?P<word>[A-Za-z_]\w*)
+    | (?P<other>.)
+    """,
+    re.VERBOSE | re.IGNORECASE,
+)
+
+
+class DakotaFile(NamedTuple):
+    """What a Dakota input file asks for."""
+
+    optimiser: PatternSearch
+    space: ParameterSpace
+    notes: tuple[str, ...]  # what was skipped or taken from Dakota's defaults
+
+
+class _Token(NamedTuple):
+    kind: str  # a group of _TOKEN; empty after the last
+    text: str
+    line: int
+
+
+def load_dakota(path: str | Path) -> DakotaFile:
+    """Read a Dakota input file.
+
+    Raises
+    ------
+    InvalidInput
+        The first thing that is wrong or that fixel's search cannot do, with its line.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise InvalidInput(
+                str(file), found="more than 1 MB", expected="a Dakota input file of a few lines"
+            )
+        text = file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InvalidInput(
+            str(file), found="no such file", expected="a Dakota input file"
+        ) from None
+    except (OSError, UnicodeDecodeError) as problem:
+        raise InvalidInput(str(file), found=str(problem), expected="a text file") from None
+    return dakota_from_text(text, str(file))
+
+
+def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
+    """The search and the space in the text of a Dakota input file; `where` names it in errors."""
+    blocks, notes = _blocks(text, where)
+    optimiser = _optimiser(_needed(blocks, "method", where), notes)
+    space = _space(_needed(blocks, "variables", where))
+    return DakotaFile(optimiser, space, tuple(notes))
+
+
+# --- from text to keywords ------------------------------------------------------------------------
+
+
+class _Block:
+    """Keywords of one block and what stands after them."""
+
+    def __init__(self, name: str, where: str, line: int) -> None:
+        self.name = name
+        self.where = where
+        self.line = line
+        self.values: dict[str, Any] = {}
+        self.lines: dict[str, int] = {}
+
+    def at(self, keyword: str) -> str:
+        return f"{self.where}, line {self.lines.get(keyword, self.line)}"
+
+    def need(self, keyword: str) -> Any:
+        if keyword not in self.values:
+            raise InvalidInput(
+                self.at(keyword), found=f"{self.name} without {keyword}", expected="it to be given"
+            )
+        return self.values[keyword]
+
+
+def _blocks(text: str, where: str) -> tuple[dict[str, _Block], list[str]]:
+    tokens = _Tokens(text, where)
+    blocks: dict[str, _Block] = {}
+    notes: list[str] = []
+    while (token := tokens.take()).kind:
+        name = token.text.lower()
+        if token.kind != "word" or name not in BLOCKS:
+            raise tokens.refused(token, "a block: " + ", ".join(BLOCKS), BLOCKS)
+        if name in blocks:
+            raise tokens.refused(token, f"one {name} block")
+        blocks[name] = _Block(name, where, token.line)
+        if name in _SKIPPED:
+            tokens.skip_block()
+            notes.append(f"the block {name} was skipped: fixel evaluates the error itself")
+        else:
+            _read_block(tokens, blocks[name])
+    return blocks, notes
+
+
+def _read_block(tokens: _Tokens, block: _Block) -> None:
+    known = _KNOWN[block.name]
+    while not tokens.at_block():
+        token = tokens.take()
+        keyword = token.text.lower()
+        keyword = _OTHER_NAMES.get(keyword, keyword)
+        if token.kind != "word" or keyword not in known:
+            names = [*known, *(old for old, new in _OTHER_NAMES.items() if new in known)]
+            raise tokens.refused(token, "one of " + ", ".join(names), names)
+        if keyword in block.values:
+            raise tokens.refused(token, "each keyword once")
+        block.lines[keyword] = token.line
+        block.values[keyword] = _value(tokens, token, known[keyword])
+
+
+def _value(tokens: _Tokens, keyword: _Token, kind: object) -> Any:
+    if isinstance(kind, tuple):
+        token = tokens.take()
+        if token.text.lower() not in kind:
+            raise tokens.refused(token, f"{keyword.text} to be {' or '.join(kind)}", kind)
+        return token.text.lower()
+    if kind == _FLAG:
+        return True
+    if kind == _STRINGS:
+        texts = tokens.strings()
+        if not texts:
+            raise tokens.refused(tokens.peek(), f"{kind} in quotes after {keyword.text}")
+        return texts
+    numbers = tokens.numbers()
+    single = kind in (_NUMBER, _COUNT)
+    if not numbers or (single and len(numbers) > 1):
+        raise tokens.refused(tokens.peek(), f"{kind} after {keyword.text}")
+    if kind == _COUNT and not numbers[0].is_integer():
+        raise tokens.refused(keyword, f"{kind} after {keyword.text}")
+    return int(numbers[0]) if kind == _COUNT else numbers[0] if single else numbers
+
+
+class _Tokens:
+    """Words, numbers and strings of a text, one after the other."""
+
+    def __init__(self, text: str, where: str) -> None:
+        self._where = where
+        self._rest = list(_tokens(text))
+        self._next = 0
+
+    def peek(self) -> _Token:
+        return self._rest[self._next]
+
+    def take(self) -> _Token:
+        token = self.peek()
+        self._next += bool(token.kind)
+        return token
+
+    def at_block(self) -> bool:
+        token = self.peek()
+        return not token.kind or (token.kind == "word" and token.text.lower() in BLOCKS)
+
+    def skip_block(self) -> None:
+        while not self.at_block():
+            self.take()
+
+    def strings(self) -> list[str]:
+        found = []
+        while self.peek().kind == "text":
+            found.append(self.take().text[1:-1])
+        return found
+
+    def numbers(self) -> list[float]:
+        """Numbers, where `3*0.5` stands for three."""
+        found: list[float] = []
+        while self.peek().kind == "number":
+            token = self.take()
+            value, count = float(token.text), 1
+            if self.peek().text == "*":
+                self.take()
+                if not (value.is_integer() and 0 < value <= 1000 and self.peek().kind == "number"):
+                    raise self.refused(token, "a count before *, a number behind it")
+                value, count = float(self.take().text), int(value)
+            found.extend([value] * count)
+        if self.peek().kind == "endless":
+            raise self.refused(self.peek(), "a finite number: fixel searches within bounds")
+        return found
+
+    def refused(
+        self, token: _Token, expected: str, names: tuple[str, ...] | list[str] = ()
+    ) -> InvalidInput:
+        close = difflib.get_close_matches(token.text.lower(), names, n=1)
+        return InvalidInput(
+            f"{self._where}, line {token.line}",
+            found=token.text if token.kind else "the end of the file",
+            expected=expected,
+            hint=f"did you mean {close[0]}?" if close else None,
+        )
+
+
+def _tokens(text: str) -> Iterator[_Token]:
+    line = 1
+    for match in _TOKEN.finditer(text):
+        kind = str(match.lastgroup)
+        if kind != "blank":
+            yield _Token(kind, match.group(), line)
+        line += match.group().count("\n")
+    yield _Token("", "", line)
+
+
+# --- from keywords to objects ---------------------------------------------------------------------
+
+
+def _needed(blocks: dict[str, _Block], name: str, where: str) -> _Block:
+    if name not in blocks:
+        raise InvalidInput(where, found=f"no {name} block", expected="a Dakota input file with one")
+    return blocks[name]
+
+
+def _optimiser(block: _Block, notes: list[str]) -> PatternSearch:
+    block.need("coliny_pattern_search")
+    given = block.values
+    if "expansion" in given and "no_expansion" in given:
+        raise InvalidInput(
+            block.at("no_expansion"), found="expansion and no_expansion", expected="one of them"
+        )
+    left_out = [f"{k} {v:g}" for k, v in _DEFAULTS.items() if k not in given]
+    if left_out:
+        notes.append("left out, so as Dakota has it: " + ", ".join(left_out))
+    values = {**_DEFAULTS, **given}
+    try:
+        return PatternSearch(
+            initial_delta=values["initial_delta"],
+            threshold_delta=values["variable_tolerance"],
+            contraction_factor=values["contraction_factor"],
+            expand_after=None if "no_expansion" in given else values["expand_after_success"],
+            solution_accuracy=given.get("solution_target"),
+            max_iterations=values["max_iterations"],
+            max_function_evaluations=values["max_function_evaluations"],
+        )
+    except InvalidInput as problem:
+        raise problem.within(block.at("coliny_pattern_search")) from None
+
+
+def _space(block: _Block) -> ParameterSpace:
+    count = block.need("continuous_design")
+    columns = []
+    for keyword in ("initial_point", "lower_bounds", "upper_bounds", "descriptors"):
+        column = block.need(keyword)
+        if len(column) != count:
+            raise InvalidInput(
+                block.at(keyword),
+                found=f"{len(column)} after {keyword}",
+                expected=f"{count}, as many as continuous_design says",
+            )
+        columns.append(column)
+    unknowns = []
+    for start, low, high, descriptor in zip(*columns, strict=True):
+        name, unit = _name(descriptor, block.at("descriptors"))
+        try:
+            unknowns.append(
+                Unknown(name=name, low=low * unit, high=high * unit, nominal=start * unit)
+            )
+        except InvalidInput as problem:
+            raise problem.within(block.at("continuous_design")) from None
+    return ParameterSpace(unknowns=tuple(unknowns))
+
+
+def _name(descriptor: str, where: str) -> tuple[str, float]:
+    """Our name, and what one of the file's units is in ours."""
+    if descriptor in DESCRIPTORS:
+        return DESCRIPTORS[descriptor]
+    if descriptor in KNOWN_PARAMETERS:
+        return descriptor, 1.0
+    names = [*DESCRIPTORS, *KNOWN_PARAMETERS]
+    close = difflib.get_close_matches(descriptor, names, n=1)
+    raise InvalidInput(
+        where,
+        found=repr(descriptor),
+        expected="one of " + ", ".join(names),
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )

@@ -1,0 +1,126 @@
+"""Studies ask for the right rollouts and do with the answers what the thesis says."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.calibration import Box, FixedStepSearch, PatternSearch
+from fixel.calibration.objective import Evaluated
+from fixel.calibration.study import (
+    best_stored,
+    best_subset,
+    conducted,
+    each_alone,
+    neighbours,
+    polished,
+    together,
+    weighted,
+    weighted_mean,
+)
+from fixel.errors import InvalidInput
+
+BOX = Box(np.zeros(2), np.ones(2), np.full(2, 0.3), np.full(2, 0.1))
+# What each of five experiments would like the parameters to be.
+LIKED = np.array([[0.2, 0.4], [0.3, 0.4], [0.25, 0.45], [0.9, 0.9], [0.28, 0.41]])
+
+
+def bowls(ask):
+    distance = np.sum((ask.points - LIKED[ask.which]) ** 2, axis=1)
+    return Evaluated(distance, [""] * len(distance))
+
+
+def total(errors):
+    return errors.sum(axis=1)
+
+
+def test_each_alone_finds_what_each_likes():
+    traces = conducted(each_alone(range(5), BOX, PatternSearch(solution_accuracy=None)), bowls)
+    assert np.array([trace.point for trace in traces]) == pytest.approx(LIKED, abs=1e-3)
+    for trace in traces:
+        assert trace.error == trace.errors.min()
+        assert len(trace.points) == len(trace.errors) == len(trace.reasons)
+        assert trace.ended
+
+
+def test_company_changes_nothing():
+    many = conducted(each_alone(range(5), BOX, PatternSearch()), bowls)
+    alone = conducted(each_alone([3], BOX, PatternSearch()), bowls)
+    assert (alone[0].points == many[3].points).all()
+    assert (alone[0].errors == many[3].errors).all()
+
+
+def test_together_minimises_what_is_combined():
+    trace, search = conducted(together(range(5), BOX, PatternSearch(), total), bowls)
+    assert trace.point == pytest.approx(LIKED.mean(axis=0), abs=2e-3)
+    assert search.best.error == trace.error
+    worst, _ = conducted(
+        together(range(5), BOX, PatternSearch(), lambda errors: errors.max(axis=1)), bowls
+    )
+    assert bowls_at(worst.point).max() < bowls_at(trace.point).max()
+
+
+def bowls_at(point):
+    return np.sum((point - LIKED) ** 2, axis=1)
+
+
+def test_neighbours_share_what_is_better():
+    points = LIKED.copy()
+    points[0] = [0.6, 0.6]
+    errors = np.array([np.sum((p - q) ** 2) for p, q in zip(points, LIKED, strict=True)])
+    better, least = conducted(polished(points, errors, [[0, 1, 2], [3, 4]]), bowls)
+    assert better[0].tolist() == LIKED[2].tolist()
+    assert least[0] == pytest.approx(np.sum((LIKED[2] - LIKED[0]) ** 2))
+    assert (better[1:] == points[1:]).all()
+    assert (least[1:] == 0.0).all()
+
+
+def test_groups_of_neighbours_share_the_nominal_experiment():
+    conditions = [
+        {"shape": "square", "layout": "a", "axis": "nominal"},
+        {"shape": "square", "layout": "a", "axis": "x"},
+        {"shape": "square", "layout": "a", "axis": "x"},
+        {"shape": "square", "layout": "a", "axis": "y"},
+        {"shape": "square", "layout": "b", "axis": "x"},
+        {"surface": "plywood"},
+    ]
+    assert neighbours(conditions) == [[0, 1, 2], [0, 3], [4]]
+
+
+def test_the_mean_is_weighted_with_inverse_errors():
+    points = np.array([[0.0, 1.0], [1.0, 3.0]])
+    assert weighted_mean(points, np.array([1.0, 3.0])) == pytest.approx([0.25, 1.5])
+    assert weighted_mean(points, np.array([2.0, math.inf])) == pytest.approx([0.0, 1.0])
+    assert np.isfinite(weighted_mean(points, np.zeros(2))).all()
+    with pytest.raises(InvalidInput, match="no calibrated member"):
+        weighted_mean(points, np.full(2, math.inf))
+
+
+def test_a_subset_without_the_odd_one_does_better():
+    # The odd one fitted perfectly, so the inverse of its error alone would rule.
+    errors = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-3])
+    everyone = conducted(weighted(range(5), LIKED, errors), bowls)
+    assert everyone.point == pytest.approx([0.9, 0.9], abs=0.01)
+    best = conducted(best_subset(range(5), LIKED, errors, total), bowls)
+    assert best.members.sum() < everyone.members.sum()
+    assert 3 not in best.used
+    again = conducted(best_subset(range(5), LIKED, errors, total), bowls)
+    assert again.used == best.used
+
+
+def test_the_best_stored_one_has_the_smallest_largest_error():
+    stored = np.array([[0.25, 0.42], [0.6, 0.6], [0.9, 0.9]])
+    best = conducted(best_stored(range(5), stored), bowls)
+    assert best.used == (1,)
+
+
+def test_a_member_that_cannot_be_simulated_spoils_the_point_with_its_reason():
+    def failing(ask):
+        good = ask.points[:, 0] < 0.35
+        error = np.where(good, 1.0, math.inf)
+        return Evaluated(error, ["" if g else "jammed at 2 s" for g in good])
+
+    trace, _ = conducted(together(range(2), BOX, FixedStepSearch(), total), failing)
+    failed = np.isinf(trace.errors)
+    assert failed.any()
+    assert all(("jammed" in r) == f for r, f in zip(trace.reasons, failed, strict=True))
