@@ -5,7 +5,8 @@
     ├── SolveFailed(RuntimeError)       a simulation did not finish and the caller asked to raise
     ├── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
     ├── NotStored(LookupError)          a project has no such record
-    └── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
+    ├── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
+    └── JobRefused(RuntimeError)        a job cannot be started, continued or read, and why
 
 Numerical failure is a value first: `simulate(...)` records a status, and raises `SolveFailed` only
 when asked.
@@ -187,6 +188,27 @@ class StoreRefused(FixelError, RuntimeError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return StoreRefused, (self.reason, self.hint)
+
+
+@final
+class JobRefused(FixelError, RuntimeError):
+    """A job cannot be started, continued or read.
+
+    Parameters
+    ----------
+    reason : str
+        What is in the way: held by another process, begun with another version, no such command.
+    hint : str
+        The command that helps.
+    """
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        self.reason = reason
+        self.hint = hint
+        super().__init__(f"{reason}; {hint}" if hint else reason)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return JobRefused, (self.reason, self.hint)
 
 
 def _invalid_input(

@@ -193,6 +193,10 @@ class Comparer:
             reasons += why
         return Evaluated(error, reasons)
 
+    def length(self, which: IntArray) -> IntArray:
+        """(n,) samples that experiments have."""
+        return np.asarray(self._length[which])
+
     def feasible(self, points: FloatArray) -> BoolArray:
         """(k,) whether every experiment can be simulated at the points at all."""
         n = len(self.targets)

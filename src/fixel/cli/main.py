@@ -15,7 +15,21 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli import data, db, demo, doctor, export, project, replay, sample, show, simulate
+from fixel.cli import (
+    calibrate,
+    data,
+    db,
+    demo,
+    doctor,
+    export,
+    filter,
+    jobs,
+    project,
+    replay,
+    sample,
+    show,
+    simulate,
+)
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
 
 BAD_INPUT = 2
@@ -38,10 +52,13 @@ app.command("import")(project.import_)
 app.command("list")(project.list_)
 app.command("show")(show.show)
 app.command("compare")(show.compare)
+app.command("filter")(filter.filter_)
+app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(db.app, name="db")
+app.add_typer(jobs.app, name="jobs")
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

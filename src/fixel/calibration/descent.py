@@ -1,0 +1,292 @@
+"""One run of Levenberg and Marquardt's method inside a box, as a state machine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.cost import Cost, Quadratic
+from fixel.calibration.differences import Differences
+from fixel.calibration.optimiser import Box
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from fixel.calibration.least_squares import LeastSquares
+
+# Damping is measured in the largest diagonal entry of the Hessian.
+FIRST_DAMPING: Final = 1e-3
+# Below, the damped matrix is singular to rounding.
+LEAST_DAMPING: Final = 1e-10
+# Trial steps of one batch differ by this factor in damping.
+SPREAD: Final = 10.0
+# Batches of trial steps that all fail before new derivatives are taken: with five a batch, the
+# last steps are 1e10 times shorter than the first.
+PATIENCE: Final = 2
+# Distance from a bound [scales] that counts as on it.
+ON_BOUND: Final = 1e-12
+
+FAILED: Final = "no start could be evaluated"
+SETTLED: Final = "the deviance no longer falls"
+STUCK: Final = "no step lowers the deviance"
+NO_ANSWER: Final = "the residuals do not answer to any parameter"
+NOTHING_FREE: Final = "no parameter is free"
+EXHAUSTED: Final = "as many iterations as allowed"
+
+
+class Fit(NamedTuple):
+    """Where a descent ended."""
+
+    point: FloatArray  # (n,)
+    deviance: float  # inf where no point could be evaluated
+    hessian: FloatArray  # (n, n) half the second derivatives of the deviance, Gauss and Newton's
+    residual: FloatArray  # (m,); empty where no point could be evaluated
+    evaluations: int
+    reason: str
+
+
+@final
+class Descent:
+    """Fit some of the parameters from one start, or from the best of several candidates.
+
+    Parameters
+    ----------
+    options : LeastSquares
+    box : Box
+    cost : Cost
+    starts : (c, n) array
+        Candidates.
+    free : (n,) bool array, optional
+        Parameters that may move; the others keep the values of the start.
+    """
+
+    def __init__(
+        self,
+        options: LeastSquares,
+        box: Box,
+        cost: Cost,
+        starts: FloatArray,
+        free: FloatArray | None = None,
+    ) -> None:
+        self.box, self.cost, self.reason = box, cost, ""
+        self.evaluations, self.iterations = 0, 0
+        self.point, self.deviance = np.array(starts[0]), math.inf
+        self._options = options
+        self._residual = np.zeros(0)
+        self._free = np.ones(box.n, bool) if free is None else np.asarray(free, bool)
+        self._starts = np.clip(starts, box.low, box.high)
+        self._differences = Differences(
+            box, options.difference, options.largest_difference, options.roughness
+        )
+        self._central = options.differences == "central"
+        self._damping, self._failures = FIRST_DAMPING, 0
+        self._model = Quadratic(np.zeros((box.n, box.n)), np.zeros(box.n))
+        self._trials: FloatArray | None = None
+        self._asked: FloatArray | None = None
+        if len(self._starts) == 1:  # its derivatives can be asked for in the same batch
+            self._differences.begin(self._starts[0], self._free, self._central)
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended; `reason` then says why."""
+        return bool(self.reason)
+
+    @property
+    def fit(self) -> Fit:
+        """The best point so far, and the derivatives last taken."""
+        hessian = self._model.hessian / np.outer(self.box.scale, self.box.scale)
+        return Fit(
+            self.point, self.deviance, hessian, self._residual, self.evaluations, self.reason
+        )
+
+    def ask(self) -> FloatArray:
+        """(k, n) points to evaluate next; none once done."""
+        if self._asked is None:
+            self._asked = np.zeros((0, self.box.n)) if self.done else self._next()
+        return self._asked
+
+    def tell(self, residuals: FloatArray) -> FloatArray:
+        """Take residuals (k, m) of the points asked for; returns their deviances (k,)."""
+        points = self.ask()
+        told = np.asarray(residuals, np.float64)
+        if told.ndim != 2 or len(told) != len(points):
+            expected = f"({len(points)}, m), one row a point"
+            raise InvalidInput("residuals", found=f"shape {told.shape}", expected=expected)
+        deviances = self.cost.deviance(points, told)
+        self._asked = None
+        self.evaluations += len(points)
+        if len(points):
+            self._learn(points, told, deviances)
+        return deviances
+
+    def _next(self) -> FloatArray:
+        if self.evaluations == 0:
+            waiting = len(self._starts) == 1 and self._differences.pending
+            return (
+                np.vstack((self._starts, self._differences.probes())) if waiting else self._starts
+            )
+        return self._differences.probes() if self._trials is None else self._trials
+
+    def _learn(self, points: FloatArray, residuals: FloatArray, deviances: FloatArray) -> None:
+        first = not self._residual.size
+        self._keep_best(points, residuals, deviances)
+        if first:
+            self._learn_start(residuals, deviances)
+        elif self._trials is None:
+            self._learn_probes(residuals)
+        else:
+            self._learn_trials(deviances)
+
+    def _keep_best(self, points: FloatArray, residuals: FloatArray, deviances: FloatArray) -> None:
+        k = int(np.argmin(deviances))
+        if deviances[k] < self.deviance:
+            self.point, self.deviance = points[k].copy(), float(deviances[k])
+            self._residual = residuals[k].copy()
+
+    def _learn_start(self, residuals: FloatArray, deviances: FloatArray) -> None:
+        count = len(self._starts)
+        if not np.isfinite(deviances[:count]).any():
+            self.reason = FAILED
+        elif not self._free.any():
+            self.reason = NOTHING_FREE
+        elif len(residuals) > count:
+            self._rebase(self._starts[0], residuals[0], float(deviances[0]))
+            self._learn_probes(residuals[count:])
+        else:
+            self._differentiate()
+
+    def _differentiate(self) -> None:
+        """Take derivatives at the best point."""
+        self._rebase(self.point, self._residual, self.deviance)
+        self._differences.begin(self._base, self._free, self._central)
+
+    def _rebase(self, point: FloatArray, residual: FloatArray, deviance: float) -> None:
+        self._base, self._base_residual, self._base_deviance = point, residual, deviance
+        self._trials, self._failures = None, 0
+
+    def _learn_probes(self, residuals: FloatArray) -> None:
+        self._differences.learn(residuals, self._base_residual)
+        if self._differences.pending:
+            return
+        columns = self._differences.columns(len(self._base_residual))
+        self._model = self.cost.quadratic(self._base, self._base_residual, columns, self.box.scale)
+        if not self._model.hessian.any():
+            self.reason = NO_ANSWER
+            return
+        self._plan_trials()
+        if self._most_to_gain() <= self._enough():
+            self._confirm(SETTLED)
+
+    def _learn_trials(self, deviances: FloatArray) -> None:
+        if self.deviance < self._base_deviance:
+            k = int(np.argmin(deviances))
+            if deviances[k] <= self.deviance:  # and it was not a probe that fell lower
+                self._damping = float(self._dampings[k])
+            self._accept(self._base_deviance - self.deviance)
+            return
+        self._failures += 1
+        self._damping = float(self._dampings[-1]) * SPREAD ** (1 - self._powers()[0])
+        if self._failures < PATIENCE:
+            self._plan_trials()
+        else:
+            self._damping = FIRST_DAMPING
+            self._confirm(STUCK)
+
+    def _accept(self, gain: float) -> None:
+        self.iterations += 1
+        if self.iterations >= self._options.most_iterations:
+            self.reason = EXHAUSTED
+        elif gain <= self._enough():
+            self._confirm(SETTLED)
+        else:
+            self._differentiate()
+
+    def _confirm(self, reason: str) -> None:
+        """End, unless better derivatives may still find a way down."""
+        if self._options.differences == "auto" and not self._central:
+            self._central = True
+            self._differentiate()
+        elif reason == STUCK and self._options.differences == "auto" and self._differences.widen():
+            self._differentiate()
+        else:
+            self.reason = reason
+
+    def _enough(self) -> float:
+        """A gain not worth going on for."""
+        return max(self._options.tolerance * self.deviance, self._options.enough)
+
+    def _most_to_gain(self) -> float:
+        return max(self._model.gain(step) for step in self._steps)
+
+    def _plan_trials(self) -> None:
+        """Steps of several dampings at once, each the best within the bounds."""
+        self._dampings = np.maximum(LEAST_DAMPING, self._damping * SPREAD ** self._powers())
+        low = np.where(self._free, (self.box.low - self._base) / self.box.scale, 0.0)
+        high = np.where(self._free, (self.box.high - self._base) / self.box.scale, 0.0)
+        unit = float(np.diag(self._model.hessian).max())
+        self._steps = [
+            bounded_step(self._model, unit * damping, low, high) for damping in self._dampings
+        ]
+        self._trials = np.array([self._at(step, low, high) for step in self._steps])
+
+    def _powers(self) -> FloatArray:
+        below = (self._options.trials - 1) // 2
+        return np.arange(-below, self._options.trials - below).astype(np.float64)
+
+    def _at(self, step: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """The point (n,) a step leads to, exactly on a bound where it ends there."""
+        box = self.box
+        point = np.clip(self._base + step * box.scale, box.low, box.high)
+        point = np.where(self._free & (step >= high), box.high, point)
+        return np.asarray(np.where(self._free & (step <= low), box.low, point))
+
+
+def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Least of a damped quadratic in a box about zero, by an active set that only grows.
+
+    Parameters
+    ----------
+    model : Quadratic
+    damping : float
+        Added to the diagonal of the Hessian.
+    low, high : (n,) arrays
+        Bounds of the step, low <= 0 <= high [scales]; both zero for what may not move.
+
+    Returns
+    -------
+    (n,) float64
+        Exactly the least where no bound is met; else a step that lowers the quadratic for enough
+        damping, which is all that Levenberg and Marquardt's method needs.
+    """
+    hessian = model.hessian + damping * np.eye(len(low))
+    step = np.zeros(len(low))
+    outward = ((low > -ON_BOUND) & (model.gradient > 0.0)) | (
+        (high < ON_BOUND) & (model.gradient < 0.0)
+    )
+    inside = (high - low > ON_BOUND) & ~outward
+    while inside.any():
+        right = -(model.gradient + hessian[:, ~inside] @ step[~inside])[inside]
+        step[inside] = np.linalg.solve(hessian[np.ix_(inside, inside)], right)
+        out = inside & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step = np.clip(step, low, high)
+        inside &= ~out
+    return step
+
+
+def ask_all(descents: Sequence[Descent]) -> FloatArray:
+    """(k, n) what several descents ask for, end to end."""
+    return np.concatenate([descent.ask() for descent in descents])
+
+
+def tell_all(descents: Sequence[Descent], residuals: FloatArray) -> FloatArray:
+    """Share out the residuals (k, m) among them; returns the deviances (k,)."""
+    ends = np.cumsum([len(descent.ask()) for descent in descents])
+    parts = np.split(np.asarray(residuals, np.float64), ends[:-1])
+    return np.concatenate(
+        [descent.tell(part) for descent, part in zip(descents, parts, strict=True)]
+    )

@@ -1,0 +1,312 @@
+"""How far measurements scatter, and what rise of the deviance that makes significant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import finite, fraction, positive, settle
+
+NoiseSource = Literal["stated", "repetitions", "residuals"]
+
+SOURCES: Final[tuple[NoiseSource, ...]] = get_args(NoiseSource)
+
+# A fit this improbable under the stated noise is a wrong model or a wrong noise; the scatter of the
+# residuals is believed instead. Usual: 0.01; at 0.05 one good fit in twenty is doubted.
+IMPROBABLE: Final = 0.01
+# Degrees of freedom that an estimate is given at least. With one, the 95 % threshold is 42 times
+# that of known noise: an honest "do not know" that is still a number.
+LEAST_FREEDOM: Final = 1.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Scatter of measured poses about the truth.
+
+    Parameters
+    ----------
+    position_m : float
+        Standard deviation along x and along y [m].
+    angle_rad : float
+        Of the angle [rad].
+    source : str
+        `stated` by the user; scatter of `repetitions`; `residuals` of the fit itself.
+    correlation : float
+        Integrated autocorrelation time [frames]: so many measurements in a row say as much as one.
+    freedom : float
+        Degrees of freedom behind the standard deviations; inf where they are known.
+    """
+
+    position_m: float
+    angle_rad: float
+    source: NoiseSource = "stated"
+    correlation: float = 1.0
+    freedom: float = math.inf
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            position_m=positive(self.position_m, "noise.position_m", "m"),
+            angle_rad=positive(self.angle_rad, "noise.angle_rad", "rad"),
+            correlation=_at_least_one(self.correlation, "noise.correlation"),
+        )
+        if self.source not in SOURCES:
+            expected = "one of " + ", ".join(SOURCES)
+            raise InvalidInput("noise.source", found=repr(self.source), expected=expected)
+        if not self.freedom > 0.0:
+            raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """(3,) of x, y, theta [m, m, rad]: what residuals are divided by."""
+        return np.array([self.position_m, self.position_m, self.angle_rad])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dispersion:
+    """Deviance that one independent measurement contributes on average, and how well it is known.
+
+    Parameters
+    ----------
+    value : float
+        1 for independent measurements of known noise; the correlation time for correlated ones.
+    freedom : float
+        Degrees of freedom behind it; inf where it is known.
+    source : str
+        As in `Noise`.
+    """
+
+    value: float
+    freedom: float = math.inf
+    source: NoiseSource = "stated"
+
+    def threshold(self, level: float = 0.95) -> float:
+        """Rise of the deviance at the ends of an interval for one parameter.
+
+        The quantile of chi-squared with one degree of freedom where the noise is known; of F(1,
+        freedom), the square of Student's t, where it was estimated.
+
+        Parameters
+        ----------
+        level : float
+            Confidence, between 0 and 1.
+        """
+        from scipy.special import ndtri, stdtrit
+
+        if not 0.0 < fraction(level, "level") < 1.0:
+            raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+        tail = 0.5 * (1.0 + level)
+        z = ndtri(tail) if math.isinf(self.freedom) else stdtrit(self.freedom, tail)
+        return float(self.value * z * z)
+
+
+def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
+    """Pooled scatter of repeated experiments about their mean.
+
+    Repetitions scatter by more than the camera's noise: the part is not placed exactly alike, and
+    does not slide exactly alike. That is what a simulation cannot predict, so it is what counts.
+
+    Parameters
+    ----------
+    groups : sequence of (n_repetition, n_frame, 3) arrays
+        Poses x, y, theta [m, m, rad] of experiments that were meant to be the same, at the same
+        times. Groups may differ in size; those of one repetition say nothing and are left out.
+
+    Returns
+    -------
+    Noise
+        Its freedom counts repetitions over the correlation along a trajectory.
+    """
+    deviations: list[FloatArray] = []
+    frames = 0.0  # independent of the means that were subtracted
+    for number, group in enumerate(groups):
+        rows = _poses(group, f"groups[{number}]")
+        if len(rows) >= 2:
+            # A mean of r values scatters too: this keeps the pooled variance unbiased.
+            share = len(rows) / (len(rows) - 1)
+            deviations.extend(math.sqrt(share) * _about_mean(rows))
+            frames += rows.shape[0] / share * rows.shape[1]
+    if not deviations:
+        raise InvalidInput(
+            "groups",
+            found="no experiment that was repeated",
+            expected="two or more repetitions of at least one",
+            hint="state the noise instead: Noise(position_m=..., angle_rad=...)",
+        )
+    variance = np.mean(np.concatenate(deviations) ** 2, axis=0)
+    correlation = correlation_time(deviations)
+    if not variance.all():
+        raise InvalidInput("groups", found="no scatter at all", expected="measured poses")
+    return Noise(
+        position_m=math.sqrt(variance[:2].mean()),
+        angle_rad=math.sqrt(variance[2]),
+        source="repetitions",
+        correlation=correlation,
+        freedom=max(LEAST_FREEDOM, 2.0 * frames / correlation),
+    )
+
+
+def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
+    """What noise would make the fit just as good as it is.
+
+    It takes all error of the model for noise; where repetitions exist, they know better.
+
+    Parameters
+    ----------
+    series : sequence of (n_frame, 3) arrays
+        Residuals of x, y, theta [m, m, rad], one array an experiment.
+    unknowns : int
+        How many were fitted.
+    """
+    rows = [np.asarray(one, np.float64) for one in series]
+    correlation = correlation_time(rows)
+    table = np.concatenate(rows)
+    freedom = _freedom(table.size, unknowns, correlation)
+    # Of the freedom lost to the unknowns, each channel bears its share.
+    spread = table.size / correlation / freedom
+    variance = np.mean(table**2, axis=0) * spread
+    if not variance.all():
+        raise InvalidInput("series", found="residuals of zero", expected="a fit to measured poses")
+    return Noise(
+        position_m=math.sqrt(variance[:2].mean()),
+        angle_rad=math.sqrt(variance[2]),
+        source="residuals",
+        correlation=correlation,
+        freedom=freedom,
+    )
+
+
+def correlation_time(series: Sequence[ArrayLike]) -> float:
+    """Integrated autocorrelation time of residuals, pooled over series [frames].
+
+    1 for white noise; the whole length for series that are constant. No mean is subtracted: a
+    residual that keeps its sign throughout a push is as correlated as can be.
+
+    Parameters
+    ----------
+    series : sequence of (n_frame,) or (n_frame, c) arrays
+        One an experiment; of c channels each is one series. Lengths may differ.
+
+    Source
+    ------
+    Geyer (1992), section 3.3, the initial positive sequence: sums of two neighbouring lags are
+    added while they are positive.
+    """
+    columns = _standardised([np.atleast_2d(np.asarray(one, np.float64).T) for one in series])
+    length = max((len(column) for column in columns), default=0)
+    if length == 0:
+        raise InvalidInput("series", found="no residuals", expected="one series at least")
+    sums = np.zeros(length)
+    for column in columns:
+        sums[: len(column)] += _lagged(column)
+    if not sums[0] > 0.0:
+        return 1.0
+    rho = np.append(sums / sums[0], 0.0)
+    pairs = rho[: 2 * (len(rho) // 2)].reshape(-1, 2).sum(axis=1)
+    below = np.flatnonzero(pairs <= 0.0)
+    kept = pairs[: below[0]] if len(below) else pairs
+    return float(max(1.0, 2.0 * kept.sum() - 1.0))
+
+
+def estimated_dispersion(
+    deviance: float, count: int, unknowns: int, correlation: float = 1.0
+) -> Dispersion:
+    """Dispersion from the fit itself: deviance over (effective count - unknowns).
+
+    Parameters
+    ----------
+    deviance : float
+        At the best.
+    count : int
+        Residuals in it.
+    unknowns : int
+        How many were fitted.
+    correlation : float
+        `correlation_time` of the residuals: `count` over it are worth as many independent ones.
+    """
+    freedom = _freedom(count, unknowns, _at_least_one(correlation, "correlation"))
+    value = max(finite(deviance, "deviance") / freedom, float(np.finfo(np.float64).tiny))
+    return Dispersion(value=value, freedom=freedom, source="residuals")
+
+
+def dispersion_of(noise: Noise, deviance: float, count: int, unknowns: int) -> Dispersion:
+    """Dispersion of residuals that were divided by a noise.
+
+    Known noise is believed unless the fit is worse than it allows (`IMPROBABLE`): then the model is
+    wrong by more than the noise, and intervals that ignore it would be far too narrow.
+
+    Parameters
+    ----------
+    noise : Noise
+    deviance : float
+        At the best.
+    count : int
+        Residuals in it.
+    unknowns : int
+        How many were fitted.
+    """
+    from scipy.special import fdtrc
+
+    estimated = estimated_dispersion(deviance, count, unknowns, noise.correlation)
+    if noise.source == "residuals":
+        return estimated
+    known = Dispersion(value=noise.correlation, freedom=noise.freedom, source=noise.source)
+    ratio = estimated.value / known.value
+    # The F distribution whose second freedom is infinite is that of chi-squared over its freedom.
+    chance = fdtrc(estimated.freedom, min(noise.freedom, 1e9), ratio)
+    return estimated if chance < IMPROBABLE else known
+
+
+def _freedom(count: int, unknowns: int, correlation: float) -> float:
+    return max(LEAST_FREEDOM, count / correlation - unknowns)
+
+
+def _lagged(column: FloatArray) -> FloatArray:
+    """(n,) sums of products at lags 0 to n - 1."""
+    n = len(column)
+    spectrum = np.fft.rfft(column, 2 * n)
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n])
+
+
+def _standardised(series: list[FloatArray]) -> list[FloatArray]:
+    """Every channel (n,) of series (c, n), over the channel's scatter: metres weigh as radians."""
+    found: list[FloatArray] = []
+    for channel in range(max((len(one) for one in series), default=0)):
+        rows = [one[channel] for one in series if channel < len(one)]
+        total = math.sqrt(sum(float(row @ row) for row in rows))
+        found += [row / total if total > 0.0 else row for row in rows]
+    return found
+
+
+def _about_mean(rows: FloatArray) -> FloatArray:
+    """(r, n, 3) deviations from the mean of the repetitions; angles from one another, unwound."""
+    turned = rows.copy()
+    apart = rows[:, :, 2] - rows[:1, :, 2]
+    turned[:, :, 2] = apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi))
+    return np.asarray(turned - turned.mean(axis=0))
+
+
+def _poses(value: ArrayLike, where: str) -> FloatArray:
+    rows = np.asarray(value, np.float64)
+    if rows.ndim != 3 or rows.shape[2] != 3 or rows.shape[1] == 0:
+        expected = "(n_repetition, n_frame, 3) poses"
+        raise InvalidInput(where, found=f"an array of shape {rows.shape}", expected=expected)
+    if not np.isfinite(rows).all():
+        raise InvalidInput(where, found="numbers that are not finite", expected="measured poses")
+    return rows
+
+
+def _at_least_one(value: float, where: str) -> float:
+    number = finite(value, where)
+    if number < 1.0:
+        raise InvalidInput(where, found=number, expected="at least 1")
+    return number

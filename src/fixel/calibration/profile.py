@@ -1,0 +1,361 @@
+"""Profile likelihoods: how far each unknown may move while the others make the best of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.cost import Cost, Prior, Residuals
+from fixel.calibration.descent import FAILED, Descent
+from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.optimiser import Best, Box
+from fixel.calibration.options import whole
+from fixel.calibration.side import Node, Side
+from fixel.calibration.slices import Slice, Slicer
+from fixel.calibration.tasks import Task, Tasks
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import positive, settle
+
+# All gains of deviance below are shares of the threshold.
+# A descent at a fixed value ends when it gains less.
+PRECISION: Final = 0.005
+# A neighbour's parameters are taken over where they are better by more.
+WORTH: Final = 0.02
+# The profiles begin anew from a point that is better than the best by more.
+ANEW: Final = 0.05
+MOST_RESTARTS: Final = 8
+# Steps of a descent at a value past the crossing, where only a second minimum is looked for.
+SCAN_ITERATIONS: Final = 5
+# Share of the largest eigenvalue added to the Hessian before its inverse predicts anything.
+RIDGE: Final = 1e-12
+
+Found = Generator[FloatArray, FloatArray, Node]
+
+
+class Profile(NamedTuple):
+    """One unknown. Lengths over `values`: k values, ascending, the best among them."""
+
+    unknown: int  # its number
+    values: FloatArray  # (k,)
+    deviances: FloatArray  # (k,) least over the others; inf where none could be evaluated
+    points: FloatArray  # (k, n) where it is least
+    low: float | None  # ends of the interval about the best; None: not inside the bounds
+    high: float | None
+    slice: Slice  # the others held at the best
+    moved: FloatArray  # (n,) how far the others went, to the ends [scales]
+    rise: FloatArray  # (n,) of the deviance when each is put back to the best there [thresholds]
+
+    def crossings(self, threshold: float) -> tuple[float | None, float | None]:
+        """Ends of the interval for another, smaller rise of the deviance, from the same values."""
+        best = int(np.argmin(self.deviances))
+        length = np.sqrt(np.maximum(0.0, self.deviances - self.deviances[best]) / threshold)
+        return (
+            _first_crossing(self.values[best::-1], length[best::-1]),
+            _first_crossing(self.values[best:], length[best:]),
+        )
+
+
+class Profiles(NamedTuple):
+    """All unknowns."""
+
+    best: Best  # the lowest deviance seen
+    better: Best | None  # the same where it is lower than the one given, else None
+    threshold: float
+    hessian: FloatArray  # (n, n) half the second derivatives of the deviance at the best
+    profiles: tuple[Profile, ...]  # one an unknown; empty if the best could not be evaluated
+    evaluations: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileLikelihood:
+    """Fix an unknown, fit the others, step outwards until the deviance has risen by the threshold.
+
+    Costs some 150 to 250 evaluations an unknown, about a third of them for the slices and the scan,
+    and as much again each time it meets a better optimum than it was given: it then begins anew
+    from there.
+
+    Parameters
+    ----------
+    descent : LeastSquares
+        Fits the others. Its loss and roughness count; when it ends is set here.
+    most_iterations : int
+        Steps of one fit.
+    scan : int
+        Values between the crossing and the bound that are fitted too, on each side: they show on a
+        plot, and may find a second minimum.
+    batch : int
+        Points of one ask, about.
+
+    Source
+    ------
+    Venzon & Moolgavkar (1988) for intervals from the profile; Raue et al. (2009) for open ones as
+    the sign of what cannot be identified.
+    """
+
+    descent: LeastSquares = field(default_factory=LeastSquares)
+    most_iterations: int = 20
+    scan: int = 2
+    batch: int = 512
+
+    def __post_init__(self) -> None:
+        for name, least in (("most_iterations", 1), ("scan", 0), ("batch", 1)):
+            where = f"ProfileLikelihood.{name}"
+            settle(self, **{name: whole(getattr(self, name), where, least)})
+
+    def start(
+        self, box: Box, point: FloatArray, threshold: float, prior: Prior | None = None
+    ) -> ProfileSearch:
+        """Begin.
+
+        Parameters
+        ----------
+        box : Box
+        point : (n,) array
+            The calibration's best.
+        threshold : float
+            Rise of the deviance at the ends of an interval; `Dispersion.threshold`.
+        prior : Prior, optional
+            As in the calibration.
+        """
+        given = np.asarray(point, np.float64)
+        if given.shape != (box.n,):
+            raise InvalidInput("point", found=f"shape {given.shape}", expected=f"({box.n},)")
+        threshold = positive(threshold, "threshold")
+        return ProfileSearch(self, box, given, threshold, self.descent.cost(prior))
+
+
+@final
+class ProfileSearch:
+    """Running profiles. `ask` and `tell` take turns; the same residuals give the same points."""
+
+    def __init__(
+        self,
+        options: ProfileLikelihood,
+        box: Box,
+        point: FloatArray,
+        threshold: float,
+        cost: Cost,
+    ) -> None:
+        self.box, self.reason, self.evaluations = box, "", 0
+        self._options, self._threshold, self._cost = options, threshold, cost
+        self._best = Best(np.clip(point, box.low, box.high), math.inf)
+        self._given: float | None = None
+        self._hessian = np.zeros((box.n, box.n))
+        self._sides: list[Side] = []
+        self._slicers: list[Slicer] = []
+        self._restarts = 0
+        self._fitting = replace(
+            options.descent,
+            differences="one-sided",
+            enough=PRECISION * threshold,
+            tolerance=0.0,
+            most_iterations=options.most_iterations,
+        )
+        self._begin()
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended; `reason` then says why."""
+        return bool(self.reason)
+
+    def ask(self) -> FloatArray:
+        """(k, n) points to evaluate next; none once done. Asking again gives the same."""
+        return np.zeros((0, self.box.n)) if self.done else self._tasks.ask()
+
+    def tell(self, residuals: FloatArray) -> None:
+        """Residuals (k, m) of the points asked for; a row that is not finite has failed."""
+        points, told = self.ask(), np.asarray(residuals, np.float64)
+        if told.ndim != 2 or len(told) != len(points):
+            expected = f"({len(points)}, m), one row a point"
+            raise InvalidInput("residuals", found=f"shape {told.shape}", expected=expected)
+        if self.done:
+            return
+        self.evaluations += len(points)
+        self._note(points, self._cost.deviance(points, told))
+        self._tasks.tell(told)
+        if self._must_restart():
+            self._restarts += 1
+            self._begin()
+        while self._tasks.done and not self.done:
+            self._next_phase()
+
+    @property
+    def profiles(self) -> Profiles:
+        """What is known so far; complete once done."""
+        given = math.inf if self._given is None else self._given
+        better = self._best.error < given - 1e-3 * self._threshold and math.isfinite(given)
+        return Profiles(
+            best=self._best,
+            better=self._best if better else None,
+            threshold=self._threshold,
+            hessian=self._hessian,
+            profiles=tuple(map(self._profile, range(self.box.n))) if self._slicers else (),
+            evaluations=self.evaluations,
+        )
+
+    def _note(self, points: FloatArray, deviances: FloatArray) -> None:
+        if self._given is None:
+            self._given = float(deviances[0])
+        k = int(np.argmin(deviances))
+        if deviances[k] < self._best.error:
+            self._best = Best(points[k].copy(), float(deviances[k]))
+
+    def _must_restart(self) -> bool:
+        """Whether the profiles stand on a point that turned out not to be the best."""
+        if not self._sides or self._restarts >= MOST_RESTARTS:
+            return False
+        return self._best.error < self._sides[0].nodes[0].deviance - ANEW * self._threshold
+
+    # Phases, in order; each makes tasks that run side by side.
+
+    def _begin(self) -> None:
+        self._sides, self._slicers = [], []
+        self._moved, self._rise = np.zeros((2, self.box.n, self.box.n))
+        self._phases: list[Callable[[], list[Task]]] = [
+            lambda: list(map(self._trace, self._sides)),
+            lambda: list(map(self._polish, self._sides)),
+            lambda: list(map(self._trace, self._sides)),
+            lambda: list(map(self._scan, self._sides)),
+            self._make_slices,
+            lambda: list(map(self._hold, self._sides)),
+        ]
+        self._tasks = Tasks([self._fit_all()], self._options.batch)
+
+    def _next_phase(self) -> None:
+        if not self._sides:
+            self.reason = FAILED
+        elif not self._phases:
+            self.reason = "all profiles are complete"
+        else:
+            self._tasks = Tasks(self._phases.pop(0)(), self._options.batch)
+
+    def _fit_all(self) -> Task:
+        """Fit all parameters from the best point, for the Hessian; then set up the sides."""
+        options = replace(self._fitting, differences="auto", enough=0.1 * self._fitting.enough)
+        descent = Descent(options, self.box, self._cost, self._best.point[None])
+        yield from _run(descent)
+        self._hessian = descent.fit.hessian
+        if math.isfinite(descent.deviance):
+            self._set_sides()
+
+    def _set_sides(self) -> None:
+        """Both sides of each unknown, with what the curvature predicts."""
+        n, scale = self.box.n, self.box.scale
+        hessian = self._hessian * np.outer(scale, scale)
+        ridge = RIDGE * max(float(np.diag(hessian).max()), np.finfo(float).tiny / RIDGE)
+        covariance = np.linalg.inv(hessian + ridge * np.eye(n)) * np.outer(scale, scale)
+        for j in range(n):
+            variance = max(float(covariance[j, j]), np.finfo(float).tiny)
+            reach = math.sqrt(self._threshold) * math.sqrt(variance)
+            node = Node(float(self._best.point[j]), self._best.error, self._best.point)
+            for sign in (-1, 1):
+                slope = covariance[:, j] / variance
+                self._sides.append(Side(self.box, j, sign, node, reach, slope))
+
+    def _trace(self, side: Side) -> Task:
+        """Step outwards, then close in on the crossing."""
+        while (value := side.next_value(self._threshold)) is not None:
+            side.add((yield from self._fixed(side.index, side.guesses(value))))
+
+    def _polish(self, side: Side) -> Task:
+        """Try each node's parameters at its neighbours: on a rough surface descents get stuck."""
+        nodes = list(side.nodes)
+        pairs = [(k, near) for k in range(1, len(nodes)) for near in (k - 1, k + 1)]
+        pairs = [(k, near) for k, near in pairs if near < len(nodes)]
+        points = np.array([nodes[near].point for _, near in pairs]).reshape(-1, self.box.n)
+        points[:, side.index] = [nodes[k].value for k, _ in pairs]
+        deviances = self._cost.deviance(points, (yield points))
+        for (k, _), point, deviance in zip(pairs, points, deviances, strict=True):
+            if deviance < nodes[k].deviance - WORTH * self._threshold:
+                side.add((yield from self._fixed(side.index, point[None])))
+
+    def _scan(self, side: Side) -> Task:
+        """Look at the rest of the way to the bound."""
+        if side.crossing(self._threshold) is None:
+            return
+        outer, options = side.nodes[-1], replace(self._fitting, most_iterations=SCAN_ITERATIONS)
+        for share in np.arange(1, self._options.scan + 1) / max(1, self._options.scan):
+            value = side.bound if share == 1.0 else outer.value + share * (side.bound - outer.value)
+            near = side.beyond[-1] if side.beyond else outer
+            guesses = np.array([near.point, side.nodes[0].point])
+            guesses[:, side.index] = value
+            node = yield from self._fixed(side.index, guesses, options)
+            if math.isfinite(node.deviance):
+                side.beyond.append(node)
+
+    def _make_slices(self) -> list[Task]:
+        base = self._sides[0].nodes[0]
+        best = Best(base.point, base.deviance)
+        self._slicers = [Slicer(self.box, j, best, self._threshold) for j in range(self.box.n)]
+        return list(map(self._slice, self._slicers))
+
+    def _slice(self, slicer: Slicer) -> Task:
+        while not slicer.done:
+            points = slicer.ask()
+            slicer.tell(self._cost.deviance(points, (yield points)))
+
+    def _hold(self, side: Side) -> Task:
+        """At the end of the interval put each other parameter back, to see which one it needs."""
+        j, base, edge = side.index, side.nodes[0], side.edge(self._threshold)
+        others = np.array([k for k in range(self.box.n) if k != j and edge is not base], int)
+        points = np.repeat(edge.point[None], len(others), axis=0)
+        points[np.arange(len(others)), others] = base.point[others]
+        deviances = self._cost.deviance(points, (yield points))
+        # One that fails says no less than one that fits badly; the largest number stands for it.
+        rise = np.minimum((deviances - edge.deviance) / self._threshold, np.finfo(float).max)
+        self._rise[j, others] = np.maximum(self._rise[j, others], rise)
+        moved = np.abs(edge.point - base.point)[others] / self.box.scale[others]
+        self._moved[j, others] = np.maximum(self._moved[j, others], moved)
+
+    def _fixed(self, index: int, guesses: FloatArray, options: LeastSquares | None = None) -> Found:
+        """Fit the others with one unknown fixed as in the guesses."""
+        free = np.arange(self.box.n) != index
+        descent = Descent(options or self._fitting, self.box, self._cost, guesses, free)
+        yield from _run(descent)
+        return Node(float(guesses[0, index]), descent.deviance, descent.point)
+
+    def _profile(self, j: int) -> Profile:
+        down, up = self._sides[2 * j], self._sides[2 * j + 1]
+        nodes = sorted(
+            (*down.beyond, *down.nodes[1:], *up.nodes, *up.beyond), key=lambda node: node.value
+        )
+        return Profile(
+            unknown=j,
+            values=np.array([node.value for node in nodes]),
+            deviances=np.array([node.deviance for node in nodes]),
+            points=np.array([node.point for node in nodes]),
+            low=down.crossing(self._threshold),
+            high=up.crossing(self._threshold),
+            slice=self._slicers[j].slice,
+            moved=self._moved[j],
+            rise=self._rise[j],
+        )
+
+
+def run_profiles(search: ProfileSearch, residuals: Residuals) -> Profiles:
+    """Run a search to its end."""
+    while not search.done:
+        search.tell(residuals(search.ask()))
+    return search.profiles
+
+
+def _run(descent: Descent) -> Task:
+    while not descent.done:
+        descent.tell((yield descent.ask()))
+
+
+def _first_crossing(values: FloatArray, length: Sequence[float] | FloatArray) -> float | None:
+    """Where lengths that begin at 0 first reach 1."""
+    for k in range(1, len(values)):
+        if length[k] >= 1.0:
+            if math.isinf(length[k]):
+                return None
+            share = (1.0 - length[k - 1]) / (length[k] - length[k - 1])
+            return float(values[k - 1] + share * (values[k] - values[k - 1]))
+    return None

@@ -1,0 +1,190 @@
+"""One side of a profile: which value to fix next, and where the deviance crosses the threshold."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.optimiser import Box
+from fixel.kernels.arrays import FloatArray
+
+# The rise is measured as a length: the root of the rise over the threshold, so that it grows in a
+# straight line away from a smooth optimum and is 1 at the crossing.
+# First fixed value, as a share of the way to the crossing that the curvature predicts.
+FIRST_SHARE: Final = 0.5
+# Growth of the length from one value to the next: three values before the crossing.
+STRIDE: Final = 0.4
+# Where a value beyond the crossing is aimed at.
+AIM: Final = 1.1
+# Longest step, as a share of the way to the bound, and over the step before.
+LONGEST: Final = 0.25
+GROWTH: Final = 2.0
+# Shortest step [scales].
+SHORTEST: Final = 1e-6
+# A bracket is narrow enough when an end is this close to the threshold, or its width is this share
+# of the distance: a 3 per cent error of an interval's half-width changes no conclusion.
+CLOSE: Final = 0.06
+NARROW: Final = 0.03
+# Values fixed on a side, at most.
+MOST_NODES: Final = 30
+
+
+class Node(NamedTuple):
+    """One fixed value of a profile."""
+
+    value: float
+    deviance: float  # least over the other parameters; inf where nothing could be evaluated
+    point: FloatArray  # (n,) where it is least
+
+
+@final
+class Side:
+    """The values of one unknown on one side of the best.
+
+    Parameters
+    ----------
+    box : Box
+    index : int
+        Of the unknown.
+    sign : int
+        +1 upwards, -1 downwards.
+    best : Node
+    reach : float
+        Predicted distance of the crossing, inf where the curvature says nothing.
+    slope : (n,) array
+        Predicted change of the point per change of the unknown.
+    """
+
+    def __init__(
+        self, box: Box, index: int, sign: int, best: Node, reach: float, slope: FloatArray
+    ) -> None:
+        self.index, self.sign = index, sign
+        self.bound = float(box.high[index] if sign > 0 else box.low[index])
+        self.nodes = [best]
+        self.beyond: list[Node] = []  # values past the crossing, for a look at the rest
+        self._scale = float(box.scale[index])
+        self._reach, self._slope = reach, slope
+        self._centre = best.value
+        self._room = abs(self.bound - best.value)
+
+    def add(self, node: Node) -> None:
+        """Take the deviance of a fixed value, or a lower one of a value known already."""
+        for k, known in enumerate(self.nodes):
+            if known.value == node.value:
+                self.nodes[k] = node if node.deviance < known.deviance else known
+                return
+        self.nodes.append(node)
+        self.nodes.sort(key=lambda known: self._distance(known.value))
+
+    def next_value(self, threshold: float) -> float | None:
+        """The next value to fix; None when the crossing is known, or there is none."""
+        if self._room <= SHORTEST * self._scale or len(self.nodes) > MOST_NODES:
+            return None
+        above = self.first_above(threshold)
+        if above is None:
+            return self._outward(threshold)
+        return self._between(self.nodes[above - 1], self.nodes[above], threshold)
+
+    def first_above(self, threshold: float) -> int | None:
+        """Number of the first node above the threshold, counted from the best."""
+        for k, length in enumerate(self.lengths(threshold)):
+            if k and length >= 1.0:
+                return k
+        return None
+
+    def lengths(self, threshold: float) -> list[float]:
+        """Root of the rise over the threshold of each node."""
+        return [self._length(node, threshold) for node in self.nodes]
+
+    def crossing(self, threshold: float) -> float | None:
+        """Where the deviance has risen by the threshold; None where it does not inside the bounds.
+
+        A value that cannot be evaluated is a bound too.
+        """
+        above = self.first_above(threshold)
+        if above is None or math.isinf(self.nodes[above].deviance):
+            return None
+        inner, outer = self.nodes[above - 1 : above + 1]
+        return inner.value + (outer.value - inner.value) * self._share(inner, outer, threshold)
+
+    def edge(self, threshold: float) -> Node:
+        """The node nearest to the crossing, or the last where there is none."""
+        above = self.first_above(threshold)
+        if above is None:
+            return self.nodes[-1]
+        pair = self.nodes[above - 1 : above + 1]
+        known = [node for node in pair if math.isfinite(node.deviance)]
+        base = self.nodes[0].deviance
+        return min(known, key=lambda node: abs(node.deviance - base - threshold))
+
+    def guesses(self, value: float) -> FloatArray:
+        """(k, n) points to start from with the unknown fixed at a value."""
+        known = [node for node in self.nodes if math.isfinite(node.deviance)]
+        near = sorted(known, key=lambda node: abs(node.value - value))[:2]
+        rows = [near[0].point]
+        if len(near) == 1:
+            rows.append(near[0].point + self._slope * (value - near[0].value))
+        else:
+            share = (value - near[0].value) / (near[1].value - near[0].value)
+            rows += [near[0].point + share * (near[1].point - near[0].point), near[1].point]
+        points = np.array(rows)
+        points[:, self.index] = value
+        return points
+
+    def _distance(self, value: float) -> float:
+        return self.sign * (value - self._centre)
+
+    def _outward(self, threshold: float) -> float | None:
+        last = self._distance(self.nodes[-1].value)
+        if last >= self._room:
+            return None
+        longest = LONGEST * self._room
+        if len(self.nodes) == 1:
+            step = min(FIRST_SHARE * self._reach, longest)
+        else:
+            a, b = self.lengths(threshold)[-2:]
+            gap = last - self._distance(self.nodes[-2].value)
+            wanted = min(max(AIM - b, 0.05), STRIDE)
+            step = wanted * gap / (b - a) if b > a else math.inf
+            step = min(max(step, gap / GROWTH), GROWTH * gap, longest)
+        return self._placed(last + max(step, SHORTEST * self._scale))
+
+    def _between(self, inner: Node, outer: Node, threshold: float) -> float | None:
+        a, b = (self._length(node, threshold) for node in (inner, outer))
+        from_, to = self._distance(inner.value), self._distance(outer.value)
+        narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
+        if narrow or min(abs(1.0 - a), abs(b - 1.0)) <= CLOSE:
+            return None
+        # Interpolation halves a bracket slowly where the deviance jumps, so every third is halved.
+        share = (
+            0.5
+            if math.isinf(b) or len(self.nodes) % 3 == 0
+            else self._share(inner, outer, threshold)
+        )
+        return self._placed(from_ + min(max(share, 0.1), 0.9) * (to - from_))
+
+    def _share(self, inner: Node, outer: Node, threshold: float) -> float:
+        """Share of the way from one node to the other at which the deviance crosses.
+
+        On the parabola through the best and both nodes: a minimum inside the bounds makes one
+        without a linear term, a best on a bound one with; else on the straight line of lengths.
+        """
+        a, b = self._length(inner, threshold), self._length(outer, threshold)
+        p, q = self._distance(inner.value), self._distance(outer.value)
+        if a > 0.0:
+            bend = (b * b / q - a * a / p) / (q - p)
+            slope = a * a / p - bend * p
+            root = slope * slope + 4.0 * bend
+            if slope >= 0.0 and root > 0.0:
+                return min(max((2.0 / (slope + math.sqrt(root)) - p) / (q - p), 0.0), 1.0)
+        return (1.0 - a) / (b - a)
+
+    def _length(self, node: Node, threshold: float) -> float:
+        return math.sqrt(max(0.0, node.deviance - self.nodes[0].deviance) / threshold)
+
+    def _placed(self, distance: float) -> float:
+        if distance >= (1.0 - 1e-9) * self._room:
+            return self.bound
+        return self._centre + self.sign * distance

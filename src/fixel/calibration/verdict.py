@@ -1,0 +1,354 @@
+"""Whether the data determine each unknown, in one word and one sentence.
+
+The first rule that holds decides. An interval is *closed* on a side where the profile crosses the
+threshold inside the bounds; its *width* counts up to the bound on a side where it is open. *Narrow*
+is a width of at most `NARROW` of the range.
+
+================================================================ =======================
+rule                                                             verdict
+================================================================ =======================
+the simulations never had what the unknown acts on               not excited
+nothing could be evaluated                                       not identified
+another value explains the data as well, and the interval over   not identified
+both is not narrow
+a prior was given, and the interval is hardly narrower           not identified
+closed on both sides, and narrow                                 identified
+narrow, but open on one side: it reaches a bound                 at bound
+best on a bound, closed on the other side, not flat              at bound
+narrow with the others held (slice), and some of them must move  trades off with them
+to reach the ends of the interval, which is far wider
+anything else: flat, or closed but wide                          not identified
+================================================================ =======================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, final, get_args
+
+import numpy as np
+
+from fixel.calibration.noise import Dispersion
+from fixel.calibration.profile import Profile, Profiles
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.space import ParameterSpace, Unknown
+
+Word = Literal["identified", "trades off", "not identified", "not excited", "at bound"]
+
+WORDS: Final[tuple[Word, ...]] = get_args(Word)
+
+# Share of the range that an interval may cover. Random values in the range would be right half of
+# the time within half of it: less than that is something learnt.
+NARROW: Final = 0.5
+# A slice is narrow beside a profile that is so many times as wide. Twice is a correlation of 0.87.
+CLEARLY_WIDER: Final = 2.0
+# A partner of a trade-off: putting it back costs this share of the threshold...
+COSTS: Final = 0.5
+# ... and this share of what putting back the most needed one costs; three at most are named.
+BESIDE_MOST: Final = 0.1
+MOST_PARTNERS: Final = 3
+# ... and it moved by this share of its scale at least; less is the roughness of the surface.
+MOVES: Final = 0.05
+# Share of the interval's width by which its ends, interpolated between values, may be off.
+SLACK: Final = 0.1
+# Distance from a bound, as a share of the range, that counts as on it.
+ON_BOUND: Final = 1e-3
+# The interval of the prior alone, over which one that is not shorter than this share was not learnt
+# from the data.
+LIKE_PRIOR: Final = 0.9
+
+Excited = Callable[[str], bool]
+"""Label of an unknown -> whether the simulations had what it acts on: contact, slip."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What is known of one unknown after a calibration.
+
+    Parameters
+    ----------
+    label, unit : str
+        Of the unknown.
+    value : float
+        At the best point.
+    low, high : float or None
+        Ends of the interval; None where the data do not bound it inside the bounds.
+    level : float
+        Confidence of the interval.
+    word : str
+        One of `WORDS`.
+    partners : tuple of str
+        Labels of what it trades off with, the most needed first; mostly empty.
+    reason : str
+        One sentence.
+    """
+
+    label: str
+    unit: str
+    value: float
+    low: float | None
+    high: float | None
+    level: float
+    word: Word
+    partners: tuple[str, ...] = ()
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """The word, with the partners: `"trades off with mu_fixel, mu_pusher"`."""
+        return f"{self.word} with {', '.join(self.partners)}" if self.partners else self.word
+
+
+class _Case(NamedTuple):
+    """One unknown, as the rules see it."""
+
+    unknown: Unknown
+    labels: tuple[str, ...]
+    profile: Profile
+    best: FloatArray
+    low: float | None
+    high: float | None
+    others: tuple[float, ...]  # values outside the interval that are as good
+    level: float
+
+    @property
+    def value(self) -> float:
+        return float(self.best[self.profile.unknown])
+
+    @property
+    def range(self) -> float:
+        return self.unknown.high - self.unknown.low
+
+    @property
+    def open_sides(self) -> int:
+        return (self.low is None) + (self.high is None)
+
+    @property
+    def width(self) -> float:
+        return _up_to(self.unknown, self.low, self.high)
+
+    @property
+    def slice_width(self) -> float:
+        return _up_to(self.unknown, self.profile.slice.low, self.profile.slice.high)
+
+    @property
+    def narrow(self) -> bool:
+        return self.width <= NARROW * self.range
+
+    @property
+    def bound(self) -> float | None:
+        """The bound that the best value lies on."""
+        for bound in (self.unknown.low, self.unknown.high):
+            if abs(self.value - bound) <= ON_BOUND * self.range:
+                return bound
+        return None
+
+    def shown(self, value: float) -> str:
+        unit = "" if self.unknown.unit == "-" else f" {self.unknown.unit}"
+        return f"{value:.4g}{unit}"
+
+
+def judge(
+    space: ParameterSpace,
+    profiles: Profiles,
+    *,
+    level: float = 0.95,
+    excited: Excited | None = None,
+    solutions: Sequence[FloatArray] = (),
+    dispersion: Dispersion | None = None,
+) -> tuple[Verdict, ...]:
+    """A verdict on each free unknown; frozen ones are not judged.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    profiles : Profiles
+        Of its free unknowns, in their order, at the threshold of `level`.
+    level : float
+        Confidence of the intervals.
+    excited : callable, optional
+        Label of an unknown -> bool. All are taken to be where left out.
+    solutions : sequence of (n,) arrays, optional
+        Points known to be nearly as good as the best, as `find_solutions` finds them.
+    dispersion : Dispersion, optional
+        The one that the prior was weighted with: `Prior.weighted`.
+    """
+    if not 0.0 < level < 1.0:
+        raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+    if profiles.profiles and len(profiles.profiles) != len(space.free):
+        found = f"profiles of {len(profiles.profiles)} unknowns"
+        raise InvalidInput("profiles", found=found, expected=f"one each of {len(space.free)}")
+    verdicts = []
+    for j, unknown in enumerate(space.free):
+        if excited is not None and not excited(unknown.label):
+            verdicts.append(_not_excited(unknown, float(profiles.best.point[j]), level))
+        elif not profiles.profiles:
+            verdicts.append(_not_evaluated(unknown, float(profiles.best.point[j]), level))
+        else:
+            case = _case(space, profiles, j, level, solutions)
+            verdicts.append(_judged(case, _prior_width(unknown, profiles, dispersion)))
+    return tuple(verdicts)
+
+
+def _not_excited(unknown: Unknown, value: float, level: float) -> Verdict:
+    reason = "the simulations never had the contact or slip it acts on, so its value is a guess"
+    return _verdict(unknown, value, None, None, level, "not excited", reason)
+
+
+def _not_evaluated(unknown: Unknown, value: float, level: float) -> Verdict:
+    reason = "the best point could not be evaluated"
+    return _verdict(unknown, value, None, None, level, "not identified", reason)
+
+
+def _case(
+    space: ParameterSpace,
+    profiles: Profiles,
+    j: int,
+    level: float,
+    solutions: Sequence[FloatArray],
+) -> _Case:
+    profile = profiles.profiles[j]
+    good = profiles.best.error + profiles.threshold
+    values = [
+        *profile.values[profile.deviances <= good].tolist(),
+        *(float(s[j]) for s in solutions),
+    ]
+    low, high = profile.low, profile.high
+    span = _up_to(space.free[j], low, high)
+    bottom = -math.inf if low is None else low - SLACK * span
+    top = math.inf if high is None else high + SLACK * span
+    others = tuple(sorted(value for value in values if not bottom <= value <= top))
+    if others:  # the interval about all of them
+        low = None if low is None else min(low, others[0])
+        high = None if high is None else max(high, others[-1])
+    return _Case(
+        unknown=space.free[j],
+        labels=space.labels,
+        profile=profile,
+        best=profiles.best.point,
+        low=low,
+        high=high,
+        others=others,
+        level=level,
+    )
+
+
+def _prior_width(
+    unknown: Unknown, profiles: Profiles, dispersion: Dispersion | None
+) -> float | None:
+    """Width of the interval that the prior alone would give."""
+    if unknown.prior is None:
+        return None
+    ratio = profiles.threshold / (dispersion.value if dispersion else 1.0)
+    return 2.0 * unknown.prior * math.sqrt(ratio)
+
+
+def _judged(case: _Case, prior_width: float | None) -> Verdict:
+    """The rules of the table, in order."""
+    if case.others and not case.narrow:
+        values = ", ".join(case.shown(value) for value in case.others[:3])
+        reason = f"{values} explains the data as well as {case.shown(case.value)}"
+        return _of(case, "not identified", reason)
+    if prior_width is not None and case.width >= LIKE_PRIOR * prior_width:
+        return _of(
+            case, "not identified", "its interval is that of the prior; the data add nothing"
+        )
+    if case.narrow and case.open_sides == 0:
+        return _of(case, "identified", _extent(case))
+    if case.narrow and case.open_sides == 1:
+        return _of(case, "at bound", _at_bound(case))
+    if case.bound is not None and case.open_sides == 1 and not _needed(case):
+        return _of(case, "at bound", _at_bound(case))
+    partners = _partners(case)
+    if partners:
+        reason = "it is known only while held together with what it trades off with"
+        return _of(case, "trades off", reason, partners)
+    return _of(case, "not identified", _why_wide(case))
+
+
+def _at_bound(case: _Case) -> str:
+    bound = case.unknown.low if case.low is None else case.unknown.high
+    if case.bound is None:
+        return f"the data do not tell it from the bound {case.shown(bound)}"
+    if _falls_outwards(case):
+        return f"the deviance still falls at the bound {case.shown(bound)}; widen it if it may be"
+    return f"the best value is the bound {case.shown(bound)} itself"
+
+
+def _falls_outwards(case: _Case) -> bool:
+    """Whether the deviance rises in a line from the bound, rather than from a minimum there."""
+    known = np.isfinite(case.profile.deviances)
+    values, deviances = case.profile.values[known], case.profile.deviances[known]
+    crossing = case.high if case.low is None else case.low
+    if crossing is None:
+        return False
+    # Of a line the first half rises half as much as the whole, of a parabola a quarter.
+    places = [case.value, 0.5 * (case.value + crossing), crossing]
+    start, half, whole = np.interp(places, values, deviances)
+    return bool(half - start > 0.375 * (whole - start))
+
+
+def _needed(case: _Case) -> list[int]:
+    """Numbers of the unknowns that must move to reach the ends of the interval."""
+    rise, moved = case.profile.rise, case.profile.moved
+    least = max(COSTS, BESIDE_MOST * float(rise.max(initial=0.0)))
+    found = [k for k in range(len(rise)) if rise[k] >= least and moved[k] >= MOVES]
+    return sorted(found, key=lambda k: -moved[k])[:MOST_PARTNERS]
+
+
+def _partners(case: _Case) -> tuple[str, ...]:
+    least = min(case.width / CLEARLY_WIDER, NARROW * case.range)
+    if case.slice_width > least:
+        return ()
+    return tuple(case.labels[k] for k in _needed(case))
+
+
+def _why_wide(case: _Case) -> str:
+    if case.open_sides == 2:
+        return "no value within the bounds fits clearly worse than the best"
+    if case.open_sides == 1:
+        end = case.low if case.high is None else case.high
+        side = "above" if case.high is None else "below"
+        return f"the data say no more than that it lies {side} {case.shown(end or 0.0)}"
+    return _extent(case)
+
+
+def _extent(case: _Case) -> str:
+    return f"its interval covers {100.0 * case.width / case.range:.2g} % of the range searched"
+
+
+def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
+    """Width of an interval, up to the bound where it is open."""
+    return (unknown.high if high is None else high) - (unknown.low if low is None else low)
+
+
+def _of(case: _Case, word: Word, reason: str, partners: tuple[str, ...] = ()) -> Verdict:
+    return _verdict(
+        case.unknown, case.value, case.low, case.high, case.level, word, reason, partners
+    )
+
+
+def _verdict(
+    unknown: Unknown,
+    value: float,
+    low: float | None,
+    high: float | None,
+    level: float,
+    word: Word,
+    reason: str,
+    partners: tuple[str, ...] = (),
+) -> Verdict:
+    return Verdict(
+        label=unknown.label,
+        unit=unknown.unit,
+        value=value,
+        low=low,
+        high=high,
+        level=level,
+        word=word,
+        partners=partners,
+        reason=reason,
+    )

@@ -1,0 +1,337 @@
+"""`fixel calibrate`: parameters from experiments, and what the experiments say about them."""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fixel.cli.project import AsJson, ProjectFolder
+from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fixel.workflows.calibration.run import Calibration
+
+MOST_ROWS = 20
+
+
+def calibrate(
+    experiments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Ids or names; without any, all that the options below leave.",
+            metavar="[EXPERIMENT]...",
+        ),
+    ] = None,
+    folder: ProjectFolder = Path(),
+    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(help="Only with this condition; may be repeated.", metavar="CONDITION=VALUE"),
+    ] = None,
+    flagged: Annotated[
+        bool, typer.Option("--all", help="Also those whose data was found wanting.")
+    ] = False,
+    mode: Annotated[
+        str | None,
+        typer.Option(
+            help="each: every experiment by itself; joint: one set for all; campaign: both, and"
+            " the ways of the thesis between them.",
+            metavar="MODE",
+            show_default="each for one experiment, else joint",
+        ),
+    ] = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Parameter to find, in SI units or with _mm, _deg, _mrad after the name; may be"
+            " repeated.",
+            metavar="NAME[=LOW:HIGH[:START]]",
+        ),
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Parameter that stays; may be repeated.", metavar="NAME=VALUE"),
+    ] = None,
+    space: Annotated[
+        Path | None,
+        typer.Option(help="File with the parameters, in place of --fit.", metavar="FILE"),
+    ] = None,
+    dakota: Annotated[
+        Path | None,
+        typer.Option(
+            help="Input file of Dakota's pattern search, for search and parameters.", metavar="FILE"
+        ),
+    ] = None,
+    error: Annotated[
+        str,
+        typer.Option(
+            help="mean-square (the thesis's E), root-mean-square (the ASME paper's), end-pose or"
+            " robust.",
+            metavar="NAME",
+        ),
+    ] = "mean-square",
+    angle_scale_mm: Annotated[
+        float, typer.Option(help="What a radian counts as [mm].", metavar="MM")
+    ] = 35.0,
+    combine: Annotated[
+        str, typer.Option(help="Of several experiments: sum, mean or largest.", metavar="HOW")
+    ] = "sum",
+    motion: Annotated[
+        str, typer.Option(help="dynamic, quasistatic or first-order.", metavar="MODEL")
+    ] = "dynamic",
+    optimiser: Annotated[
+        str,
+        typer.Option(
+            help="pattern-search, fixed-step, nelder-mead, cma-es or mads.", metavar="NAME"
+        ),
+    ] = "pattern-search",
+    option: Annotated[
+        list[str] | None,
+        typer.Option(help="Of the optimiser; may be repeated.", metavar="NAME=VALUE"),
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(help="Searches, all but the first from random places.", min=1)
+    ] = 1,
+    seed: Annotated[int, typer.Option(help="Of everything random.", min=0)] = 0,
+    noise_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of measured positions [mm].", show_default="found out"
+        ),
+    ] = None,
+    noise_mrad: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of measured angles [mrad].", show_default="found out"
+        ),
+    ] = None,
+    level: Annotated[float, typer.Option(help="Of the intervals.")] = 0.95,
+    verdicts: Annotated[
+        bool, typer.Option("--verdicts/--no-verdicts", help="Find out what the data determine.")
+    ] = True,
+    name: Annotated[str, typer.Option(help="Of the calibration.", metavar="NAME")] = "calibration",
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes; 0 for this one alone.", min=0, show_default="0"),
+    ] = None,
+    site: Annotated[
+        Path | None,
+        typer.Option(help="Cluster the workers run on: see fixel jobs site.", metavar="FILE"),
+    ] = None,
+    prepare_only: Annotated[
+        bool, typer.Option("--prepare", help="Make the job only, for fixel jobs submit.")
+    ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the parameters with which simulations meet experiments.
+
+    Interrupted or repeated, the same command goes on from what is finished.
+    """
+    from fixel.database.project import Project
+    from fixel.workflows.calibration import run
+    from fixel.workflows.calibration.request import Choice, Request, entry_of
+    from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
+    from fixel.workflows.project import query_of
+
+    project = Project.open(folder)
+    query = query_of(dataset=dataset, where=where or (), flagged=flagged)
+    with project.store() as store:
+        chosen = run.choose(store, experiments or (), query)
+    scenes = [target.case.scene for target in chosen.targets]
+    search = Choice(name=optimiser, options=_options(option or []))
+    if dakota is not None:
+        from fixel.workflows.calibration.dakota import from_dakota
+
+        search, unknowns = from_dakota(dakota)
+    elif space is not None:
+        unknowns = list(read_space(space).unknowns)
+    else:
+        unknowns = fitted(fit, scenes) if fit else default_unknowns(scenes)
+    kept = held(hold or [])
+    names = {unknown.name for unknown in kept}
+    unknowns = [unknown for unknown in unknowns if unknown.name not in names] + kept
+    request = Request(
+        name=name,
+        mode=_mode(mode, len(scenes)),
+        unknowns=[entry_of(unknown) for unknown in unknowns],
+        error=Choice(name=error, options={"angle_scale": 1e-3 * angle_scale_mm}),
+        motion=motion,
+        optimiser=search,
+        starts=starts,
+        combine=_one_of("--combine", combine, ("sum", "mean", "largest")),
+        seed=seed,
+        noise_position=None if noise_mm is None else 1e-3 * noise_mm,
+        noise_angle=None if noise_mrad is None else 1e-3 * noise_mrad,
+        level=level,
+        verdicts=verdicts,
+    )
+    _announce(scenes[0], as_json)
+    job = run.prepare(project, chosen, request)
+    if prepare_only:
+        _prepared(job, as_json)
+        return
+    from fixel.cli.jobs import job_bar
+    from fixel.jobs.site import load_site
+
+    run.run(
+        job,
+        workers=workers,
+        site=None if site is None else load_site(site),
+        progress=job_bar(),
+    )
+    command = "fixel " + shlex.join(sys.argv[1:])
+    done = run.collect(project, job, command, chosen.left_out)
+    pictures = _draw(done, plot) if plot is not None else []
+    if as_json:
+        typer.echo(json.dumps(done.summary() | {"pictures": [str(path) for path in pictures]}))
+        return
+    for line in _lines(done, folder, pictures):
+        typer.echo(line)
+
+
+def _mode(mode: str | None, n: int) -> Any:
+    if mode is None:
+        return "each" if n == 1 else "joint"
+    return _one_of("--mode", mode, ("each", "joint", "campaign"))
+
+
+def _one_of(where: str, value: str, known: tuple[str, ...]) -> Any:
+    if value not in known:
+        raise InvalidInput(where, found=repr(value), expected="one of " + ", ".join(known))
+    return value
+
+
+def _options(settings: list[str]) -> dict[str, Any]:
+    """Of `--option NAME=VALUE`; values as JSON has them, else as text."""
+    found: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise InvalidInput("--option", found=repr(setting), expected="NAME=VALUE")
+        try:
+            found[name.strip()] = json.loads(text)
+        except json.JSONDecodeError:
+            found[name.strip()] = text
+    return found
+
+
+def _announce(scene: Any, as_json: bool) -> None:
+    """Compile before the clock runs, and say so where somebody watches."""
+    from fixel.cli.screen import say
+    from fixel.workflows.engine import get_ready
+
+    get_ready(scene, say if sys.stderr.isatty() or not as_json else None)
+
+
+def _prepared(job: Path, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"job": str(job)}))
+        return
+    typer.echo(f"prepared {job}")
+    typer.echo(f"Next: fixel jobs submit {shlex.quote(str(job))} --workers 2")
+
+
+def _draw(done: "Calibration", folder: Path) -> list[Path]:
+    from fixel.workflows.calibration.pictures import draw_all
+
+    return draw_all(done, folder)
+
+
+# --- what is said -------------------------------------------------------------------------------
+
+
+def _lines(done: "Calibration", folder: Path, pictures: list[Path]) -> list[str]:
+    outcome = done.outcome
+    lines = []
+    if done.left_out:
+        lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
+    if outcome.alone:
+        lines += [*_alone_lines(done), ""]
+    for one in outcome.together:
+        lines += [*_together_lines(done, one), ""]
+    lines += [f"wrote {path}" for path in pictures]
+    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
+    ids = ", ".join(map(str, done.ids[:3])) + (", ..." if len(done.ids) > 3 else "")
+    lines.append(f"stored as calibration {ids}; job {done.folder}")
+    key = outcome.keys[int(outcome.nominal.argmax())]
+    best = outcome.together[-1] if outcome.together else outcome.alone[0]
+    values = done.request.space.values(best.point)
+    settings = " ".join(
+        f"--set {u.name}={values[u.label]:.4g}" for u in done.request.space.free if not u.where
+    )
+    lines.append(f"Next: fixel compare {shlex.quote(key)} {settings}{where}")
+    return lines
+
+
+def _alone_lines(done: "Calibration") -> list[str]:
+    from fixel.cli.screen import table
+
+    outcome, unit = done.outcome, done.request.made_error.unit
+    if len(outcome.alone) == 1:
+        return _together_lines(done, outcome.alone[0])
+    free = done.request.space.free
+    head = ("experiment", f"before [{unit}]", f"after [{unit}]", *(_headed(u) for u in free))
+    rows = [
+        (
+            outcome.keys[one.members[0]],
+            f"{outcome.nominal[one.members[0]]:.4g}",
+            f"{one.errors[0]:.4g}",
+            *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
+        )
+        for one in outcome.alone[:MOST_ROWS]
+    ]
+    more = len(outcome.alone) - len(rows)
+    return table(head, rows) + ([f"... and {more} more; --json has them all"] if more > 0 else [])
+
+
+def _together_lines(done: "Calibration", one: Any) -> list[str]:
+    from fixel.cli.screen import seconds, table
+
+    outcome, unit = done.outcome, done.request.made_error.unit
+    members = list(one.members)
+    before, after = outcome.nominal[members], one.errors
+    n = len(members)
+    of = outcome.keys[members[0]] if n == 1 else f"{n} experiments"
+    lines = [f"{of}, {one.how}: mean error {before.mean():.4g} -> {after.mean():.4g} {unit}"]
+    if n > 1:
+        lines[0] += f", largest {before.max():.4g} -> {after.max():.4g}"
+    if one.trace is not None:
+        lines.append(
+            f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
+        )
+    lines += [sentence for sentence in (one.note, one.noise) if sentence]
+    if len(one.solutions) > 1:
+        lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
+    free = done.request.space.free
+    rows = [_row(u, x, one) for u, x in zip(free, one.point.tolist(), strict=True)]
+    lines += table(("parameter", "value", "interval", "unit", "verdict"), rows)
+    return lines + [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
+
+
+def _row(unknown: Any, value: float, one: Any) -> tuple[str, ...]:
+    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
+    interval, verdict = "", ""
+    if estimate is not None:
+        ends = [estimate.low, estimate.high]
+        written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
+        interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
+        verdict = estimate.verdict
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    return (unknown.label, f"{_shown(unknown.unit, value):.4g}", interval, unit, verdict)
+
+
+def _headed(unknown: Any) -> str:
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    return f"{unknown.label} [{unit}]"
+
+
+def _shown(unit: str, value: float) -> float:
+    """A value in the unit people read: mm and degrees."""
+    return value * {"m": 1e3, "rad": 57.29577951308232}.get(unit, 1.0)

@@ -1,0 +1,286 @@
+"""`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: work that takes long."""
+
+import json
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fixel.jobs.work import Progress
+    from fixel.workflows.jobs import JobStatus
+
+BAR = 24  # [characters]
+
+app = typer.Typer(
+    help="Run a job here or on a cluster; stop and continue it at any time.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
+Workers = Annotated[
+    int | None,
+    typer.Option(help="Processes; 0 for this one alone.", min=0, metavar="N", show_default="0"),
+]
+SiteFile = Annotated[
+    Path | None,
+    typer.Option(help="Cluster the workers run on: see fixel jobs site.", metavar="FILE"),
+]
+Detach = Annotated[bool, typer.Option("--detach", help="Leave it running, and return at once.")]
+Coordinator = Annotated[
+    str, typer.Option(help="Where the job is run from: here, or slurm.", metavar="PLACE")
+]
+
+
+@app.command("submit")
+def submit(
+    folder: JobFolder,
+    site: SiteFile = None,
+    workers: Workers = None,
+    detach: Detach = False,
+    coordinator: Coordinator = "here",
+    as_json: AsJson = False,
+) -> None:
+    """Run a prepared job; an interrupted one goes on."""
+    _run(folder, site, workers, detach, coordinator, as_json)
+
+
+@app.command("resume")
+def resume(
+    folder: JobFolder,
+    site: SiteFile = None,
+    workers: Workers = None,
+    detach: Detach = False,
+    coordinator: Coordinator = "here",
+    accept_version: Annotated[
+        bool,
+        typer.Option("--accept-version", help="Go on with another fixel; last digits may differ."),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Go on with a job that was stopped, cancelled or lost; run as before unless told otherwise."""
+    _run(folder, site, workers, detach, coordinator, as_json, accept_version)
+
+
+@app.command("status")
+def status(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Folders of jobs, or of projects.",
+            metavar="[FOLDER]...",
+            show_default="the current folder",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say how far jobs are, and whether anybody is at them."""
+    from fixel.workflows import jobs
+
+    found = []
+    for folder in folders or [Path()]:
+        is_job = (folder / "job.json").exists()
+        found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
+    if as_json:
+        typer.echo(json.dumps({"jobs": [job.summary() for job in found]}))
+    else:
+        typer.echo("\n".join(_listed(found)))
+
+
+@app.command("cancel")
+def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
+    """End a job and its workers; what was finished stays."""
+    from fixel.workflows import jobs
+
+    _say_status(jobs.cancel(folder), as_json)
+
+
+@app.command("logs")
+def logs(
+    folder: JobFolder,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on until the job ends.")
+    ] = False,
+) -> None:
+    """Print what happened."""
+    from fixel.workflows import jobs
+
+    for line in jobs.log_lines(folder, follow):
+        typer.echo(line)
+
+
+@app.command("site")
+def site() -> None:
+    """Print a template for a cluster, with comments."""
+    from fixel.jobs.site import TEMPLATE
+
+    typer.echo(TEMPLATE, nl=False)
+
+
+@app.command("pack")
+def pack(
+    folder: JobFolder,
+    file: Annotated[Path, typer.Argument(help="A zip to write.", metavar="FILE")],
+    as_json: AsJson = False,
+) -> None:
+    """Write a job with all its answers into one file, to be copied by hand."""
+    from fixel.workflows import jobs
+
+    size = jobs.pack(folder, file)
+    if as_json:
+        typer.echo(json.dumps({"file": str(file), "bytes": size}))
+        return
+    typer.echo(f"wrote {file}: {size} bytes")
+    typer.echo(f"Next: fixel jobs unpack {shlex.quote(file.name)} FOLDER")
+
+
+@app.command("unpack")
+def unpack(
+    file: Annotated[Path, typer.Argument(help="A packed job.", metavar="FILE")],
+    folder: Annotated[Path, typer.Argument(help="A new folder.", metavar="FOLDER")],
+    as_json: AsJson = False,
+) -> None:
+    """Make a folder of a packed job."""
+    from fixel.workflows import jobs
+
+    _say_status(jobs.unpack(file, folder), as_json)
+
+
+def _run(
+    folder: Path,
+    site: Path | None,
+    workers: int | None,
+    detach: bool,
+    coordinator: str,
+    as_json: bool,
+    accept_version: bool = False,
+) -> None:
+    from fixel.errors import InvalidInput
+    from fixel.jobs.coordinator import interrupt_on_termination
+    from fixel.jobs.site import load_site
+    from fixel.workflows import jobs
+
+    if coordinator not in ("here", "slurm"):
+        raise InvalidInput("--coordinator", found=coordinator, expected="here or slurm")
+    before = jobs.status_of(folder)
+    if before.state == "done":
+        _say_status(before, as_json)
+        return
+    jobs.arrange(
+        folder,
+        workers=workers,
+        site=None if site is None else load_site(site),
+        accept_version=accept_version,
+    )
+    if coordinator == "slurm":
+        jobs.run_on_slurm(folder)
+        _say_status(jobs.status_of(folder), as_json)
+        return
+    if detach:
+        _say_status(jobs.run_detached(folder), as_json)
+        return
+    interrupt_on_termination()
+    try:
+        done = jobs.run_here(folder, job_bar(), None if as_json else _say)
+    except KeyboardInterrupt:
+        _say(f"stopped; what was finished is kept. Go on with: {_command('resume', folder)}")
+        raise
+    _say_status(done, as_json)
+
+
+def _say(sentence: str) -> None:
+    from fixel.cli.screen import say
+
+    say(sentence)
+
+
+def job_bar() -> "Callable[[Progress], None] | None":
+    """A bar on standard error, or None where nobody watches."""
+    if not sys.stderr.isatty():
+        return None
+
+    def show(progress: "Progress") -> None:
+        full = BAR * progress.done // max(1, progress.total)
+        bar = "#" * full + "." * (BAR - full)
+        parts = [f"[{bar}] {progress.done}/{progress.total}", *_details(progress)]
+        print("\r\033[K" + "  ".join(parts), end="", file=sys.stderr, flush=True)
+        if progress.done == progress.total:
+            print(file=sys.stderr)
+
+    return show
+
+
+def _details(progress: "Progress") -> list[str]:
+    from fixel.cli.screen import seconds
+
+    rate = f"{progress.rate:.3g}/s" if progress.rate else ""
+    left = f"{seconds(progress.left_s)} left" if progress.left_s else ""
+    failed = f"{progress.failed} failed" if progress.failed else ""
+    return [part for part in (progress.note, rate, left, failed) if part]
+
+
+def _listed(found: "list[JobStatus]") -> list[str]:
+    from fixel.cli.screen import seconds, table
+
+    if not found:
+        return ["no jobs here", "", "Next: fixel jobs submit FOLDER"]
+    head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
+    rows = [
+        (
+            job.folder,
+            job.state,
+            str(job.status.done),
+            str(job.status.total),
+            str(job.status.failed),
+            "" if job.ended else str(job.status.workers),
+            "" if job.ended else f"{job.status.rate:.3g}",
+            "" if job.ended or job.status.left_s is None else seconds(job.status.left_s),
+            job.status.reason or job.status.note,
+        )
+        for job in found
+    ]
+    return [*table(head, rows, left=2), "", *_advice(found[0])]
+
+
+def _advice(job: "JobStatus") -> list[str]:
+    folder = Path(job.folder)
+    if job.state == "lost":
+        answers = f"{job.kept} answers are kept"
+        return [
+            f"The process that ran {folder} has died; {answers}, and resume goes on from them.",
+            f"Next: {_command('resume', folder)}",
+        ]
+    after = {
+        "queued": "submit",
+        "failed": "logs",
+        "stopped": "resume",
+        "cancelled": "resume",
+        "done": "pack",
+    }
+    command = _command(after.get(job.state, "logs -f"), folder)
+    return [f"Next: {command}{' job.zip' if job.state == 'done' else ''}"]
+
+
+def _say_status(job: "JobStatus", as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(job.summary()))
+        return
+    status = job.status
+    reason = f": {status.reason}" if status.reason else ""
+    failed = f", {status.failed} of them failed" if status.failed else ""
+    typer.echo(
+        f"{job.folder} is {job.state}{reason}; {status.done} of {status.total} chunks{failed}"
+    )
+    if job.state == "done":
+        typer.echo(f"the result is in {Path(job.folder) / 'result'}")
+    else:
+        typer.echo("\n".join(_advice(job)))
+
+
+def _command(name: str, folder: Path) -> str:
+    return f"fixel jobs {name} {shlex.quote(str(folder))}"

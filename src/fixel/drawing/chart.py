@@ -1,0 +1,182 @@
+"""Pictures of numbers, and the numbers behind them."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.kernels.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Value = str | float | int | None
+Style = dict[str, Any]
+
+WIDE: Final = 7.16  # [inch], two columns of text
+BANNER: Final = 0.20  # [inch]
+
+
+class Table(NamedTuple):
+    """The numbers of a picture, in SI units; units are in the names or in a column of their own."""
+
+    columns: tuple[str, ...]
+    rows: list[tuple[Value, ...]]  # None where there is none
+
+
+class AbstractChart(abc.ABC):
+    """What a picture of numbers promises."""
+
+    @abc.abstractmethod
+    def figure(self) -> Figure:
+        """The picture, without a banner."""
+
+    @abc.abstractmethod
+    def table(self) -> Table:
+        """All that the picture shows."""
+
+
+def draw_chart(chart: AbstractChart, path: str | Path, banner: str = "") -> None:
+    """Draw a chart into a file.
+
+    Parameters
+    ----------
+    chart : AbstractChart
+    path : str or Path
+        File (`.pdf`, `.svg` or `.png`).
+    banner : str
+        Across the top, for experiments that no camera has seen.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending.
+    """
+    import matplotlib as mpl
+
+    refuse_ending(path, PICTURE_ENDINGS, "picture")
+    # Without the time of day the same numbers give the same file.
+    known: Style = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    metadata = known.get(Path(path).suffix.lower())
+    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+        figure = chart.figure()
+        if banner:
+            _add_banner(figure, banner)
+        figure.savefig(path, metadata=metadata)
+
+
+def sheet(width: float, height: float) -> Figure:
+    """An empty figure [inch] that lays out what is put in it."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    engine: Any = figure.get_layout_engine()
+    engine.set(w_pad=0.06, h_pad=0.05)
+    return figure
+
+
+def _add_banner(figure: Figure, text: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + BANNER)
+    share = BANNER / (height + BANNER)
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0.0, 0.0, 1.0, 1.0 - share))
+    figure.add_artist(
+        Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
+    )
+    figure.text(
+        0.5, 1.0 - 0.52 * share, text, color="white", weight="bold", ha="center", va="center"
+    )
+
+
+# --- shared by charts ---------------------------------------------------------------------------
+
+
+def clean(axes: Axes) -> None:
+    """A faint grid behind, and no frame above and on the right."""
+    axes.grid(color=palette.FAINT, linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(pad=1.5)
+
+
+def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
+    """A logarithmic axis about positive values, with numbers on it even within one decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    good = values[np.isfinite(values) & (values > 0.0)]
+    low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 10.0)
+    wide = high / low
+    margin = max(wide**0.06, 1.15)
+    getattr(axes, f"set_{which}scale")("log")
+    getattr(axes, f"set_{which}lim")(low / margin, high * margin)
+    axis = getattr(axes, f"{which}axis")
+    subs = (1.0,) if wide > 200.0 else (1.0, 2.0, 5.0) if wide > 5.0 else tuple(range(1, 10))
+    axis.set_major_locator(LogLocator(subs=subs, numticks=8))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def positive(values: FloatArray) -> FloatArray:
+    """For a logarithmic axis: zeros just below the smallest that is not, infinite as nan."""
+    good = values[np.isfinite(values) & (values > 0.0)]
+    least = 0.5 * float(good.min()) if len(good) else 1.0
+    return np.where(np.isfinite(values), np.maximum(values, least), np.nan)
+
+
+class Readable(NamedTuple):
+    """A unit as people read it."""
+
+    name: str  # empty where there is none
+    factor: float  # from SI
+
+    def on(self, label: str) -> str:
+        """A label with the unit."""
+        return f"{label} [{self.name}]" if self.name else label
+
+    def text(self, value: float) -> str:
+        """A value in the unit, without the unit."""
+        return f"{self.factor * value:.3g}"
+
+
+def readable(unit: str) -> Readable:
+    """Millimetres and degrees in place of metres and radians."""
+    known = {"m": Readable("mm", 1e3), "rad": Readable("deg", math.degrees(1.0))}
+    return known.get(unit, Readable("" if unit == "-" else written(unit), 1.0))
+
+
+def written(unit: str) -> str:
+    """A unit with a raised square."""
+    return unit.replace("^2", "²")
+
+
+def column(unit: str) -> str:
+    """A unit as the end of a column's name."""
+    return unit.replace("^", "")
+
+
+def shortened(text: str, most: int) -> str:
+    """At most so many letters; of long names, what differs stands at the end."""
+    return text if len(text) <= most else "…" + text[1 - most :]
+
+
+def without_common(names: Sequence[str]) -> list[str]:
+    """Names without the data set that all of them share."""
+    heads = {name.partition("/")[0] for name in names}
+    alike = len(heads) == 1 and all("/" in name for name in names)
+    return [name.partition("/")[2] if alike else name for name in names]
+
+
+def plain(values: FloatArray) -> list[float | None]:
+    """Numbers, None where there is none."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]

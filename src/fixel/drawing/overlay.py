@@ -1,0 +1,237 @@
+"""One experiment under two sets of parameters: the plate from above, and poses against time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Style,
+    Table,
+    Value,
+    clean,
+    shortened,
+    written,
+)
+from fixel.drawing.picture import frame_axes, tint
+from fixel.drawing.view import UNITS, Box
+from fixel.kernels.arrays import FloatArray
+from fixel.model import placed
+from fixel.model.trajectory import wrapped
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MM: Final = UNITS[1]
+DASHED: Final = (0, (4, 1.6))
+FEW: Final = 3  # poses up to which each gets a dot
+MOST_OUTLINES: Final = 40  # that the extent is measured by
+
+# [inch] of the page.
+LEFT, BETWEEN, RIGHT, BOTTOM, TOP = 0.48, 0.62, 0.10, 0.36, 0.30
+PANEL, GAP = 0.86, 0.10
+VIEW: Final = 2.60  # width of the top view
+LEGEND_ROW: Final = 0.16
+
+
+class Track(NamedTuple):
+    """Poses of the object."""
+
+    time: FloatArray  # (n,) [s]
+    pose: FloatArray  # (n, 3) [m, m, rad]
+    error: float | None = None  # against what was measured, in the chart's unit
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OverlayChart(AbstractChart):
+    """Measured and simulated poses, before and after a calibration.
+
+    Source: RPI thesis, figures 5.2 and 5.3.
+
+    Parameters
+    ----------
+    title : str
+    outline : (k, 2) float64
+        Of the object, in its own frame [m].
+    measured, before, after : Track
+        Simulations that stopped early end there.
+    real : bool
+        Whether the poses were measured; else they are called recorded.
+    fixels : sequence of (k, 2) float64
+        Outlines [m].
+    pusher : sequence of (k, 2) float64
+        Its outlines at the start and at the end [m]; none without one.
+    unit : str
+        Of the errors.
+    """
+
+    title: str
+    outline: FloatArray
+    measured: Track
+    before: Track
+    after: Track
+    real: bool
+    fixels: Sequence[FloatArray]
+    pusher: Sequence[FloatArray]
+    unit: str
+
+    @property
+    def tracks(self) -> tuple[tuple[str, Track, Style], ...]:
+        """What there is to draw, with names and lines."""
+        return (
+            ("measured" if self.real else "recorded", self.measured, _MEASURED),
+            ("before", self.before, _BEFORE),
+            ("after", self.after, _AFTER),
+        )
+
+    def figure(self) -> Figure:
+        from matplotlib.figure import Figure
+
+        tall = 3 * PANEL + 2 * GAP
+        legend = 2 * LEGEND_ROW + 0.04
+        total = BOTTOM + legend + tall + TOP
+        figure = Figure(figsize=(WIDE, total))
+        # Banners grow the figure: an engine that lays out nothing lets them move what is here.
+        view = figure.add_axes(_share(LEFT, BOTTOM + legend, VIEW, tall, total), label="view")
+        _draw_view(view, self, tall / VIEW)
+        width = (WIDE - LEFT - VIEW - 2 * BETWEEN - RIGHT) / 2.0
+        for column, draw in enumerate((_draw_poses, _draw_differences)):
+            left = LEFT + VIEW + BETWEEN + column * (width + BETWEEN)
+            panels = []
+            for k in range(3):
+                bottom = BOTTOM + legend + (2 - k) * (PANEL + GAP)
+                panels.append(figure.add_axes(_share(left, bottom, width, PANEL, total)))
+            draw(panels, self)
+            _time_axes(panels)
+        view.set_title(shortened(self.title, 100), loc="left", pad=5.0)
+        figure.legend(
+            *view.get_legend_handles_labels(),
+            loc="lower center",
+            bbox_to_anchor=(0.5, 0.0),
+            ncols=5,
+            frameon=False,
+            columnspacing=1.4,
+            handlelength=2.2,
+        )
+        return figure
+
+    def table(self) -> Table:
+        columns = ("curve", "time_s", "x_m", "y_m", "theta_rad")
+        rows: list[tuple[Value, ...]] = [
+            (name, time, *pose)
+            for name, track, _ in self.tracks
+            for time, pose in zip(track.time.tolist(), track.pose.tolist(), strict=True)
+        ]
+        return Table(columns, rows)
+
+
+_MEASURED: Final[Style] = {"color": palette.INK, "linewidth": 1.5}
+_BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": DASHED}
+_AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
+
+
+def _share(
+    left: float, bottom: float, width: float, height: float, total: float
+) -> tuple[float, float, float, float]:
+    """Inches as shares of the page."""
+    return left / WIDE, bottom / total, width / WIDE, height / total
+
+
+def _draw_view(axes: Axes, chart: OverlayChart, aspect: float) -> None:
+    frame_axes(axes, _extent(chart).with_aspect(aspect), MM)
+    start: Style = {"facecolor": tint(palette.FIXEL, 0.2), "edgecolor": palette.FIXEL}
+    first = placed(chart.outline, chart.measured.pose[0])
+    axes.fill(*_closed(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
+    for name, track, style in chart.tracks:
+        last = placed(chart.outline, track.pose[-1])
+        label = f"{name}, end{_error(track, chart.unit)}"
+        axes.plot(*_closed(last), label=label, zorder=4, **style)
+        if len(track.time) > FEW:
+            thin = style | {"linewidth": 0.7}
+            axes.plot(*(track.pose[:, :2].T * MM.per_metre), zorder=3, **thin)
+    for k, outline in enumerate(chart.fixels):
+        axes.fill(*_closed(outline), color=palette.FIXEL, zorder=5, linewidth=0.0,
+                  label="" if k else "fixel")  # fmt: skip
+    for outline, line, label in zip(chart.pusher, (DASHED, "-"), ("start", "end"), strict=False):
+        axes.plot(*_closed(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
+                  label=f"pusher, {label}", zorder=2)  # fmt: skip
+
+
+def _error(track: Track, unit: str) -> str:
+    return "" if track.error is None else f" ({track.error:.3g} {written(unit)})"
+
+
+def _closed(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
+    x, y = np.vstack((outline, outline[:1])).T * MM.per_metre
+    return x, y
+
+
+def _extent(chart: OverlayChart) -> Box:
+    corners = [*chart.fixels, *chart.pusher]
+    for _, track, _ in chart.tracks:
+        some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
+        corners += [placed(chart.outline, pose) for pose in track.pose[some]]
+    points = np.concatenate(corners)
+    (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Box((left, right), (bottom, top)).widened(0.04)
+
+
+def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
+    for _, track, style in chart.tracks:
+        turned = np.degrees(np.unwrap(track.pose[:, 2]))
+        for axes, values in zip(panels, (*track.pose[:, :2].T * MM.per_metre, turned), strict=True):
+            axes.plot(track.time, values, **style, **_dots(track))
+    for axes, label in zip(panels, ("x [mm]", "y [mm]", "θ [deg]"), strict=True):
+        axes.set_ylabel(label, labelpad=1.0)
+
+
+def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
+    """How far the simulations are from what was measured."""
+    for _, track, style in chart.tracks[1:]:
+        time, difference = _difference(track, chart.measured)
+        if len(time):
+            for axes, values in zip(panels, difference.T, strict=True):
+                axes.plot(time, values, **style, **_dots(chart.measured))
+    for axes, label in zip(panels, ("Δx [mm]", "Δy [mm]", "Δθ [deg]"), strict=True):
+        axes.axhline(0.0, **(_MEASURED | {"linewidth": 0.6}))
+        axes.set_ylabel(label, labelpad=1.0)
+    panels[0].set_title(
+        f"simulated less {chart.tracks[0][0]}", loc="right", fontsize=palette.FONT_SIZE, pad=3.0
+    )
+
+
+def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
+    """Measured instants that a simulation reached, and (n, 3) from there [mm, mm, deg]."""
+    reached = measured.time <= track.time[-1] + 1e-9
+    time, pose = measured.time[reached], measured.pose[reached]
+    own = np.column_stack(
+        [
+            np.interp(time, track.time, values)
+            for values in (*track.pose[:, :2].T, np.unwrap(track.pose[:, 2]))
+        ]
+    )
+    off = own - pose
+    return time, np.column_stack((MM.per_metre * off[:, :2], np.degrees(wrapped(off[:, 2]))))
+
+
+def _dots(track: Track) -> Style:
+    """Of a few poses nobody knows what lies between."""
+    return {"marker": "o", "markersize": 2.2} if len(track.time) <= FEW else {}
+
+
+def _time_axes(panels: Sequence[Axes]) -> None:
+    for axes in panels:
+        clean(axes)
+        axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
+        axes.tick_params(labelbottom=axes is panels[-1])
+        axes.margins(x=0.02, y=0.10)
+        axes.yaxis.set_label_coords(-0.25, 0.5)
+    panels[-1].set_xlabel("time [s]", labelpad=1.5)

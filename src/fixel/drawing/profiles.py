@@ -1,0 +1,334 @@
+"""What a calibration says about each unknown: intervals in their bounds, and profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Style,
+    Table,
+    Value,
+    clean,
+    plain,
+    readable,
+    sheet,
+    shortened,
+)
+from fixel.kernels.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ROW: Final = 0.42  # [inch] of an unknown
+COLUMNS: Final = 4  # profiles side by side
+# Up to so many thresholds a profile is drawn.
+SHOWN: Final = 3.0
+
+IDENTIFIED: Final = "identified"
+# Sets of parameters beside the one with the intervals.
+OTHERS: Final[tuple[Style, ...]] = (
+    {"marker": "D", "color": palette.TOUCHED},
+    {"marker": "^", "color": palette.CONE},
+    {"marker": "s", "color": palette.PUSHER},
+)
+
+
+class ParameterRow(NamedTuple):
+    """One unknown, in its own unit."""
+
+    label: str
+    unit: str
+    bounds: tuple[float, float]
+    start: float  # of the search
+    value: float
+    low: float | None = None  # ends of the interval; None where the data set no end
+    high: float | None = None
+    verdict: str = ""
+    others: tuple[float, ...] = ()  # with other sets of parameters
+
+    @property
+    def judged(self) -> bool:
+        """Whether anybody asked what the data say."""
+        return bool(self.verdict) or self.low is not None or self.high is not None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParametersChart(AbstractChart):
+    """Values and intervals, a row an unknown, each across its bounds.
+
+    Parameters
+    ----------
+    title : str
+    rows : sequence of ParameterRow
+    others : sequence of str
+        What the other sets of the rows are called; three at most are drawn.
+    level : float
+        Of the intervals.
+    """
+
+    title: str
+    rows: Sequence[ParameterRow]
+    others: Sequence[str] = ()
+    level: float = 0.95
+
+    def figure(self) -> Figure:
+        n = len(self.rows)
+        figure = sheet(WIDE, 0.85 + ROW * n)
+        axes, words = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
+        for k, row in enumerate(self.rows):
+            _draw_row(axes, k, row)
+            _write_row(words, k, row)
+        axes.set_ylim(n - 0.4, -0.6)
+        axes.set_xlim(-0.03, 1.03)
+        names = [_broken(row.label) for row in self.rows]
+        axes.set_yticks(range(n), names)
+        axes.set_xticks([])
+        axes.tick_params(axis="y", length=0.0)
+        axes.spines[:].set_visible(False)
+        axes.set_title(shortened(self.title, 60), loc="left")
+        words.axis("off")
+        self._legend(figure)
+        return figure
+
+    def _legend(self, figure: Figure) -> None:
+        from matplotlib.lines import Line2D
+
+        entries: list[Any] = [Line2D([], [], label="value", **_dot(palette.BODY, "o"))]
+        if any(row.judged for row in self.rows):
+            label = f"{100 * self.level:g} % interval; an arrow: no end in the data"
+            entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
+                                  label=label))  # fmt: skip
+        entries.append(
+            Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
+                   label="start of the search")
+        )  # fmt: skip
+        for name, style in zip(self.others, OTHERS, strict=False):
+            dot = _dot(style["color"], style["marker"], hollow=True)
+            entries.append(Line2D([], [], label=name, **dot))
+        figure.legend(
+            handles=entries,
+            frameon=False,
+            ncols=len(entries) if len(entries) < 4 else 3,
+            loc="outside lower left",
+        )
+
+    def table(self) -> Table:
+        columns = ("parameter", "unit", "bound_low", "bound_high", "start", "value",
+                   "interval_low", "interval_high", "verdict", *self.others)  # fmt: skip
+        rows: list[tuple[Value, ...]] = [
+            (row.label, row.unit, *row.bounds, row.start, row.value, row.low, row.high,
+             row.verdict, *row.others)
+            for row in self.rows
+        ]  # fmt: skip
+        return Table(columns, rows)
+
+
+def _broken(label: str) -> str:
+    return label.replace("[", "\n[", 1)
+
+
+def _dot(colour: str, marker: str, hollow: bool = False) -> Style:
+    return {
+        "linestyle": "none",
+        "marker": marker,
+        "markersize": 4.5 if hollow else 6.0,
+        "color": colour,
+        "markerfacecolor": "none" if hollow else colour,
+        "markeredgewidth": 0.9,
+    }
+
+
+def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
+    low, high = row.bounds
+
+    def share(value: float) -> float:
+        return (value - low) / (high - low)
+
+    axes.plot([0.0, 1.0], [k, k], color=palette.FAINT, linewidth=1.2, zorder=1)
+    for end in (0.0, 1.0):
+        axes.plot([end, end], [k - 0.12, k + 0.12], color=palette.FIXEL, linewidth=0.8, zorder=1)
+    unit = readable(row.unit)
+    small: Style = {"fontsize": palette.FONT_SIZE - 1.5, "color": palette.FIXEL, "va": "top"}
+    axes.text(0.0, k + 0.16, unit.text(low), ha="left", **small)
+    axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
+    if row.judged:
+        colour = _colour(row.verdict)
+        ends = [0.0 if row.low is None else share(row.low)]
+        ends.append(1.0 if row.high is None else share(row.high))
+        axes.plot(ends, [k, k], color=colour, alpha=0.4, linewidth=5.0, solid_capstyle="butt",
+                  zorder=2)  # fmt: skip
+        for end, known, marker in ((ends[0], row.low, "<"), (ends[1], row.high, ">")):
+            if known is None:
+                axes.plot([end], [k], marker=marker, markersize=5.0, color=colour, zorder=2.5)
+    axes.plot([share(row.start)], [k], marker="|", markersize=10, color=palette.INK, zorder=3)
+    for value, style in zip(row.others, OTHERS, strict=False):
+        dot = _dot(style["color"], style["marker"], hollow=True)
+        axes.plot([share(value)], [k], zorder=4, **dot)
+    colour = _colour(row.verdict) if row.judged else palette.BODY
+    axes.plot([share(row.value)], [k], zorder=5, **_dot(colour, "o"))
+
+
+def _colour(verdict: str) -> str:
+    """Blue where the data say it, purple for what holds together with others, else vermilion."""
+    if verdict in ("", IDENTIFIED):
+        return palette.BODY
+    return palette.CONE if verdict.startswith("trades off") else palette.FORCE
+
+
+def _write_row(axes: Axes, k: int, row: ParameterRow) -> None:
+    unit = readable(row.unit)
+    value = f"{unit.text(row.value)} {unit.name}".rstrip()
+    axes.text(0.0, k, value, weight="bold", va="center")
+    if not row.judged:
+        return
+    ends = ["?" if end is None else unit.text(end) for end in (row.low, row.high)]
+    interval = "no end known" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]} {unit.name}"
+    axes.text(0.27, k, interval.rstrip(), va="center")
+    axes.text(0.62, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
+
+
+def _wrapped(verdict: str) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(verdict, 24)[:3])
+
+
+# --- profiles -----------------------------------------------------------------------------------
+
+
+class ProfilePanel(NamedTuple):
+    """One unknown; rises of the deviance above its best."""
+
+    label: str
+    unit: str
+    values: FloatArray  # (k,) ascending
+    rises: FloatArray  # (k,) the other unknowns fitted at each value; inf where there is none
+    low: float | None  # ends of the interval
+    high: float | None
+    threshold: float
+    slice_values: FloatArray  # (m,)
+    slice_rises: FloatArray  # (m,) the other unknowns held
+    best: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfilesChart(AbstractChart):
+    """Rise of the deviance against the value, a panel an unknown.
+
+    Parameters
+    ----------
+    title : str
+    panels : sequence of ProfilePanel
+    level : float
+        Of the intervals.
+    """
+
+    title: str
+    panels: Sequence[ProfilePanel]
+    level: float = 0.95
+
+    def figure(self) -> Figure:
+        n = len(self.panels)
+        columns = min(n, COLUMNS) if n != 5 else 3
+        rows = -(-n // columns)
+        figure = sheet(WIDE if columns > 2 else palette.COLUMN * columns, 0.75 + 1.75 * rows)
+        grid = figure.subplots(rows, columns, squeeze=False)
+        for axes, panel in zip(grid.flat, self.panels, strict=False):
+            _draw_profile(axes, panel, self.level)
+        for axes in grid.flat[n:]:
+            axes.axis("off")
+        for row in grid:
+            row[0].set_ylabel("rise of the deviance\nover its threshold")
+        figure.suptitle(shortened(self.title, 90), fontsize=palette.FONT_SIZE + 1.0)
+        figure.legend(
+            *grid[0, 0].get_legend_handles_labels(),
+            frameon=False,
+            ncols=4 if columns > 2 else 2,
+            loc="outside lower center",
+        )
+        return figure
+
+    def table(self) -> Table:
+        columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
+                   "interval_low", "interval_high")  # fmt: skip
+        rows: list[tuple[Value, ...]] = []
+        for p in self.panels:
+            for name, values, rises in (
+                ("profile", p.values, p.rises),
+                ("slice", p.slice_values, p.slice_rises),
+            ):
+                rows += [
+                    (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
+                    for value, rise in zip(values.tolist(), plain(rises), strict=True)
+                ]
+        return Table(columns, rows)
+
+
+def _draw_profile(axes: Axes, panel: ProfilePanel, level: float) -> None:
+    unit = readable(panel.unit)
+    left, right = _range(panel)
+    ends = (left if panel.low is None else panel.low, right if panel.high is None else panel.high)
+    axes.axvspan(*(unit.factor * np.array(ends)), color=palette.TRAIL, alpha=0.25, linewidth=0.0,
+                 label=f"{100 * level:g} % interval")  # fmt: skip
+    axes.axhline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
+    for values, rises, style in (
+        (panel.slice_values, panel.slice_rises, _SLICE),
+        (panel.values, panel.rises, _PROFILE),
+    ):
+        known = np.isfinite(rises)
+        axes.plot(unit.factor * values[known], rises[known] / panel.threshold, **style)
+    axes.plot([unit.factor * panel.best], [0.0], marker="o", markersize=4.0, color=palette.BODY,
+              zorder=4, clip_on=False)  # fmt: skip
+    axes.set_xlim(unit.factor * left, unit.factor * right)
+    axes.set_ylim(0.0, SHOWN)
+    axes.set_xlabel(unit.on(panel.label))
+    axes.locator_params(axis="x", nbins=4)
+    clean(axes)
+
+
+_SLICE: Final[Style] = {
+    "color": palette.PUSHER,
+    "linewidth": 1.0,
+    "linestyle": (0, (4, 2)),
+    "label": "the others held",
+}
+_PROFILE: Final[Style] = {
+    "color": palette.BODY,
+    "linewidth": 1.2,
+    "marker": "o",
+    "markersize": 2.0,
+    "label": "profile, the others fitted",
+}
+
+
+def _range(panel: ProfilePanel) -> tuple[float, float]:
+    """Values to show: where the profile is low, and one more on either side."""
+    near = np.flatnonzero(panel.rises <= SHOWN * panel.threshold)
+    if not len(near):
+        return float(panel.values[0]), float(panel.values[-1])
+    first, last = max(0, near[0] - 1), min(len(panel.values) - 1, near[-1] + 1)
+    left, right = _cut(panel, first, near[0]), _cut(panel, last, near[-1])
+    if left == right:
+        right, left = right + 1e-3, left - 1e-3
+    margin = 0.04 * (right - left)
+    return left - margin, right + margin
+
+
+def _cut(panel: ProfilePanel, outer: int, inner: int) -> float:
+    """Where the profile leaves the picture between two values; a far scan must not squeeze it."""
+    a, b = float(panel.values[inner]), float(panel.values[outer])
+    rise, far = float(panel.rises[inner]), float(panel.rises[outer])
+    if outer == inner or not np.isfinite(far):
+        return a if outer == inner else b
+    share = (SHOWN * panel.threshold - rise) / (far - rise)
+    return a + (b - a) * min(1.0, max(0.0, share))

@@ -1,0 +1,190 @@
+"""One process at a time: a lock that ends with the process that holds it.
+
+The operating system keeps the lock where it can (also on NFS, through its lock service), so the
+lock of a dead process is no obstacle, and clocks play no part. Where the file system knows no
+locks, a file that names its owner stands in.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Final, NamedTuple, Self, final
+
+from fixel.errors import JobRefused
+
+# [s] A look at the lock (`holder`) takes it for a moment; who wants to keep it tries again.
+PATIENCE_S: Final = 0.5
+_UNSUPPORTED: Final = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+
+
+class Owner(NamedTuple):
+    """Who holds a lock."""
+
+    host: str
+    pid: int
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}" if self.pid else "another process"
+
+
+UNKNOWN: Final = Owner("", 0)
+
+
+class _Taken(Exception):
+    """Somebody else holds it."""
+
+
+@final
+class FileLock:
+    """A lock on a file of its own, held until `release` or the end of the process.
+
+    Parameters
+    ----------
+    path : Path
+        Made if need be; it stays when the lock is released.
+    what : str
+        What it protects, for the refusal: `"the journal jobs/one/journal"`.
+
+    Raises
+    ------
+    JobRefused
+        A process that is alive holds it.
+    """
+
+    def __init__(self, path: Path, what: str) -> None:
+        self._path = path
+        self._substitute: Path | None = None
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                self._descriptor = self._take()
+                return
+            except _Taken:
+                if time.monotonic() > deadline:
+                    raise JobRefused(
+                        f"{what} is in use by {_owner(path)}", hint="wait for it, or end it"
+                    ) from None
+                time.sleep(0.02)
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+        if self._substitute is not None:
+            self._substitute.unlink(missing_ok=True)
+            self._substitute = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def _take(self) -> int:
+        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            if not _locked(descriptor):
+                self._substitute = _substitute(self._path)
+            text = json.dumps({"host": socket.gethostname(), "pid": os.getpid()}).encode()
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, text, 0)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        return descriptor
+
+
+def holder(path: Path) -> Owner | None:
+    """Who holds the lock, or None if nobody does."""
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+    except OSError:
+        return None
+    try:
+        if _locked(descriptor):
+            return None
+        substitute = _read_owner(_substitute_of(path))
+        return substitute if substitute and not _gone(substitute) else None
+    except _Taken:
+        return _owner(path)
+    finally:
+        os.close(descriptor)
+
+
+def _owner(path: Path) -> Owner:
+    return _read_owner(_substitute_of(path)) or _read_owner(path) or UNKNOWN
+
+
+def _read_owner(path: Path) -> Owner | None:
+    try:
+        content = json.loads(path.read_bytes())
+        return Owner(str(content["host"]), int(content["pid"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _locked(descriptor: int) -> bool:
+        """Take the system's lock; False where there is none."""
+        os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond the owner's name, which stays readable
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            raise _Taken from None
+        return True
+
+else:
+    import fcntl
+
+    def _locked(descriptor: int) -> bool:
+        """Take the system's lock; False where there is none."""
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _Taken from None
+        except OSError as problem:
+            if problem.errno in _UNSUPPORTED:
+                return False
+            raise
+        return True
+
+
+def _substitute_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.held")
+
+
+def _substitute(path: Path) -> Path:
+    """A file that names this process, made only if no living process has made one."""
+    held = _substitute_of(path)
+    owner = _read_owner(held)
+    if owner is not None and _gone(owner):
+        held.unlink(missing_ok=True)
+    try:
+        descriptor = os.open(held, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        raise _Taken from None
+    with os.fdopen(descriptor, "w") as stream:
+        json.dump({"host": socket.gethostname(), "pid": os.getpid()}, stream)
+    return held
+
+
+def _gone(owner: Owner) -> bool:
+    """Whether a process has ended for certain; of another host's nothing is certain."""
+    if owner.host != socket.gethostname():
+        return False
+    try:
+        os.kill(owner.pid, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False

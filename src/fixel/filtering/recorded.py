@@ -1,0 +1,277 @@
+"""A filter run over a recorded experiment, as if it went on now."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.filtering.particle_filter import Estimate, Frame, ParticleFilter, scene_of
+from fixel.filtering.prior import Prior, excited
+from fixel.kernels.arrays import IntArray
+from fixel.model import Experiment, Scene, Trajectory, pose_error
+from fixel.model.fields import BoolArray, FloatArray
+
+Progress = Callable[[int, int], None]
+
+SAME_INSTANT: Final = 1e-6  # [s]; clocks of two sensors are the same frames, rounded differently
+TACTILE: Final = "tactile"  # the channel of the fixels
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FilterEstimates:
+    """What a filter made of a recorded experiment, frame by frame.
+
+    Attributes
+    ----------
+    options : ParticleFilter
+    seed : int
+    prior : Prior
+        As it applied to the scene.
+    occlusion : (float, float) or None
+        First and last instant in which the object was hidden [s].
+    uses_tactile : bool
+        False also where there was nothing to feel with.
+    time : (n,) float64
+        [s]
+    pose : (n, 3) float64
+        [m, m, rad]
+    covariance : (n, 3, 3) float64
+    mean : (n, n_name) float64
+        Of the parameters of `prior`.
+    quantiles : (n, n_name, 3) float64
+        At 5, 50 and 95 %.
+    touch : (n, n_fixel) float64
+        Probability that the object touches each fixel [-].
+    ess : (n,) float64
+    failed : (n,) int64
+        Particles that could not be simulated.
+    seen, recovered : (n,) bool
+        Whether the camera saw the object, and whether the filter had lost it.
+    busy : (n,) float64
+        Wall time each frame took [s]; the only thing that is not the same every time.
+    """
+
+    options: ParticleFilter
+    seed: int
+    prior: Prior
+    occlusion: tuple[float, float] | None
+    uses_tactile: bool
+    time: FloatArray
+    pose: FloatArray
+    covariance: FloatArray
+    mean: FloatArray
+    quantiles: FloatArray
+    touch: FloatArray
+    ess: FloatArray
+    failed: IntArray
+    seen: BoolArray
+    recovered: BoolArray
+    busy: FloatArray
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Estimated poses of the object."""
+        return Trajectory(time=self.time, pose=self.pose)
+
+    @property
+    def hidden(self) -> BoolArray:
+        """(n,) which frames lie in the occlusion."""
+        return _within(self.time, self.occlusion)
+
+    @property
+    def contact_mode(self) -> str:
+        """At the end, a digit a fixel: 1 where it is touched more likely than not."""
+        return "".join(str(int(probability > 0.5)) for probability in self.touch[-1])
+
+    @property
+    def real_time_factor(self) -> float:
+        """Recorded time over the time it took to filter it [-]."""
+        return float((self.time[-1] - self.time[0]) / max(float(self.busy.sum()), 1e-12))
+
+    @property
+    def excited(self) -> dict[str, bool]:
+        """By parameter, whether the run has told something about it."""
+        last = self.quantiles[-1]
+        return dict(zip(self.prior.names, excited(self.prior, last[:, 0], last[:, 2]), strict=True))
+
+    def errors(self, measured: Trajectory) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Distance [m] and angle [rad] to the measured poses, and which of them were hidden.
+
+        The first frame is left out: there the filter was told the pose.
+        """
+        kept = (measured.time > self.time[0] + SAME_INSTANT) & (
+            measured.time <= self.time[-1] + SAME_INSTANT
+        )
+        instants = measured.time[kept]
+        position, angle = pose_error(self.trajectory.at(instants), measured.pose[kept])
+        return position, angle, _within(instants, self.occlusion)
+
+
+def run_filter(
+    experiment: Experiment,
+    options: ParticleFilter | None = None,
+    *,
+    occlusion: tuple[float, float] | None = None,
+    use_tactile: bool = True,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FilterEstimates:
+    """Filter a recorded experiment, frame by frame from its first useful one on.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a scene and the measured path of the pusher.
+    options : ParticleFilter, optional
+    occlusion : (float, float), optional
+        First and last instant in which the object is hidden from the filter, on the experiment's
+        clock [s]. The pusher is still measured.
+    use_tactile : bool
+        Whether readings of the fixels are used, where there are any.
+    seed : int
+    progress : callable, optional
+        Called as `progress(done, total)` after every frame.
+
+    Raises
+    ------
+    InvalidInput
+        No scene or no path of the pusher, an occlusion outside of the recording, or tactile
+        readings that are not one a fixel.
+    """
+    options = options or ParticleFilter()
+    scene = scene_of(experiment)
+    frames = _frames(experiment, scene, use_tactile, occlusion)
+    running = options.start(
+        scene, seed, pose=frames[0].seen, pusher=frames[0].pusher, time=frames[0].time
+    )
+    estimates, busy = [running.estimate], [0.0]
+    for done, frame in enumerate(frames[1:], 2):
+        begun = time.perf_counter()
+        estimates.append(running.step(frame))
+        busy.append(time.perf_counter() - begun)
+        if progress is not None:
+            progress(done, len(frames))
+    return _gathered(
+        estimates,
+        options=options,
+        seed=seed,
+        prior=running.prior,
+        occlusion=occlusion,
+        uses_tactile=any(frame.touches is not None for frame in frames),
+        seen=np.array([frame.seen is not None for frame in frames]),
+        busy=np.array(busy),
+    )
+
+
+def _gathered(estimates: list[Estimate], **rest: object) -> FilterEstimates:
+    columns = {
+        name: np.array([getattr(estimate, name) for estimate in estimates])
+        for name in (
+            "time", "pose", "covariance", "mean", "quantiles", "touch", "ess", "failed", "recovered"
+        )
+    }  # fmt: skip
+    return FilterEstimates(**columns, **rest)  # type: ignore[arg-type]
+
+
+def _frames(
+    experiment: Experiment,
+    scene: Scene,
+    use_tactile: bool,
+    occlusion: tuple[float, float] | None,
+) -> list[Frame]:
+    """What a filter would have been told, in order. The first frame always sees the object."""
+    track, pusher = experiment.trajectory, _pusher(experiment)
+    first, last = experiment.effective or (track.time[0], track.time[-1])
+    first = max(float(first), float(track.time[0]))
+    instants = _instants(track, pusher, first, min(float(last), float(pusher.time[-1])))
+    if len(instants) < 2:
+        raise InvalidInput(
+            f"experiment {experiment.key}.effective",
+            found=f"{len(instants)} measured instants from {first:g} to {last:g} s",
+            expected="two at least, of object and pusher",
+        )
+    occlusion = _checked_occlusion(experiment, occlusion, instants)
+    hidden = _within(instants, occlusion)
+    nearest = np.abs(track.time[:, None] - instants).argmin(axis=0)
+    in_view = np.abs(track.time[nearest] - instants) < SAME_INSTANT
+    touches = _touches(experiment, scene, instants) if use_tactile else [None] * len(instants)
+    driven = pusher.at(instants)
+    frames = [
+        Frame(
+            float(instant),
+            driven[k],
+            track.pose[nearest[k]] if in_view[k] and not hidden[k] else None,
+            touches[k],
+        )
+        for k, instant in enumerate(instants)
+    ]
+    # Somebody put the object there and knows where, even if the camera is blind from the start.
+    frames[0] = frames[0]._replace(seen=track.at(instants[0]))
+    return frames
+
+
+def _pusher(experiment: Experiment) -> Trajectory:
+    if experiment.pusher is None:
+        raise InvalidInput(
+            f"experiment {experiment.key}.pusher",
+            found="no measured path of the pusher",
+            expected="one on the clock of the experiment",
+            hint="fixel compare simulates the planned motion",
+        )
+    return experiment.pusher
+
+
+def _instants(track: Trajectory, pusher: Trajectory, first: float, last: float) -> FloatArray:
+    """(n,) instants at which the object or the pusher was measured [s]."""
+    every = np.sort(np.concatenate((track.time, pusher.time)))
+    every = every[(every >= first - SAME_INSTANT) & (every <= last + SAME_INSTANT)]
+    if len(every) == 0:
+        return every
+    return every[np.concatenate(([True], np.diff(every) > SAME_INSTANT))]
+
+
+def _checked_occlusion(
+    experiment: Experiment, occlusion: tuple[float, float] | None, instants: FloatArray
+) -> tuple[float, float] | None:
+    if occlusion is None:
+        return None
+    start, end = occlusion
+    first, last = float(instants[0]), float(instants[-1])
+    if not first <= start < end <= last + SAME_INSTANT:
+        raise InvalidInput(
+            f"experiment {experiment.key}, occlusion",
+            found=f"{start:g} to {end:g} s",
+            expected=f"an interval within what was recorded, {first:g} to {last:g} s",
+        )
+    return start, end
+
+
+def _within(instants: FloatArray, interval: tuple[float, float] | None) -> BoolArray:
+    if interval is None:
+        return np.zeros(len(instants), np.bool_)
+    start, end = interval
+    return np.asarray((instants >= start - SAME_INSTANT) & (instants <= end + SAME_INSTANT))
+
+
+def _touches(experiment: Experiment, scene: Scene, instants: FloatArray) -> list[FloatArray | None]:
+    """The last readings of the fixels since the frame before; None where there are none."""
+    channel = experiment.channel(TACTILE)
+    if channel is None or not scene.fixels:
+        return [None] * len(instants)
+    if len(channel.columns) != len(scene.fixels):
+        raise InvalidInput(
+            f"experiment {experiment.key}, channel {TACTILE!r}",
+            found=f"{len(channel.columns)} columns",
+            expected=f"{len(scene.fixels)}, one a fixel",
+            hint="leave the fixels out with --no-tactile",
+        )
+    upto = np.searchsorted(channel.time, instants + SAME_INSTANT)
+    fresh = np.diff(upto, prepend=0) > 0
+    readings = np.where(np.isnan(channel.values), np.nan, channel.values > 0.5)
+    return [readings[k - 1] if new else None for k, new in zip(upto, fresh, strict=True)]

@@ -1,0 +1,252 @@
+"""A Dask scheduler in a process of its own, and the client that talks to it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import select
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+from fixel.jobs import link
+from fixel.jobs.remote import OTHER_VERSION, run_chunk
+from fixel.jobs.scheduler import CONFIG
+from fixel.jobs.stamp import stamp
+from fixel.jobs.work import Answer, unframed
+
+MAX_STRANGE: Final = 20  # answers in a row that got lost, though nobody died
+START_S: Final = 60.0  # [s] for a scheduler to listen; a cold file system is slow
+FETCHERS: Final = 8  # answers fetched at once
+ANSWER_S: Final = 30.0  # [s] for the scheduler to answer
+
+
+class ClusterLost(Exception):
+    """The scheduler is gone, or does not answer."""
+
+
+class Task(NamedTuple):
+    """A chunk on its way to a worker."""
+
+    name: str
+    function: str
+    inputs: Path
+    block: str
+    payload: bytes
+
+
+class Killed(NamedTuple):
+    """The worker died."""
+
+    worker: str
+
+
+class OtherVersion(NamedTuple):
+    """The worker is another fixel."""
+
+    found: str
+
+
+Outcome = Answer | Killed | OtherVersion | None  # None: to be tried again
+
+
+class Landed(NamedTuple):
+    """A chunk is with no worker any more."""
+
+    name: str
+    future: Any
+
+
+class Fetched(NamedTuple):
+    """How a chunk that has landed has ended."""
+
+    name: str
+    outcome: Outcome
+
+
+Event = Landed | Fetched
+
+
+@final
+class Cluster:
+    """One scheduler's life.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the job.
+    interface : str
+        What it listens on.
+    lease_s : float
+        A worker silent for so long is taken for dead [s].
+    """
+
+    def __init__(self, folder: Path, interface: str, lease_s: float) -> None:
+        self._folder = folder
+        self._lease_s = lease_s
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        # Not by the loop that keeps workers busy: a worker that hangs would hold up all others.
+        self._fetchers = ThreadPoolExecutor(FETCHERS)
+        self._count = self._strange = 0
+        self._client: Any = None
+        with (folder / "workers" / "scheduler.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [
+                    sys.executable, "-m", "fixel.jobs.scheduler", str(folder.resolve()),
+                    "--interface", interface, "--lease-s", str(lease_s),
+                ],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True,
+            )  # fmt: skip
+        try:
+            self._connect()
+        except BaseException:
+            self.close()
+            raise
+
+    def capacity(self) -> int:
+        """Chunks that can be computed at once.
+
+        Raises
+        ------
+        ClusterLost
+        """
+        self._refuse_dead()
+        try:
+            return sum(self._client.nthreads().values())
+        except Exception as problem:  # what Dask raises here depends on what broke
+            raise ClusterLost(f"the scheduler does not answer: {problem!r}") from None
+
+    def submit(self, task: Task) -> Any:
+        """Send a chunk to whoever is free; keep what is returned until it is done."""
+        self._count += 1
+        try:
+            future = self._client.submit(
+                run_chunk,
+                stamp(),
+                str(self._folder.resolve()),
+                str(task.inputs.resolve()),
+                task.function,
+                task.block,
+                task.payload,
+                self._lease_s,
+                key=f"chunk-{self._count}",
+                pure=False,
+            )
+            future.add_done_callback(lambda done: self._events.put(Landed(task.name, done)))
+        except Exception as problem:
+            raise ClusterLost(f"the scheduler takes no work: {problem!r}") from None
+        return future
+
+    def events(self, timeout_s: float) -> list[Event]:
+        """What has happened, waiting so long for something to happen.
+
+        Raises
+        ------
+        ClusterLost
+        """
+        happened: list[Event] = []
+        with contextlib.suppress(queue.Empty):
+            happened.append(self._events.get(timeout=timeout_s))
+            while True:
+                happened.append(self._events.get_nowait())
+        if not happened:
+            self._refuse_dead()
+        return happened
+
+    def fetch(self, landed: Landed) -> None:
+        """Get an answer from the worker that has it; an event when it is here."""
+        self._fetchers.submit(self._fetch, landed)
+
+    def _fetch(self, landed: Landed) -> None:
+        outcome = self._outcome(landed.future)
+        self._strange = self._strange + 1 if outcome is None else 0
+        self._events.put(Fetched(landed.name, outcome))
+
+    def _outcome(self, future: Any) -> Outcome:
+        """How a chunk has ended."""
+        from distributed import KilledWorker
+
+        try:
+            framed = self._fetched(future)
+        except KilledWorker as killed:
+            return Killed(str(killed.last_worker.address))
+        except Exception:  # lost on the way, cancelled with the scheduler, unreadable for a worker
+            return None
+        if framed[:1] == OTHER_VERSION:
+            return OtherVersion(framed[1:].decode())
+        return unframed(framed)
+
+    def _fetched(self, future: Any) -> bytes:
+        """An answer, from the worker that has it; not waiting for one that died with it."""
+        patience_s = 1.0
+        while True:
+            try:
+                framed: bytes = future.result(timeout=patience_s)
+                return framed
+            except TimeoutError:
+                if future.status != "finished" or patience_s > ANSWER_S:
+                    raise
+                # A long answer by a slow way: it starts anew each time, so give it longer.
+                patience_s *= 2.0
+
+    def close(self) -> None:
+        """End the scheduler; workers wait for another for a while."""
+        link.forget_address(self._folder)
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream is not None:
+                stream.close()
+        self._fetchers.shutdown(wait=False, cancel_futures=True)
+        if self._client is not None:
+            with contextlib.suppress(Exception):
+                self._client.close(timeout=2)
+            self._client = None
+
+    def _connect(self) -> None:
+        import dask
+
+        dask.config.set(CONFIG)
+        from distributed import Client
+
+        _quieten()
+        address = self._first_line()
+        try:
+            kind: Any = Client
+            self._client = kind(
+                address,
+                security=link.security(self._folder),
+                timeout=ANSWER_S,
+                set_as_default=False,
+            )
+        except Exception as problem:
+            raise ClusterLost(f"no connection to the scheduler: {problem!r}") from None
+        link.write_address(self._folder, address)
+
+    def _first_line(self) -> str:
+        """What the scheduler says: its address."""
+        stream = self.process.stdout
+        assert stream is not None
+        ready, _, _ = select.select([stream], [], [], START_S)
+        address = stream.readline().decode().strip() if ready else ""
+        if not address:
+            raise ClusterLost("the scheduler did not start; its words are in workers/scheduler.log")
+        return address
+
+    def _refuse_dead(self) -> None:
+        code = self.process.poll()
+        if code is not None:
+            raise ClusterLost(f"the scheduler has ended with code {code}")
+        if self._strange > MAX_STRANGE:
+            raise ClusterLost("answers get lost on their way from the workers")
+
+
+def _quieten() -> None:
+    """Dask's words of lost connections are expected here, and said in ours."""
+    for name, logger in list(logging.root.manager.loggerDict.items()):
+        if name.split(".")[0] == "distributed" and isinstance(logger, logging.Logger):
+            logger.handlers.clear()
+            logger.setLevel(logging.CRITICAL)

@@ -1,0 +1,210 @@
+"""The coordinator: the one process that runs a job, `python -m fixel.jobs.coordinator FOLDER`.
+
+It may die at any moment. What is in the journal stays; running it again goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, final
+
+from fixel.errors import FixelError, JobRefused
+from fixel.exchange.atomic import written_whole
+from fixel.exchange.journal import Journal
+from fixel.jobs import folder as files
+from fixel.jobs.engine import AbstractEngine, LocalEngine
+from fixel.jobs.folder import Job, Run, Status
+from fixel.jobs.functions import named_function
+from fixel.jobs.stamp import stamp
+from fixel.jobs.work import Progress, Show, Stopped, run_work
+
+BETWEEN_WORDS_S: Final = 1.0  # [s] state.json is written at most so often
+
+Say = Callable[[str], None]
+
+
+def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = None) -> Status:
+    """Run a job until it is done, or has to stop.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the job.
+    progress, say : callable, optional
+        Shown how far it is; called with a sentence when something happens.
+
+    Returns
+    -------
+    Status
+        `done`, or `cancelled` if somebody asked for that meanwhile.
+
+    Raises
+    ------
+    JobRefused
+        It cannot be run, and the state says why; another process runs it already.
+    KeyboardInterrupt
+        Ctrl-C or SIGTERM; the state is `stopped`.
+    """
+    job, run = files.read_job(folder), files.read_run(folder)
+    with Journal(folder / files.JOURNAL) as journal:
+        desk = _Clerk(folder, progress, say)
+        try:
+            desk.enter("preparing")
+            _refuse_changed(folder, job, run)
+            _say_damage(journal, desk.say)
+            result = _run(folder, job, run, journal, desk)
+            desk.enter("collecting")
+            _write_result(folder, result)
+            desk.enter("done")
+        except Stopped:
+            desk.enter("cancelled")
+        except KeyboardInterrupt:
+            if not (folder / files.CANCEL).exists():
+                desk.enter("stopped")
+                raise
+            desk.enter("cancelled")
+        except FixelError as problem:
+            desk.enter("failed", str(problem))
+            raise
+        except Exception as problem:
+            files.log(folder, traceback.format_exc())
+            desk.enter("failed", f"{type(problem).__name__}: {problem}")
+            raise
+        return desk.status
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a job without anybody watching; its words are in the log and the state."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    given = parser.parse_args(arguments)
+    interrupt_on_termination()
+    try:
+        coordinate(given.folder)
+    except FixelError as problem:
+        files.log(given.folder, str(problem))
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except Exception:
+        return 1
+    return 0
+
+
+def interrupt_on_termination() -> None:
+    """Take SIGTERM as Ctrl-C, so that the state says what happened and workers are ended."""
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+
+
+def _run(folder: Path, job: Job, run: Run, journal: Journal, desk: _Clerk) -> bytes:
+    inputs = folder / "inputs"
+    work = named_function(job.maker)(inputs, job.options)
+    with _engine(folder, job, run, desk.say) as engine:
+        desk.engine = engine
+        desk.enter("running")
+        return run_work(
+            work, engine, inputs, journal, progress=desk.show, stop=(folder / files.CANCEL).exists
+        )
+
+
+def _engine(folder: Path, job: Job, run: Run, say: Say) -> AbstractEngine:
+    if run.workers == 0:
+        return LocalEngine()
+    from fixel.jobs.dask_engine import DaskEngine
+    from fixel.jobs.link import refuse_without_dask
+    from fixel.jobs.pool import AbstractPool, LocalPool
+    from fixel.jobs.slurm import SlurmPool
+
+    refuse_without_dask()
+    pool: AbstractPool
+    if run.site is None:
+        pool = LocalPool(folder, run.workers)
+    else:
+        pool = SlurmPool(folder, run.workers, run.site, job.label, say=say)
+    return DaskEngine(folder, pool, say=say, lease_s=run.lease_s, max_deaths=run.max_deaths)
+
+
+def _refuse_changed(folder: Path, job: Job, run: Run) -> None:
+    allowed = run.stamp or job.stamp
+    if allowed != stamp():
+        raise JobRefused(
+            f"the job was begun by fixel {allowed}, and this is fixel {stamp()}",
+            hint="go on with that one, or accept other last digits: "
+            "fixel jobs resume FOLDER --accept-version",
+        )
+    if files.inputs_digest(folder / "inputs") != job.inputs_sha256:
+        raise JobRefused(
+            f"the files in {folder / 'inputs'} are not those the job was made of",
+            hint="put them back, or prepare another job",
+        )
+
+
+def _say_damage(journal: Journal, say: Say) -> None:
+    if journal.damaged:
+        say(f"the journal is damaged in {journal.damaged} places; what was there is computed again")
+
+
+def _write_result(folder: Path, result: bytes) -> None:
+    with written_whole(folder / files.RESULT) as path, path.open("wb") as stream:
+        stream.write(result)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+@final
+class _Clerk:
+    """Writes down how far the job is."""
+
+    def __init__(self, folder: Path, progress: Show | None, say: Say | None) -> None:
+        self._folder = folder
+        self._progress = progress
+        self._say = say
+        self._written = 0.0
+        self.engine: AbstractEngine | None = None
+        self.status = Status(
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            started_utc=files.utc(),
+            **files.read_status(folder).model_dump(include={"done", "total", "failed"}),
+        )
+
+    def enter(self, state: files.State, reason: str = "") -> None:
+        """The job is in another state."""
+        self.say(f"{state}: {reason}" if reason else state)
+        still = {"rate": 0.0, "left_s": None, "workers": 0} if state in files.ENDED else {}
+        self._write(state=state, reason=reason, **still)
+
+    def say(self, sentence: str) -> None:
+        """Something happened."""
+        files.log(self._folder, sentence)
+        if self._say is not None:
+            self._say(sentence)
+
+    def show(self, progress: Progress) -> None:
+        """The job has got on."""
+        if self._progress is not None:
+            self._progress(progress)
+        if time.monotonic() - self._written > BETWEEN_WORDS_S or progress.done == progress.total:
+            waiting = getattr(self.engine, "note", "")
+            self._write(reason=waiting, **progress._asdict())
+
+    def _write(self, **changes: Any) -> None:
+        self.status = self.status.model_copy(update=changes)
+        self._written = time.monotonic()
+        files.write_status(self._folder, self.status)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

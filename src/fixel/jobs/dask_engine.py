@@ -1,0 +1,255 @@
+"""Chunks on workers of Dask, whatever dies meanwhile.
+
+Dask brings a chunk to a free worker and its answer back. What it does not do is done here: a
+chunk whose worker died is tried again, one that kills every worker is given up; a dead
+scheduler is replaced and told what is missing; a late answer is taken once; a worker of another
+fixel is refused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, Self, final
+
+from fixel.errors import JobRefused
+from fixel.jobs import link
+from fixel.jobs.cluster import (
+    Cluster,
+    ClusterLost,
+    Fetched,
+    Killed,
+    Landed,
+    OtherVersion,
+    Outcome,
+    Task,
+)
+from fixel.jobs.engine import AbstractEngine, Batch
+from fixel.jobs.pool import AbstractPool
+from fixel.jobs.stamp import stamp
+from fixel.jobs.work import Answer, Chunk, Failure, block_name, unframed
+
+TICK_S: Final = 0.5  # [s] between two looks at workers and files
+MAX_REBUILDS: Final = 20  # schedulers that died one after the other without an answer
+MAX_BACK_OFF_S: Final = 60.0
+MAX_REFUSALS: Final = 3
+
+
+@final
+class DaskEngine(AbstractEngine):
+    """Answers chunks on several workers.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the job; on a cluster, on a file system that the workers see too.
+    pool : AbstractPool
+        Who starts the workers.
+    lease_s : float
+        A worker silent for so long is taken for dead; its chunk is tried elsewhere, and its own
+        answer still taken if it comes first [s].
+    max_deaths : int
+        A chunk that has killed so many workers is given up.
+    say : callable
+        Called with a sentence when something happens.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        pool: AbstractPool,
+        *,
+        say: Callable[[str], None],
+        lease_s: float = 300.0,
+        max_deaths: int = 5,
+    ) -> None:
+        link.refuse_without_dask()
+        self._folder = folder
+        self._pool = pool
+        self._say = say
+        self._lease_s = lease_s
+        self._max_deaths = max_deaths
+        self._cluster: Cluster | None = None
+        self._rebuilds = 0
+        self._answered = 0
+        self._refusals = 0
+        self._next_tick = 0.0
+
+    def __enter__(self) -> Self:
+        link.make_tls(self._folder)
+        link.clear_workers(self._folder)
+        (self._folder / "late").mkdir(exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.close()
+        self._close_cluster()
+        link.remove_tls(self._folder)
+
+    @property
+    def note(self) -> str:
+        """What the workers are waiting for, if they are."""
+        return self._pool.note
+
+    @property
+    def scheduler_pid(self) -> int | None:
+        """The scheduler's process, for tests that kill it."""
+        return None if self._cluster is None else self._cluster.process.pid
+
+    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+        desk = _Desk(function, inputs, chunks)
+        while desk.open:
+            try:
+                batch = self._turn(desk)
+            except ClusterLost as lost:
+                batch = []
+                desk.forget_flights()
+                self._bury(lost)
+            batch += self._late(desk)
+            if batch:
+                self._answered += len(batch)
+                self._rebuilds = 0
+            yield batch
+
+    def _turn(self, desk: _Desk) -> Batch:
+        """Send what can be computed now, take what has been."""
+        cluster = self._cluster or self._start()
+        self._tick(cluster)
+        desk.top_up(cluster, self.workers)
+        events = cluster.events(timeout_s=TICK_S)
+        landed = [e for e in events if isinstance(e, Landed) and desk.lands(e.name, e.future)]
+        if all(event.future.status == "finished" for event in landed):
+            # Before their answers are fetched and on disk: the workers wait for this.
+            desk.top_up(cluster, self.workers)
+        for arrival in landed:
+            cluster.fetch(arrival)
+        batch: Batch = []
+        for fetched in (e for e in events if isinstance(e, Fetched)):
+            answer = self._judged(desk, fetched.name, fetched.outcome)
+            if answer is not None and desk.close(fetched.name):
+                batch.append((fetched.name, answer))
+        return batch
+
+    def _judged(self, desk: _Desk, name: str, outcome: Outcome) -> Answer | None:
+        """The answer of a chunk, or None if it is to be tried again."""
+        if isinstance(outcome, Killed):
+            return self._survived(desk, name, outcome)
+        if isinstance(outcome, OtherVersion):
+            self._refusals += 1
+            self._say(f"refused an answer of fixel {outcome.found}, expected fixel {stamp()}")
+            if self._refusals >= MAX_REFUSALS or not self._answered:
+                raise _other_version(f"a worker has fixel {outcome.found}, expected {stamp()}")
+        elif outcome is not None:
+            return outcome
+        desk.again(name)
+        return None
+
+    def _survived(self, desk: _Desk, name: str, killed: Killed) -> Answer | None:
+        desk.deaths[name] += 1
+        deaths = desk.deaths[name]
+        self._say(f"{killed.worker} died with {name} (death {deaths} of it)")
+        if deaths >= self._max_deaths:
+            return Failure(f"it was running when its worker died, {deaths} times")
+        desk.again(name)
+        return None
+
+    def _tick(self, cluster: Cluster) -> None:
+        """Look after workers, at most so often."""
+        now = time.monotonic()
+        if now < self._next_tick:
+            return
+        self._next_tick = now + TICK_S
+        self._refuse_strangers()
+        self._pool.keep()
+        self.workers = cluster.capacity()
+
+    def _refuse_strangers(self) -> None:
+        reasons = link.refusals(self._folder)
+        if len(reasons) >= MAX_REFUSALS or (reasons and not self._answered and not self.workers):
+            raise _other_version(reasons[-1])
+
+    def _late(self, desk: _Desk) -> Batch:
+        """Answers that workers have left in the folder."""
+        batch = []
+        for late in link.late_answers(self._folder):
+            name = desk.name_of.get(late.block)
+            if name is not None and desk.close(name):
+                self._say(f"took the late answer of {name}")
+                batch.append((name, unframed(late.framed)))
+            late.path.unlink(missing_ok=True)
+        return batch
+
+    def _start(self) -> Cluster:
+        if self._rebuilds:
+            time.sleep(min(0.25 * 2.0 ** (self._rebuilds - 1), MAX_BACK_OFF_S))
+        self._cluster = Cluster(self._folder, self._pool.interface, self._lease_s)
+        self._next_tick = 0.0
+        return self._cluster
+
+    def _bury(self, lost: ClusterLost) -> None:
+        self._rebuilds += 1
+        self._close_cluster()
+        self.workers = 0
+        if self._rebuilds > MAX_REBUILDS:
+            raise JobRefused(f"{lost}, {self._rebuilds} times", hint="resume the job later")
+        self._say(f"{lost}; starting another")
+
+    def _close_cluster(self) -> None:
+        if self._cluster is not None:
+            self._cluster.close()
+            self._cluster = None
+
+
+@final
+class _Desk:
+    """The chunks of a round: which wait, which are with workers, which still miss an answer."""
+
+    def __init__(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> None:
+        self._function = function
+        self._inputs = inputs
+        self._blocks = {chunk.name: block_name(function, chunk) for chunk in chunks}
+        self._waiting = deque(chunk.name for chunk in chunks)
+        self._flying: dict[str, Any] = {}
+        self.open = {chunk.name: chunk for chunk in chunks}
+        self.name_of = {block: name for name, block in self._blocks.items()}
+        self.deaths: Counter[str] = Counter()
+
+    def top_up(self, cluster: Cluster, capacity: int) -> None:
+        """As many with workers as can be computed at once.
+
+        No more: then a chunk that is with a worker is running there, and a death is its own.
+        """
+        while self._waiting and len(self._flying) < capacity:
+            name = self._waiting.popleft()
+            if name in self.open:
+                chunk = self.open[name]
+                self._flying[name] = cluster.submit(
+                    Task(name, self._function, self._inputs, self._blocks[name], chunk.payload)
+                )
+
+    def lands(self, name: str, future: Any) -> bool:
+        """Whether an ended future is the one that flies for a chunk; it does no longer."""
+        if self._flying.get(name) is not future:
+            return False
+        del self._flying[name]
+        return True
+
+    def again(self, name: str) -> None:
+        """Try a chunk once more, before those that have not been tried."""
+        self._waiting.appendleft(name)
+
+    def close(self, name: str) -> bool:
+        """A chunk has its answer; False if it had one."""
+        self._flying.pop(name, None)
+        return self.open.pop(name, None) is not None
+
+    def forget_flights(self) -> None:
+        """All that was with workers is to be tried again."""
+        self._waiting = deque(self.open)
+        self._flying.clear()
+
+
+def _other_version(reason: str) -> JobRefused:
+    return JobRefused(reason, hint="install the same fixel for the workers")

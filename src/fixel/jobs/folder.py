@@ -1,0 +1,264 @@
+"""A job is a folder.
+
+    job.json        what to run: the function that makes the work, options, checksum of the inputs,
+                    which fixel; never changed
+    inputs/         files the work and its chunks read; never changed
+    run.json        how it is run: workers, site; of the last `submit` or `resume`
+    journal         every answer; what counts
+    state.json      how far it is, for those who look
+    log.txt         what happened
+    result          what the work returned
+    cancel          there if somebody wants it to end
+
+Besides them those of `link.py`, while several processes work.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import secrets
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fixel.errors import InvalidInput
+from fixel.exchange.atomic import written_whole
+from fixel.exchange.document import read_document
+from fixel.exchange.journal import writer_of
+from fixel.exchange.lock import Owner
+from fixel.jobs.functions import named_function
+from fixel.jobs.site import Site
+from fixel.jobs.stamp import stamp
+
+State = Literal[
+    "queued", "preparing", "running", "collecting", "done", "failed", "stopped", "cancelled"
+]
+STATES: Final[tuple[State, ...]] = get_args(State)
+ENDED: Final = ("done", "failed", "stopped", "cancelled")
+VERSION: Final = 1  # of the layout
+
+JOURNAL: Final = "journal"
+RESULT: Final = "result"
+LOG: Final = "log.txt"
+CANCEL: Final = "cancel"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Job(_Record):
+    """What `job.json` says.
+
+    Attributes
+    ----------
+    name : str
+    label : str
+        Unique, of its SLURM jobs.
+    maker : str
+        `"module:function"`, called as `maker(inputs: Path, options) -> Work`.
+    options : dict
+    inputs_sha256 : str
+    stamp : str
+        Which fixel began it.
+    made_utc : str
+    """
+
+    fixel_job: Literal[1] = 1
+    name: str
+    label: str = Field(pattern=r"^fixel-[0-9a-f]{12}$")
+    maker: str
+    options: dict[str, Any] = {}
+    inputs_sha256: str
+    stamp: str
+    made_utc: str
+
+
+class Run(_Record):
+    """What `run.json` says: how the job is run.
+
+    Attributes
+    ----------
+    workers : int
+        Processes; 0 for this one alone.
+    site : Site, optional
+        The cluster they run on, else this machine.
+    lease_s : float
+        A worker silent for so long is taken for dead [s].
+    max_deaths : int
+        A chunk that has killed so many workers is given up.
+    stamp : str, optional
+        The fixel that may go on with the job, if not the one that began it.
+    """
+
+    workers: int = Field(default=0, ge=0)
+    site: Site | None = None
+    lease_s: float = Field(default=300.0, gt=0.0)
+    max_deaths: int = Field(default=5, ge=1)
+    stamp: str | None = None
+
+
+class Status(_Record):
+    """What `state.json` says: written by the coordinator, read by anybody.
+
+    Attributes
+    ----------
+    state : str
+    reason : str
+        Of a failure; what is being waited for.
+    done, total, failed : int
+        Chunks.
+    rate, left_s : float
+        Chunks a second; time left [s].
+    note : str
+        What the work says of itself.
+    workers : int
+    host, pid : str, int
+        Of the coordinator.
+    started_utc, updated_utc : str
+    """
+
+    state: State = "queued"
+    reason: str = ""
+    done: int = 0
+    total: int = 0
+    failed: int = 0
+    rate: float = 0.0
+    left_s: float | None = None
+    note: str = ""
+    workers: int = 0
+    host: str = ""
+    pid: int = 0
+    started_utc: str = ""
+    updated_utc: str = ""
+
+
+def prepare(
+    folder: Path, maker: str, inputs: Mapping[str, bytes | Path], options: Mapping[str, Any]
+) -> Job:
+    """Make a job folder, whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        The folder is there, the maker is no function of fixel, or an input cannot be.
+    """
+    named_function(maker)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInput(str(folder), found="something there", expected="a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = folder / f".inputs.{secrets.token_hex(4)}"
+    unfinished.mkdir()
+    try:
+        for name, content in inputs.items():
+            _add_input(unfinished, name, content)
+        unfinished.rename(folder / "inputs")
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+    job = Job(
+        name=folder.resolve().name,
+        label=f"fixel-{secrets.token_hex(6)}",
+        maker=maker,
+        options=json.loads(json.dumps(dict(options))),
+        inputs_sha256=inputs_digest(folder / "inputs"),
+        stamp=stamp(),
+        made_utc=utc(),
+    )
+    write_status(folder, Status())
+    # Last, since this is what makes it a job.
+    _write(folder / "job.json", job)
+    return job
+
+
+def read_job(folder: Path) -> Job:
+    """The job of a folder, or a refusal."""
+    if not (folder / "job.json").is_file():
+        raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
+    job: Job = _read(folder / "job.json", Job)
+    return job
+
+
+def read_run(folder: Path) -> Run:
+    """How the job was run last, or as jobs are run unless told otherwise."""
+    path = folder / "run.json"
+    run: Run = _read(path, Run) if path.is_file() else Run()
+    return run
+
+
+def write_run(folder: Path, run: Run) -> None:
+    """Keep how the job is run, for `resume`."""
+    _write(folder / "run.json", run)
+
+
+def read_status(folder: Path) -> Status:
+    """How far the job says it is."""
+    path = folder / "state.json"
+    status: Status = _read(path, Status) if path.is_file() else Status()
+    return status
+
+
+def write_status(folder: Path, status: Status) -> None:
+    """Say how far the job is."""
+    _write(folder / "state.json", status.model_copy(update={"updated_utc": utc()}))
+
+
+def coordinator_of(folder: Path) -> Owner | None:
+    """The process that runs the job now, if there is one; no clock is asked."""
+    return writer_of(folder / JOURNAL)
+
+
+def inputs_digest(inputs: Path) -> str:
+    """Checksum of all inputs and their names."""
+    digest = hashlib.sha256()
+    for path in sorted(inputs.iterdir()):
+        with path.open("rb") as stream:
+            content = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest.update(f"{path.name}\0{content}\0".encode())
+    return digest.hexdigest()
+
+
+def log(folder: Path, sentence: str) -> None:
+    """Add a line to the log."""
+    with (folder / LOG).open("a", encoding="utf-8") as stream:
+        stream.write(f"{utc()} {sentence}\n")
+
+
+def utc() -> str:
+    """The time of day, for people; nothing is decided by it."""
+    now = datetime.datetime.fromtimestamp(time.time(), datetime.UTC)
+    return now.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _add_input(folder: Path, name: str, content: bytes | Path) -> None:
+    if not name or name.startswith(".") or Path(name).name != name or "\\" in name:
+        raise InvalidInput("inputs", found=name, expected="a plain file name")
+    if isinstance(content, bytes):
+        (folder / name).write_bytes(content)
+    else:
+        shutil.copyfile(content, folder / name)
+
+
+def _write(path: Path, record: BaseModel) -> None:
+    with written_whole(path) as temporary:
+        temporary.write_text(json.dumps(record.model_dump(), indent=1) + "\n", encoding="utf-8")
+
+
+def _read(path: Path, kind: type[Any]) -> Any:
+    content = read_document(path)
+    try:
+        return kind.model_validate(content)
+    except ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InvalidInput(
+            f"{path}: {where or 'content'}",
+            found=first["msg"].lower(),
+            expected="a file that this version of fixel has written",
+        ) from None

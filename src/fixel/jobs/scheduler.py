@@ -1,0 +1,89 @@
+"""The Dask scheduler of a job, as a process of its own: `python -m fixel.jobs.scheduler FOLDER`.
+
+It ends with the coordinator that started it, whose end of the standard input closes; nothing is
+lost with it. Apart from the coordinator, so that whatever happens here happens to nobody else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import inspect
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from fixel.jobs.link import listening, security
+
+# A worker's death is reported at once; the coordinator counts deaths itself, and tries again.
+CONFIG = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.scheduler.work-stealing": False,
+    "distributed.admin.tick.limit": "1h",  # no warnings of long pauses
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a scheduler until the standard input ends."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--interface", default="lo")
+    parser.add_argument("--lease-s", type=float, default=300.0)
+    given = parser.parse_args(arguments)
+    end_with_parent()
+    asyncio.run(_serve(given))
+
+
+async def _serve(given: argparse.Namespace) -> None:
+    import dask
+
+    dask.config.set(CONFIG | {"distributed.scheduler.worker-ttl": f"{given.lease_s} s"})
+    async with _scheduler(given) as scheduler:
+        print(scheduler.address, flush=True)
+        await scheduler.finished()
+
+
+def _scheduler(given: argparse.Namespace) -> Any:
+    from distributed import Scheduler
+
+    class JobScheduler(Scheduler):
+        """Dask's, but for two things."""
+
+        def start_http_server(self, *_: Any, **__: Any) -> None:
+            """No web server: it would be one more door."""
+
+        async def remove_worker(self, address: str, *, stimulus_id: str, **given: Any) -> Any:
+            """A worker that was silent for too long has not died of its chunk."""
+            if stimulus_id.startswith("check-worker-ttl"):
+                given[expected] = True
+            return await super().remove_worker(address, stimulus_id=stimulus_id, **given)
+
+    known = inspect.signature(Scheduler.remove_worker).parameters
+    expected = "expected" if "expected" in known else "safe"
+    return JobScheduler(
+        protocol="tls",
+        port=0,
+        security=security(given.folder),
+        dashboard=False,
+        **listening(given.interface),
+    )
+
+
+def end_with_parent() -> None:
+    """End this process at once when the other end of its standard input closes."""
+
+    def watch() -> None:
+        while sys.stdin.buffer.read(1):
+            pass
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+if __name__ == "__main__":
+    main()

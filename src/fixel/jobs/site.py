@@ -1,0 +1,137 @@
+"""Site templates: what a cluster wants to know of a job, as a small YAML file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fixel.errors import InvalidInput
+from fixel.exchange.document import read_document, yaml_text
+
+# One directive, one line: nothing in a template reaches the script but where it is meant to.
+_LINE: Final = r"[^\r\n]*"
+_WORD: Final = r"[^\s%]+"
+_MEMORY: Final = r"\d+(\.\d+)? ?[KMGT]i?B"
+_WALLTIME: Final = re.compile(r"(?:(\d+)-)?(\d{1,3}):(\d{2}):(\d{2})")
+
+Line = Annotated[str, Field(pattern=f"^{_LINE}$")]
+Word = Annotated[str, Field(pattern=f"^{_WORD}$")]
+
+TEMPLATE: Final = """\
+# A cluster, for `fixel jobs submit --site THIS_FILE`. Keep what your site asks for.
+scheduler: slurm
+queue: main              # partition: `sinfo` lists them
+# account: my_group      # who pays, if somebody does
+walltime: "01:00:00"     # of one worker; it ends by itself before, and another takes its place
+cores: 4                 # of one worker; its chunks use them all
+memory: 4 GB             # of one worker
+interface: ib0           # network of all nodes: `ip -brief address` lists them; lo for one machine
+max_jobs: 16             # never more workers than this in the queue
+submit_interval_s: 1.0   # at least so long between two submissions
+# directives:            # more lines of #SBATCH
+#   - --qos=long
+# skip_directives:       # lines to leave out, by what is in them
+#   - --mem
+# prologue:              # shell lines before a worker starts
+#   - module load python/3.12
+# python: /home/me/fixel/.venv/bin/python    # else the one that submits
+"""
+
+
+class Site(BaseModel):
+    """What a cluster wants to know.
+
+    Attributes
+    ----------
+    queue, account : str, optional
+    walltime : str
+        Of one worker: `HH:MM:SS` or `D-HH:MM:SS`.
+    cores : int
+    memory : str
+        Of one worker: `4 GB`.
+    interface : str
+        Network interface that all processes listen on, and no other.
+    max_jobs : int
+        Most workers in the queue.
+    submit_interval_s : float
+        Shortest time between two submissions [s].
+    directives, skip_directives, prologue : list of str
+        Lines for the scheduler; directives to leave out; shell lines before the worker.
+    python : str, optional
+        Interpreter on the nodes, if it is another than here.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scheduler: Literal["slurm"] = "slurm"
+    queue: Word | None = None
+    account: Word | None = None
+    walltime: str = "01:00:00"
+    cores: int = Field(default=1, ge=1, le=1024)
+    memory: str = Field(default="2 GB", pattern=f"^{_MEMORY}$")
+    interface: Word = "lo"
+    max_jobs: int = Field(default=16, ge=1, le=10_000)
+    submit_interval_s: float = Field(default=1.0, ge=0.0, le=3600.0)
+    directives: list[Line] = []
+    skip_directives: list[Line] = []
+    prologue: list[Line] = []
+    python: Line | None = None
+
+    @property
+    def walltime_s(self) -> float:
+        """The walltime [s]."""
+        match = _WALLTIME.fullmatch(self.walltime)
+        if match is None:
+            raise InvalidInput(
+                "walltime", found=self.walltime, expected="HH:MM:SS or D-HH:MM:SS, in quotes"
+            )
+        days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
+        return float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
+
+    @property
+    def lifetime_s(self) -> float:
+        """When a worker ends by itself: early enough for the chunk that runs [s]."""
+        return self.walltime_s - min(120.0, 0.2 * self.walltime_s)
+
+
+def load_site(path: Path) -> Site:
+    """The site of a file.
+
+    Raises
+    ------
+    InvalidInput
+        It cannot be read, or says something it should not.
+    """
+    return site_of(read_document(path), str(path))
+
+
+def site_of(content: object, where: str) -> Site:
+    """A site from what a file says."""
+    try:
+        site = Site.model_validate(content)
+    except ValidationError as problem:
+        raise _refused(problem, where) from None
+    if site.walltime_s < 10.0:
+        raise InvalidInput(f"{where}: walltime", found=site.walltime, expected="at least 00:00:10")
+    return site
+
+
+def site_text(site: Site) -> str:
+    """A site as YAML."""
+    return yaml_text(site.model_dump(exclude_none=True))
+
+
+def _refused(problem: ValidationError, where: str) -> InvalidInput:
+    first = problem.errors(include_url=False)[0]
+    key = ".".join(map(str, first["loc"]))
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(Site.model_fields)
+        return InvalidInput(f"{where}: {key}", found="an unknown key", expected=f"one of {known}")
+    if first["type"] == "string_pattern_mismatch":
+        expected = {"memory": "a size such as 4 GB"}.get(key.split(".")[0], "one line of text")
+        return InvalidInput(f"{where}: {key}", found=first["input"], expected=expected)
+    expected = first["msg"].removeprefix("Input should be ").replace("valid ", "")
+    return InvalidInput(f"{where}: {key or 'site'}", found=first["input"], expected=expected)

@@ -1,0 +1,307 @@
+"""Workers as jobs of SLURM, submitted from where the coordinator runs: no SSH, no accounting.
+
+One job is one worker that stays: no arrays, few submissions. Dask-jobqueue writes the head of the
+script; submitting, watching and replacing are done here, since all of them fail on real clusters.
+"""
+
+from __future__ import annotations
+
+import getpass
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+from fixel.errors import InvalidInput, JobRefused
+from fixel.jobs import link
+from fixel.jobs.pool import MAX_STILLBORN, AbstractPool, stillborn, worker_command
+from fixel.jobs.site import Site
+
+COMMAND_S: Final = 60.0  # [s] for a command of SLURM; a busy controller takes long to answer
+MAX_BACK_OFF_S: Final = 120.0
+# [s] A job that was just submitted may not be listed yet.
+UNSEEN_S: Final = 30.0
+MAX_CANCELLED: Final = 3  # jobs cancelled one after the other before they started
+_ACTIVE: Final = frozenset(
+    ("PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STOPPED", "RESIZING",
+     "REQUEUED", "REQUEUE_HOLD", "REQUEUE_FED", "SIGNALING", "STAGE_OUT", "SPECIAL_EXIT",
+     "RESV_DEL_HOLD")
+)  # fmt: skip
+# What no waiting helps against, in the words of sbatch.
+_HOPELESS: Final = (
+    "invalid partition",
+    "invalid account",
+    "invalid qos",
+    "invalid wckey",
+    "invalid generic resource",
+    "unrecognized option",
+    "invalid numeric value",
+    "invalid --",
+    "memory specification can not be satisfied",
+    "node configuration is not available",
+    "requested time limit is invalid",
+    "user's group not permitted",
+    "access/permission denied",
+)
+
+
+class SlurmJob(NamedTuple):
+    """A job as SLURM lists it."""
+
+    id: str
+    state: str
+    reason: str
+
+    @property
+    def active(self) -> bool:
+        """Whether it waits or runs."""
+        return self.state in _ACTIVE
+
+
+class SlurmTrouble(Exception):
+    """A command of SLURM failed; `hopeless` if it always will."""
+
+    def __init__(self, said: str, hopeless: bool = False) -> None:
+        self.hopeless = hopeless
+        super().__init__(said)
+
+
+def refuse_without_slurm() -> None:
+    """Refuse a cluster where the commands for it are missing."""
+    for command in ("sbatch", "squeue", "scancel"):
+        if shutil.which(command) is None:
+            raise InvalidInput(
+                "scheduler slurm",
+                found=f"no command {command}",
+                expected="a machine from which jobs can be submitted",
+                hint="run this on the login node of the cluster, or leave --site out",
+            )
+
+
+def submit(script: Path) -> str:
+    """Submit a script; the number of its job."""
+    said = _call("sbatch", "--parsable", str(script)).strip()
+    number = said.splitlines()[-1].split(";")[0] if said else ""
+    if not number.isdecimal():
+        raise SlurmTrouble(f"sbatch answered {said!r}")
+    return number
+
+
+def listed(name: str) -> list[SlurmJob]:
+    """My jobs of a name, ended ones too as far as SLURM remembers them."""
+    answer = _call(
+        "squeue", "--noheader", "--states=all",
+        f"--user={getpass.getuser()}", f"--name={name}", "--format=%i|%T|%r",
+    )  # fmt: skip
+    rows = (line.strip().split("|", 2) for line in answer.splitlines() if line.count("|") >= 2)
+    return [SlurmJob(*row) for row in rows]
+
+
+def cancel(name: str) -> None:
+    """Cancel my jobs of a name."""
+    _call("scancel", f"--user={getpass.getuser()}", f"--name={name}")
+
+
+def _call(*command: str) -> str:
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=COMMAND_S, stdin=subprocess.DEVNULL
+        )
+    except FileNotFoundError:
+        raise SlurmTrouble(f"{command[0]} is not there", hopeless=True) from None
+    except (OSError, subprocess.TimeoutExpired) as problem:
+        raise SlurmTrouble(f"{command[0]}: {problem}") from None
+    if done.returncode != 0:
+        said = " ".join((done.stderr or done.stdout).split()) or f"exit code {done.returncode}"
+        raise SlurmTrouble(said, any(words in said.lower() for words in _HOPELESS))
+    return done.stdout
+
+
+def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
+    """A script for sbatch; `command` is Python's arguments, in shell words."""
+    from dask_jobqueue.slurm import SLURMJob
+
+    kind: Any = SLURMJob
+    job = kind(
+        scheduler="none",
+        name=name,
+        queue=site.queue,
+        account=site.account,
+        walltime=site.walltime,
+        cores=site.cores,
+        processes=1,
+        memory=site.memory.replace(" ", ""),
+        job_name=name,
+        job_extra_directives=list(site.directives),
+        job_directives_skip=list(site.skip_directives),
+        log_directory=str(logs),
+        interface=None,
+        # Given here, so that a configuration of Dask's cannot change what a template says.
+        config_name="slurm",
+        job_script_prologue=list(site.prologue),
+        worker_extra_args=[],
+        job_cpu=site.cores,
+    )
+    python = shlex.quote(site.python or sys.executable)
+    lines = [job.shebang, "", job.job_header, *site.prologue, " ".join(["exec", python, *command])]
+    return "\n".join(lines) + "\n"
+
+
+@final
+class SlurmPool(AbstractPool):
+    """Workers as SLURM jobs of one name; those of an interrupted session are taken over.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the job, on a file system that the nodes see too.
+    size : int
+        How many workers.
+    site : Site
+    name : str
+        Of the jobs, unique: by it they are found again.
+    say : callable
+        Called with a sentence when something happens.
+    poll_s : float
+        How often SLURM is asked [s].
+    back_off_s : float
+        How long to wait after a refused submission; twice as long after each further one [s].
+    patience_s : float
+        How long a worker waits for a scheduler when the one it had is gone [s].
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        size: int,
+        site: Site,
+        name: str,
+        *,
+        say: Callable[[str], None],
+        poll_s: float = 3.0,
+        back_off_s: float = 1.0,
+        patience_s: float = 120.0,
+    ) -> None:
+        refuse_without_slurm()
+        self.size = min(size, site.max_jobs)
+        self.interface = site.interface
+        self._folder = folder
+        self._site = site
+        self._name = name
+        self._say = say
+        self._poll_s = poll_s
+        self._patience_s = patience_s
+        self._jobs: dict[str, SlurmJob] = {}
+        self._ended: set[str] = set()
+        self._submitted: dict[str, float] = {}
+        self._next_look = self._next_submit = 0.0
+        self._first_back_off = max(back_off_s, site.submit_interval_s)
+        self._back_off = self._first_back_off
+        self._in_a_row = {"stillborn": 0, "cancelled": 0}
+        self._trouble = ""
+        self._first = True
+
+    @property
+    def note(self) -> str:
+        if self._trouble:
+            return self._trouble
+        pending = [job for job in self._jobs.values() if job.state == "PENDING"]
+        reasons = ", ".join(sorted({job.reason for job in pending}))
+        return f"{len(pending)} jobs wait in the queue ({reasons})" if pending else ""
+
+    def keep(self) -> None:
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + self._poll_s
+        if self._look(now):
+            self._top_up(now)
+
+    def close(self) -> None:
+        try:
+            cancel(self._name)
+        except SlurmTrouble as trouble:
+            self._say(f"the workers could not be cancelled, and end by themselves: {trouble}")
+
+    def _look(self, now: float) -> bool:
+        """Ask SLURM; False where it does not answer."""
+        try:
+            jobs = listed(self._name)
+        except SlurmTrouble as trouble:
+            self._note_trouble(f"squeue: {trouble}")
+            return False
+        if self._first:
+            # Those that have ended before are none of this session's business.
+            self._ended |= {job.id for job in jobs if not job.active}
+            self._first = False
+        self._jobs = {job.id: job for job in jobs if job.active}
+        for job in jobs:
+            self._submitted.pop(job.id, None)
+            if not job.active and job.id not in self._ended:
+                self._ended.add(job.id)
+                self._note_end(job)
+        self._submitted = {k: t for k, t in self._submitted.items() if now - t < UNSEEN_S}
+        return True
+
+    def _top_up(self, now: float) -> None:
+        """Submit as many as are missing, one an interval."""
+        while len(self._jobs) + len(self._submitted) < self.size and now >= self._next_submit:
+            try:
+                number = submit(self._script())
+            except SlurmTrouble as trouble:
+                self._submit_failed(trouble, now)
+                return
+            self._trouble = ""
+            self._back_off = self._first_back_off
+            self._submitted[number] = now
+            self._say(f"submitted worker {number}")
+            self._next_submit = now + self._site.submit_interval_s
+            self._next_look = min(self._next_look, self._next_submit)
+
+    def _submit_failed(self, trouble: SlurmTrouble, now: float) -> None:
+        if trouble.hopeless:
+            raise JobRefused(
+                f"sbatch refuses the worker: {trouble}", hint="correct the site template"
+            )
+        self._next_submit = now + self._back_off
+        self._note_trouble(f"sbatch: {trouble}; again in {self._back_off:.0f} s")
+        self._back_off = min(2.0 * self._back_off, MAX_BACK_OFF_S)
+
+    def _note_trouble(self, sentence: str) -> None:
+        if sentence != self._trouble:
+            self._say(sentence)
+        self._trouble = sentence
+
+    def _note_end(self, job: SlurmJob) -> None:
+        """Count workers that never worked: a hopeless template is not submitted for ever."""
+        self._say(f"worker {job.id} has ended: {job.state.lower()}")
+        if link.joined(self._folder, f"slurm-{job.id}"):
+            self._in_a_row = {"stillborn": 0, "cancelled": 0}
+            return
+        if job.state in ("FAILED", "COMPLETED", "OUT_OF_MEMORY", "TIMEOUT"):
+            self._in_a_row["stillborn"] += 1
+        elif job.state == "CANCELLED":
+            self._in_a_row["cancelled"] += 1
+        if self._in_a_row["stillborn"] >= MAX_STILLBORN:
+            raise stillborn(*sorted((self._folder / "workers").glob(f"*-{job.id}.*")))
+        if self._in_a_row["cancelled"] >= MAX_CANCELLED:
+            raise JobRefused(
+                f"{MAX_CANCELLED} workers were cancelled before they started",
+                hint="if that was not meant, resume the job",
+            )
+
+    def _script(self) -> Path:
+        path = self._folder / "workers" / "worker.sh"
+        site = self._site
+        command = [
+            shlex.quote(word)
+            for word in worker_command(self._folder, "NAME", site.interface, site.cores)
+        ]
+        command[command.index("NAME")] = "slurm-$SLURM_JOB_ID"
+        command += [f"--lifetime-s={site.lifetime_s:g}", f"--patience-s={self._patience_s:g}"]
+        path.write_text(job_script(site, self._name, command, self._folder.resolve() / "workers"))
+        return path

@@ -1,0 +1,236 @@
+"""What there is to do: rounds of chunks, and the loop that gets them answered.
+
+A `Work` is a generator. It yields a `Round` of chunks, is sent the answers by name, yields the next
+round, and in the end returns the result as bytes. It must depend on nothing but its inputs and
+the answers: continuing an interrupted job means running the generator again and answering
+from the journal what has been answered before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+from fixel.errors import InvalidInput
+from fixel.exchange.journal import Journal
+
+if TYPE_CHECKING:
+    from fixel.jobs.engine import AbstractEngine
+
+# [s] The rate is that of this long ago until now: workers come and go.
+RATE_WINDOW_S: Final = 60.0
+
+
+class Chunk(NamedTuple):
+    """A piece of work worth seconds.
+
+    Attributes
+    ----------
+    name : str
+        Unique within the work: `"round-3/chunk-17"`.
+    payload : bytes
+        What the chunk function is given.
+    """
+
+    name: str
+    payload: bytes
+
+
+class Failure(NamedTuple):
+    """The answer of a chunk that has none: its function raised, or its worker died every time."""
+
+    reason: str
+
+
+Answer = bytes | Failure
+
+
+class Round(NamedTuple):
+    """Chunks that do not depend on each other.
+
+    Attributes
+    ----------
+    function : str
+        `"module:function"` in fixel, called as `function(inputs: Path, payload: bytes) -> bytes`.
+        It may be called again for the same payload, and must then answer the same.
+    chunks : sequence of Chunk
+    note : str
+        What a progress bar says: `"best 2.31 mm"`.
+    expected : int, optional
+        Chunks of the whole work, this round and all others, where that is known.
+    """
+
+    function: str
+    chunks: Sequence[Chunk]
+    note: str = ""
+    expected: int | None = None
+
+
+Answers = dict[str, Answer]
+Work = Generator[Round, Answers, bytes]
+
+
+class Progress(NamedTuple):
+    """How far the work is.
+
+    Attributes
+    ----------
+    done, total, failed : int
+        Chunks, in this and in earlier sessions; `total` is what is known of so far.
+    rate : float
+        Chunks a second, lately.
+    left_s : float or None
+        Time left at that rate [s].
+    note : str
+        What the work says of itself.
+    workers : int
+        Processes that compute now.
+    """
+
+    done: int
+    total: int
+    failed: int
+    rate: float
+    left_s: float | None
+    note: str
+    workers: int
+
+
+class Stopped(Exception):
+    """Somebody asked to stop; the journal has all that was finished."""
+
+
+Show = Callable[[Progress], None]
+Stop = Callable[[], bool]
+
+
+def run_work(
+    work: Work,
+    engine: AbstractEngine,
+    inputs: Path,
+    journal: Journal,
+    *,
+    progress: Show | None = None,
+    stop: Stop | None = None,
+) -> bytes:
+    """Get all rounds of a work answered; the only writer of its journal.
+
+    Returns
+    -------
+    bytes
+        What the work returned.
+
+    Raises
+    ------
+    Stopped
+        `stop()` said so.
+    """
+    tally = _Tally(progress, engine)
+    try:
+        turn = next(work)
+        while True:
+            turn = work.send(_answered(turn, engine, inputs, journal, tally, stop))
+    except StopIteration as end:
+        result: bytes = end.value or b""
+        return result
+    finally:
+        work.close()
+
+
+def block_name(function: str, chunk: Chunk) -> str:
+    """Under which name the journal keeps the answer of a chunk: another payload, another name."""
+    digest = hashlib.sha256(function.encode() + b"\0" + chunk.payload).hexdigest()[:32]
+    return f"{chunk.name} {digest}"
+
+
+def framed(answer: Answer) -> bytes:
+    """An answer as bytes, for the journal and for the way from the worker."""
+    return b"F" + answer.reason.encode() if isinstance(answer, Failure) else b"A" + answer
+
+
+def unframed(data: bytes) -> Answer:
+    """The inverse of `framed`."""
+    return data[1:] if data[:1] == b"A" else Failure(data[1:].decode())
+
+
+def _answered(
+    turn: Round,
+    engine: AbstractEngine,
+    inputs: Path,
+    journal: Journal,
+    tally: _Tally,
+    stop: Stop | None,
+) -> Answers:
+    """The answers of a round, from the journal or else from the engine."""
+    names = {chunk.name: block_name(turn.function, chunk) for chunk in turn.chunks}
+    if len(names) < len(turn.chunks):
+        raise InvalidInput("chunks of a round", found="a name twice", expected="each name once")
+    answers: Answers = {}
+    for name, block in names.items():
+        data = journal.get(block)
+        if data is not None:
+            answers[name] = unframed(data)
+    tally.begin(turn, answers)
+    missing = [chunk for chunk in turn.chunks if chunk.name not in answers]
+    if missing:
+        _refuse_stop(stop)
+        for batch in engine.results(turn.function, inputs, missing):
+            fresh = {name: answer for name, answer in batch if name not in answers}
+            journal.append((names[name], framed(answer)) for name, answer in fresh.items())
+            answers |= fresh
+            tally.add(fresh)
+            _refuse_stop(stop)
+    return {chunk.name: answers[chunk.name] for chunk in turn.chunks}
+
+
+def _refuse_stop(stop: Stop | None) -> None:
+    if stop is not None and stop():
+        raise Stopped
+
+
+@final
+class _Tally:
+    """Counts chunks, and the rate at which they come."""
+
+    def __init__(self, show: Show | None, engine: AbstractEngine) -> None:
+        self._show = show
+        self._engine = engine
+        self._done = self._total = self._failed = 0
+        self._note = ""
+        self._recent = deque([(time.monotonic(), 0)])
+        self._fresh = 0
+
+    def begin(self, turn: Round, known: Answers) -> None:
+        self._note = turn.note
+        known_total = self._done + len(turn.chunks)
+        self._total = max(known_total, turn.expected or 0)
+        self._count(known)
+        self._say()
+
+    def add(self, fresh: Answers) -> None:
+        now = time.monotonic()
+        self._fresh += len(fresh)
+        self._count(fresh)
+        if fresh:
+            self._recent.append((now, self._fresh))
+        while len(self._recent) > 2 and now - self._recent[0][0] > RATE_WINDOW_S:
+            self._recent.popleft()
+        self._say()
+
+    def _count(self, answers: Answers) -> None:
+        self._done += len(answers)
+        self._failed += sum(isinstance(answer, Failure) for answer in answers.values())
+
+    def _say(self) -> None:
+        if self._show is None:
+            return
+        begun, count = self._recent[0]
+        elapsed = time.monotonic() - begun
+        rate = (self._fresh - count) / elapsed if elapsed > 0 else 0.0
+        left = (self._total - self._done) / rate if rate > 0 else None
+        workers = self._engine.workers
+        self._show(Progress(self._done, self._total, self._failed, rate, left, self._note, workers))

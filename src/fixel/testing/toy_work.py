@@ -1,0 +1,87 @@
+"""Work that is none: a cheap function, evaluated in several rounds that depend on each other.
+
+For tests and benchmarks of `fixel.jobs`: chunks may sleep, compute, fail, or kill their worker.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fixel.jobs.work import Chunk, Failure, Round, Work
+
+FUNCTION = "fixel.testing.toy_work:evaluate"
+MAKER = "fixel.testing.toy_work:make_toy_work"
+
+
+def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """A small search: each round tries points around the best of the round before.
+
+    Options are `rounds`, `chunks` (of a round), `sleep_s` and `compute_s` (of a chunk), `poison`
+    and `faulty` (names of chunks that kill their worker, that raise).
+    """
+    rounds, chunks = int(options.get("rounds", 3)), int(options.get("chunks", 8))
+    best, best_value, width = 0.0, float("inf"), 1.0
+    for k in range(rounds):
+        points = {f"r{k}-c{i}": best + width * (i / chunks - 0.5) for i in range(chunks)}
+        answers = yield Round(
+            FUNCTION,
+            [Chunk(name, _payload(name, x, options)) for name, x in points.items()],
+            note=f"best {best_value:.6g}" if k else "",
+            expected=rounds * chunks,
+        )
+        for name, x in points.items():
+            answer = answers[name]
+            value = float("inf") if isinstance(answer, Failure) else struct.unpack("<d", answer)[0]
+            if value < best_value:
+                best, best_value = x, value
+        width *= 0.5
+    return struct.pack("<dd", best, best_value)
+
+
+def evaluate(inputs: Path, payload: bytes) -> bytes:
+    """The function that is minimised, after what the payload asks for besides."""
+    given = json.loads(payload)
+    offset = float((inputs / "offset").read_text()) if (inputs / "offset").exists() else 0.3
+    _log_call(inputs, given["name"])
+    if given["name"] in given["faulty"]:
+        raise ValueError("asked to fail")
+    if given["name"] in given["poison"]:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(given["sleep_s"])
+    _compute(given["compute_s"])
+    x = given["x"]
+    return struct.pack("<d", (x - offset) ** 2 + 0.1 * (1.0 - x) ** 4)
+
+
+def _payload(name: str, x: float, options: Mapping[str, Any]) -> bytes:
+    asked = {
+        "name": name,
+        "x": x,
+        "sleep_s": float(options.get("sleep_s", 0.0)),
+        "compute_s": float(options.get("compute_s", 0.0)),
+        "poison": list(options.get("poison", ())),
+        "faulty": list(options.get("faulty", ())),
+    }
+    return json.dumps(asked).encode()
+
+
+def _log_call(inputs: Path, name: str) -> None:
+    """Leave a line for tests that count calls, where they have put a file for it."""
+    calls = inputs.parent / "calls"
+    if calls.exists():
+        with calls.open("a") as stream:
+            stream.write(f"{name} {os.getpid()}\n")
+
+
+def _compute(cpu_s: float) -> None:
+    """Keep a core busy for so much of its own time [s]."""
+    end = time.thread_time() + cpu_s
+    while time.thread_time() < end:
+        sum(range(1000))

@@ -1,0 +1,159 @@
+"""What is to be calibrated and how, as plain content that a job folder keeps."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import ERRORS, AbstractError
+from fixel.errors import InvalidInput
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import MOTION_MODELS
+
+Mode = Literal["each", "joint", "campaign"]
+Combine = Literal["sum", "mean", "largest"]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class UnknownEntry(_Entry):
+    """An `Unknown`, as plain content."""
+
+    name: str
+    low: float
+    high: float
+    nominal: float
+    scale: float | None = None
+    frozen: bool = False
+    prior: float | None = None
+    where: dict[str, str | float] = {}
+
+
+class Choice(_Entry):
+    """A member of a family by its name, with its options."""
+
+    name: str
+    options: dict[str, Any] = {}
+
+
+class Request(_Entry):
+    """A calibration to be.
+
+    Attributes
+    ----------
+    name : str
+    mode : str
+        `"each"`: every experiment by itself. `"joint"`: one set of parameters for all.
+        `"campaign"`: each, then neighbours' values, then one set in every way of the thesis.
+    unknowns : list of UnknownEntry
+    error, motion, optimiser : Choice
+    starts : int
+        Of the search; more than one begin at random feasible points.
+    combine : str
+        How errors of several experiments become one.
+    seed : int
+    noise_position, noise_angle : float, optional
+        Standard deviations of the measured poses [m, rad]; found out where left out.
+    level : float
+        Of the intervals.
+    verdicts : bool
+        Whether to find out what the data determine.
+    """
+
+    name: str = "calibration"
+    mode: Mode = "each"
+    unknowns: list[UnknownEntry]
+    error: Choice = Choice(name="mean-square")
+    motion: str = "dynamic"
+    optimiser: Choice = Choice(name="pattern-search")
+    starts: int = Field(default=1, ge=1)
+    combine: Combine = "sum"
+    seed: int = Field(default=0, ge=0)
+    noise_position: float | None = Field(default=None, gt=0.0)
+    noise_angle: float | None = Field(default=None, gt=0.0)
+    level: float = Field(default=0.95, gt=0.0, lt=1.0)
+    verdicts: bool = True
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Where to search."""
+        return ParameterSpace(unknowns=tuple(Unknown(**u.model_dump()) for u in self.unknowns))
+
+    @property
+    def made_error(self) -> AbstractError:
+        """The error of one experiment."""
+        made: AbstractError = _made(ERRORS, self.error, "--error")
+        return made
+
+    @property
+    def made_optimiser(self) -> AbstractOptimiser:
+        """The search, from one start or several."""
+        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser, "--optimiser")
+        return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
+
+    @property
+    def made_motion(self) -> AbstractMotionModel:
+        """The motion model."""
+        made: AbstractMotionModel = _made(MOTION_MODELS, Choice(name=self.motion), "--motion")
+        return made
+
+    @property
+    def noise(self) -> Noise | None:
+        """Of the measured poses, as stated; none where it is to be found out."""
+        if self.noise_position is None or self.noise_angle is None:
+            return None
+        return Noise(position_m=self.noise_position, angle_rad=self.noise_angle, source="stated")
+
+    def check(self) -> None:
+        """Refuse what cannot be, before any work starts."""
+        if (self.noise_position is None) != (self.noise_angle is None):
+            raise InvalidInput(
+                "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"
+            )
+        for _ in (self.space, self.made_error, self.made_optimiser, self.made_motion):
+            pass
+
+
+def entry_of(unknown: Unknown) -> UnknownEntry:
+    """An unknown as plain content."""
+    return UnknownEntry(
+        name=unknown.name,
+        low=unknown.low,
+        high=unknown.high,
+        nominal=unknown.nominal,
+        scale=unknown.scale,
+        frozen=unknown.frozen,
+        prior=unknown.prior,
+        where=dict(unknown.where),
+    )
+
+
+def _made(family: tuple[Any, ...], choice: Choice, where: str) -> Any:
+    """A member of a family, by its name and options."""
+    known = {member.name: member for member in family}
+    if choice.name not in known:
+        close = difflib.get_close_matches(choice.name, known, n=1)
+        raise InvalidInput(
+            where,
+            found=repr(choice.name),
+            expected="one of " + ", ".join(known),
+            hint=f"did you mean {close[0]!r}?" if close else None,
+        )
+    member = known[choice.name]
+    options = {field.name for field in dataclasses.fields(member)}
+    for name in choice.options:
+        if name not in options:
+            raise InvalidInput(
+                f"{where} {choice.name}",
+                found=f"the option {name}",
+                expected="one of " + (", ".join(sorted(options)) or "none"),
+            )
+    return member(**choice.options)

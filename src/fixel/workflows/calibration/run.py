@@ -1,0 +1,303 @@
+"""Calibrate stored experiments, and keep what comes out of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.calibration.objective import Comparer
+from fixel.calibration.target import Target, target_of
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.exchange.atomic import written_whole
+from fixel.jobs import folder as files
+from fixel.jobs.site import Site
+from fixel.jobs.work import Progress
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Evaluations, Member
+from fixel.workflows import jobs
+from fixel.workflows.calibration.inputs import read_targets, target_files
+from fixel.workflows.calibration.outcome import Found, Outcome, outcome_of
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.work import REQUEST
+
+MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
+EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
+STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
+PREFLIGHT: Final = 16  # experiments simulated before any work starts, to see that they can be
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chosen:
+    """Experiments to calibrate.
+
+    Attributes
+    ----------
+    ids : list of int
+    targets : list of Target
+    left_out : dict from key to reason
+        Those that cannot be compared.
+    """
+
+    ids: list[int]
+    targets: list[Target]
+    left_out: Mapping[str, str]
+
+
+def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
+    """Experiments by name, or by what they have in common.
+
+    Named ones must be fit for it; of a listing, those that are not are left out with a reason.
+    """
+    ids = [store.find(key) for key in keys]
+    if not ids:
+        ids = [summary.id for summary in store.experiments(query).summaries]
+    found: list[int] = []
+    targets: list[Target] = []
+    left_out: dict[str, str] = {}
+    for number in ids:
+        experiment = store.experiment(number)
+        try:
+            targets.append(target_of(experiment))
+            found.append(number)
+        except InvalidInput as problem:
+            if keys:
+                raise
+            left_out[experiment.key] = str(problem)
+    if not targets:
+        reasons = next(iter(left_out.values()), "")
+        raise InvalidInput(
+            "experiments",
+            found=f"none to calibrate with{f' ({reasons})' if reasons else ''}",
+            expected="one at least with a scene and measured poses",
+            hint="see what there is: fixel list",
+        )
+    return Chosen(ids=found, targets=targets, left_out=left_out)
+
+
+def prepare(project: Project, chosen: Chosen, request: Request) -> Path:
+    """The job folder of a calibration; the same one for the same request on the same experiments.
+
+    Raises
+    ------
+    InvalidInput
+        The request and the experiments do not fit.
+    """
+    request.check()
+    _rehearse(chosen.targets, request)
+    inputs = target_files(chosen.targets) | {REQUEST: request.model_dump_json().encode()}
+    inputs[EXPERIMENTS] = json.dumps(chosen.ids).encode()
+    digest = hashlib.sha256()
+    for name in sorted(inputs):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(inputs[name]).digest())
+    folder = project.folder / jobs.JOBS / f"{request.name}-{digest.hexdigest()[:10]}"
+    if not (folder / "job.json").is_file():
+        jobs.prepare_job(folder, maker=MAKER, inputs=inputs)
+    return folder
+
+
+def _rehearse(targets: Sequence[Target], request: Request) -> None:
+    """Simulate a few experiments, so that what cannot be is refused now and not hours in."""
+    spread = np.unique(np.linspace(0, len(targets) - 1, PREFLIGHT).astype(int))
+    few = [targets[k] for k in spread.tolist()]
+    comparer = Comparer(targets, request.space, request.made_error, request.made_motion)
+    start = np.repeat(request.space.nominal[None], len(few), axis=0)
+    answer = comparer.errors(spread, start)
+    if np.isinf(answer.error).all():
+        raise InvalidInput(
+            "start of the search",
+            found=f"no simulation at it: {answer.reasons[0]}",
+            expected="parameters with which an experiment can be simulated",
+            hint="start elsewhere: --fit NAME=LOW:HIGH:START",
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """A finished calibration.
+
+    Attributes
+    ----------
+    folder : Path
+        Of its job.
+    request : Request
+    outcome : Outcome
+    ids : list of int
+        Of the stored calibrations, one a set of parameters found.
+    left_out : mapping from key to reason
+    """
+
+    folder: Path
+    request: Request
+    outcome: Outcome
+    ids: list[int]
+    left_out: Mapping[str, str]
+
+    @property
+    def targets(self) -> list[Target]:
+        """The experiments it used."""
+        return read_targets(self.folder / "inputs")
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values, for `--json`; infinite errors become none."""
+        outcome = self.outcome
+        return {
+            "name": self.request.name,
+            "mode": self.request.mode,
+            "job": str(self.folder),
+            "experiments": list(outcome.keys),
+            "left_out": dict(self.left_out),
+            "error": self.request.error.name,
+            "unit": self.request.made_error.unit,
+            "nominal_error": [_finite(error) for error in outcome.nominal.tolist()],
+            "found": [
+                _found(one, number, outcome)
+                for one, number in zip(outcome.found, self.ids, strict=True)
+            ],
+        }
+
+
+def _found(one: Found, number: int, outcome: Outcome) -> dict[str, Any]:
+    return {
+        "calibration": number,
+        "how": one.how,
+        "experiments": [outcome.keys[m] for m in one.members],
+        "parameters": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
+        "errors": [_finite(error) for error in one.errors.tolist()],
+        "evaluations": 0 if one.trace is None else len(one.trace.errors),
+        "ended": "" if one.trace is None else one.trace.ended,
+        "seconds": one.seconds,
+        "note": one.note,
+        "estimates": [_estimate(estimate) for estimate in one.estimates],
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "label": estimate.label,
+        "unit": estimate.unit,
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "verdict": estimate.verdict,
+        "reason": estimate.reason,
+    }
+
+
+def _finite(error: float) -> float | None:
+    return error if math.isfinite(error) else None
+
+
+def run(
+    folder: Path,
+    *,
+    workers: int | None = None,
+    site: Site | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    say: Callable[[str], None] | None = None,
+) -> None:
+    """Run or continue the job of a calibration; nothing to do where it is done."""
+    if files.read_status(folder).state == "done":
+        return
+    jobs.arrange(folder, workers=workers, site=site)
+    jobs.run_here(folder, progress, say)
+
+
+def collect(
+    project: Project, folder: Path, command: str, left_out: Mapping[str, str]
+) -> Calibration:
+    """Store what a job found in its project, once, and give it back."""
+    inputs = folder / "inputs"
+    request = Request.model_validate_json((inputs / REQUEST).read_bytes())
+    outcome = outcome_of((folder / files.RESULT).read_bytes())
+    ids = _stored(project, folder, request, outcome, command)
+    return Calibration(folder=folder, request=request, outcome=outcome, ids=ids, left_out=left_out)
+
+
+def _stored(
+    project: Project, folder: Path, request: Request, outcome: Outcome, command: str
+) -> list[int]:
+    path = folder / STORED
+    known: list[int] = json.loads(path.read_text()) if path.is_file() else []
+    experiments = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
+    with project.store() as store:
+        # One after the other, each noted at once: a crash between costs one doubled record at most.
+        for one in outcome.found[len(known) :]:
+            known.append(
+                store.add_calibration(_record(folder, request, outcome, one, experiments, command))
+            )
+            with written_whole(path) as temporary:
+                temporary.write_text(json.dumps(known))
+    return known
+
+
+def _record(
+    folder: Path,
+    request: Request,
+    outcome: Outcome,
+    one: Found,
+    experiments: Sequence[int],
+    command: str,
+) -> CalibrationRecord:
+    keys = [outcome.keys[m] for m in one.members]
+    title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
+    unit = request.made_error.unit.replace("^", "")
+    evaluations = None
+    if one.trace is not None:
+        evaluations = Evaluations(
+            names=outcome.labels,
+            values=one.trace.points,
+            error=one.trace.errors,
+            reasons=tuple(one.trace.reasons),
+            unit=unit,
+        )
+    return CalibrationRecord(
+        name=f"{request.name}: {title}, {one.how}",
+        parameters=_parameters(request, one),
+        members=tuple(
+            Member(experiments[m], 1.0, error)
+            for m, error in zip(one.members, one.errors.tolist(), strict=True)
+        ),
+        provenance=Provenance(version=version("fixel"), command=command, seed=request.seed),
+        method=_method(folder, request, outcome, one),
+        evaluations=evaluations,
+        estimates=one.estimates,
+    )
+
+
+def _parameters(request: Request, one: Found) -> Parameters:
+    """Those that all members share; the others are among the estimates."""
+    values = request.space.values(one.point)
+    return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
+
+
+def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dict[str, str | float]:
+    nominal = outcome.nominal[list(one.members)]
+    options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
+    return {
+        "how": one.how,
+        "mode": request.mode,
+        "error": request.error.name,
+        "error_unit": request.made_error.unit,
+        "motion": request.motion,
+        "optimiser": request.optimiser.name,
+        "starts": float(request.starts),
+        "combine": request.combine,
+        "job": folder.name,
+        "seconds": one.seconds,
+        "nominal_error": float(nominal.mean()),
+        "ended": "" if one.trace is None else one.trace.ended,
+        **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
+    }

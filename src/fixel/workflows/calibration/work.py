@@ -1,0 +1,425 @@
+"""A calibration as rounds of chunks, for this machine and for a cluster alike.
+
+What a chunk answers depends on the experiments and the request only. So a calibration that was
+interrupted, or ran on other machines, ends with the same bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from fixel.calibration.assess import assess
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import Comparer, Evaluated, Objective
+from fixel.calibration.profile import Profiles
+from fixel.calibration.solutions import find_solutions
+from fixel.calibration.study import (
+    Ask,
+    Pooled,
+    Study,
+    Trace,
+    at_points,
+    best_subset,
+    box_of,
+    conducted,
+    each_alone,
+    neighbours,
+    polished,
+    together,
+    weighted,
+)
+from fixel.calibration.verdict import Verdict
+from fixel.exchange.array_bytes import arrays_of, bytes_of
+from fixel.jobs.functions import threads
+from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
+from fixel.kernels.arrays import FloatArray
+from fixel.model.records import Estimate
+from fixel.workflows.calibration.inputs import read_targets
+from fixel.workflows.calibration.outcome import (
+    ALONE,
+    DIRECT,
+    NEIGHBOUR,
+    SUBSET,
+    WEIGHTED,
+    Curve,
+    Found,
+    Outcome,
+    found_arrays,
+    found_of,
+    outcome_bytes,
+)
+from fixel.workflows.calibration.request import Request
+
+T = TypeVar("T")
+
+REQUEST: Final = "request.json"
+HERE: Final = __name__
+
+# Experiments calibrated alone in one chunk, in step: enough for full batches, and seconds of work.
+MEMBERS_A_CHUNK: Final = 4
+# Rollouts evaluated in one chunk, about a second of them.
+ROLLOUTS_A_CHUNK: Final = 4000
+
+
+def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """The whole calibration; its result is an `Outcome`."""
+    request, comparer = _desk(inputs)
+    n = len(comparer.targets)
+    members = list(range(n))
+    start = comparer.space.nominal
+    before, _ = yield from _asked(at_points(members, start[None]), "nominal")
+    found: list[Found] = []
+    if request.mode in ("each", "campaign"):
+        alone = yield from _alone(comparer, n)
+        found += alone
+    if request.mode == "campaign" and n > 1:
+        found = yield from _campaign(request, comparer, found)
+    elif request.mode == "joint":
+        found.append((yield from _direct(request, comparer, members, start)))
+    if request.verdicts and request.mode != "each":
+        found = yield from _judged(comparer, found)
+    return outcome_bytes(
+        Outcome(
+            keys=tuple(target.key for target in comparer.targets),
+            labels=comparer.space.labels,
+            nominal=before[0],
+            found=tuple(found),
+        )
+    )
+
+
+Rounds = Generator[Round, Answers, T]
+
+
+def _asked(study: Study[T], stage: str, objective: Objective | None = None) -> Rounds[T]:
+    """A study's conversation, held in rounds of chunks; with an objective, who watches is told the
+    best of it."""
+    note, best = stage, math.inf
+    try:
+        ask = next(study)
+        while True:
+            starts = range(0, len(ask.which), ROLLOUTS_A_CHUNK)
+            chunks = [
+                Chunk(
+                    f"{stage}/{k}",
+                    bytes_of(
+                        which=ask.which[at : at + ROLLOUTS_A_CHUNK],
+                        points=ask.points[at : at + ROLLOUTS_A_CHUNK],
+                    ),
+                )
+                for k, at in enumerate(starts)
+            ]
+            answers = yield Round(f"{HERE}:evaluate", chunks, note=note)
+            parts = [
+                _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
+                for chunk, at in zip(chunks, starts, strict=True)
+            ]
+            errors = np.concatenate([part.error for part in parts])
+            if objective is not None:
+                table = errors.reshape(-1, len(objective.members))
+                best = min(best, float(objective.combined(table).min()))
+                note = f"{stage}, best {best:.4g} {objective.comparer.error.unit}"
+            reasons = [reason for part in parts for reason in part.reasons]
+            ask = study.send(Evaluated(errors, reasons))
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
+    """Errors out of a chunk's answer; a chunk without one is evaluations without one."""
+    if isinstance(answer, Failure):
+        return Evaluated(np.full(n, math.inf), [answer.reason] * n)
+    arrays = arrays_of(answer)
+    reasons = [""] * n
+    for k, reason in json.loads(arrays["reasons"].tobytes()).items():
+        reasons[int(k)] = reason
+    return Evaluated(arrays["error"], reasons)
+
+
+def evaluate(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: errors of experiments under points."""
+    _, comparer = _desk(inputs)
+    asked = arrays_of(payload)
+    answer = comparer.errors(asked["which"], asked["points"])
+    failed = {str(k): reason for k, reason in enumerate(answer.reasons) if reason}
+    said = np.frombuffer(json.dumps(failed).encode(), np.uint8)
+    return bytes_of(error=answer.error, reasons=said)
+
+
+# --- every experiment by itself -----------------------------------------------------------------
+
+
+def _alone(comparer: Comparer, n: int) -> Rounds[list[Found]]:
+    chunks = [
+        Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + MEMBERS_A_CHUNK))))
+        for at in range(0, n, MEMBERS_A_CHUNK)
+    ]
+    answers = yield Round(f"{HERE}:calibrate_alone", chunks, note="each experiment")
+    found: list[Found] = []
+    for chunk in chunks:
+        answer = answers[chunk.name]
+        if isinstance(answer, Failure):
+            members = arrays_of(chunk.payload)["members"].tolist()
+            found += [_nothing(comparer, m, answer.reason) for m in members]
+        else:
+            found += found_of(arrays_of(answer))
+    return found
+
+
+def _nothing(comparer: Comparer, member: int, reason: str) -> Found:
+    return Found(
+        how=ALONE,
+        members=(member,),
+        point=comparer.space.nominal,
+        errors=np.array([math.inf]),
+        note=reason,
+    )
+
+
+def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: the calibration of a few experiments, each by itself."""
+    request, comparer = _desk(inputs)
+    members = arrays_of(payload)["members"].tolist()
+    begun = time.perf_counter()
+    traces = conducted(
+        each_alone(
+            members,
+            box_of(comparer.space),
+            request.made_optimiser,
+            request.seed,
+            comparer.feasible,
+        ),
+        _here(comparer),
+    )
+    shared = (time.perf_counter() - begun) / len(members)
+    found = []
+    for member, trace in zip(members, traces, strict=True):
+        begun = time.perf_counter()
+        one = Found(
+            solutions=_apart(comparer, trace),
+            how=ALONE,
+            members=(member,),
+            point=trace.point,
+            errors=np.array([trace.error]),
+            trace=trace,
+            note=next((reason for reason in trace.reasons if reason), "")
+            if math.isinf(trace.error)
+            else "",
+        )
+        if request.verdicts:
+            one = _with_estimates(request, comparer, one)
+        seconds = shared + time.perf_counter() - begun
+        found.append(dataclasses.replace(one, seconds=seconds))
+    return bytes_of(**found_arrays(found))
+
+
+# Errors up to so much larger than the least are nearly as good: noise in the measurements moves the
+# error of the best by about as much.
+NEARLY: Final = 0.02
+
+
+def _apart(comparer: Comparer, trace: Trace) -> FloatArray:
+    """(k, n_free) points nearly as good as the best, one a cluster of those evaluated."""
+    if not np.isfinite(trace.error):
+        return np.zeros((0, len(trace.point)))
+    box = box_of(comparer.space)
+    threshold = NEARLY * trace.error
+    clusters = find_solutions(trace.points, trace.errors, box.scale, threshold)
+    return np.array([cluster.point for cluster in clusters])
+
+
+# --- several experiments ------------------------------------------------------------------------
+
+
+def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Rounds[list[Found]]:
+    """After the single calibrations: neighbours' values, and one set for all in three ways."""
+    members = list(range(len(comparer.targets)))
+    points = np.array([one.point for one in alone])
+    errors = np.array([one.errors[0] for one in alone])
+    groups = neighbours([target.conditions for target in comparer.targets])
+    better, least = yield from _asked(polished(points, errors, groups), "neighbours")
+    combine = Objective(comparer, combine=request.combine).combined
+    pooled = yield from _asked(weighted(members, better, least), "weighted mean")
+    subset = yield from _asked(
+        best_subset(members, better, least, combine, request.seed), "subsets"
+    )
+    start = subset.point
+    direct = yield from _direct(request, comparer, members, start)
+    return [
+        *alone,
+        *_improved(alone, better, least),
+        _pooled(WEIGHTED, members, pooled),
+        _pooled(SUBSET, members, subset),
+        direct,
+    ]
+
+
+def _improved(alone: Sequence[Found], points: FloatArray, errors: FloatArray) -> list[Found]:
+    return [
+        Found(how=NEIGHBOUR, members=one.members, point=point, errors=np.array([error]))
+        for one, point, error in zip(alone, points, errors, strict=True)
+        if error < one.errors[0]
+    ]
+
+
+def _pooled(how: str, members: Sequence[int], pooled: Pooled) -> Found:
+    return Found(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
+
+
+def _direct(
+    request: Request, comparer: Comparer, members: Sequence[int], start: FloatArray
+) -> Rounds[Found]:
+    objective = Objective(comparer, combine=request.combine)
+    begun = time.perf_counter()
+    trace, _ = yield from _asked(
+        together(
+            members,
+            box_of(comparer.space.started_at(start)),
+            request.made_optimiser,
+            objective.combined,
+            request.seed,
+            comparer.feasible,
+        ),
+        "all together",
+        objective,
+    )
+    errors, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    return Found(
+        how=DIRECT,
+        members=tuple(members),
+        point=trace.point,
+        errors=errors[0],
+        trace=trace,
+        solutions=_apart(comparer, trace),
+        seconds=time.perf_counter() - begun,
+        note=reasons[0],
+    )
+
+
+# --- what the data determine --------------------------------------------------------------------
+
+
+def _judged(comparer: Comparer, found: list[Found]) -> Rounds[list[Found]]:
+    """Verdicts on the sets that were found by searching for all experiments together."""
+    wanted = [k for k, one in enumerate(found) if one.how == DIRECT]
+    chunks = [Chunk(f"verdicts/{k}", bytes_of(**found_arrays([found[k]]))) for k in wanted]
+    answers = yield Round(f"{HERE}:judge", chunks, note="verdicts")
+    for k, chunk in zip(wanted, chunks, strict=True):
+        answer = answers[chunk.name]
+        if isinstance(answer, Failure):
+            found[k] = dataclasses.replace(found[k], note=f"no verdicts: {answer.reason}")
+        else:
+            found[k] = found_of(arrays_of(answer))[0]
+    return found
+
+
+def judge(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: verdicts on one set."""
+    request, comparer = _desk(inputs)
+    one = found_of(arrays_of(payload))[0]
+    return bytes_of(**found_arrays([_with_estimates(request, comparer, one)]))
+
+
+def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
+    """With a verdict on every unknown, and the profiles behind it."""
+    if not np.isfinite(one.errors).all():
+        return one
+    found = assess(
+        comparer,
+        one.members,
+        one.point,
+        noise=request.noise,
+        level=request.level,
+        solutions=list(one.solutions[1:]),
+    )
+    return dataclasses.replace(
+        one,
+        estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
+        profiles=_curves(comparer.space.labels, found.profiles),
+        noise=_said(found.noise),
+    )
+
+
+def _estimate(verdict: Verdict) -> Estimate:
+    return Estimate(
+        label=verdict.label,
+        unit=verdict.unit,
+        value=verdict.value,
+        low=verdict.low,
+        high=verdict.high,
+        verdict=str(verdict),
+        reason=verdict.reason,
+    )
+
+
+def _frozen(comparer: Comparer) -> list[Estimate]:
+    return [
+        Estimate(label=u.label, unit=u.unit, value=u.nominal, verdict="frozen")
+        for u in comparer.space.unknowns
+        if u.frozen
+    ]
+
+
+def _curves(labels: Sequence[str], found: Profiles) -> tuple[Curve, ...]:
+    least = found.best.error
+    return tuple(
+        Curve(
+            label=labels[one.unknown],
+            values=one.values,
+            deviances=one.deviances - least,
+            slice_values=one.slice.values,
+            slice_deviances=one.slice.deviances - least,
+            low=one.low,
+            high=one.high,
+            threshold=found.threshold,
+        )
+        for one in found.profiles
+    )
+
+
+def _said(noise: Noise) -> str:
+    """One sentence for people."""
+    how = {
+        "stated": "as stated",
+        "repetitions": "from the scatter of repetitions",
+        "residuals": "what the fit leaves, model errors included",
+    }[noise.source]
+    together = f", {noise.correlation:.0f} frames say as much as one" * (noise.correlation > 1.5)
+    return (
+        f"noise {1e3 * noise.position_m:.3g} mm, {1e3 * noise.angle_rad:.3g} mrad ({how}{together})"
+    )
+
+
+# --- shared -------------------------------------------------------------------------------------
+
+
+def _here(comparer: Comparer) -> Callable[[Ask], Evaluated]:
+    return lambda ask: comparer.errors(ask.which, ask.points)
+
+
+def _desk(inputs: Path) -> tuple[Request, Comparer]:
+    """Request and experiments of a job; kept in memory from chunk to chunk."""
+    return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=2)
+def _read(inputs: Path, _: int) -> tuple[Request, Comparer]:
+    request = Request.model_validate_json((inputs / REQUEST).read_bytes())
+    comparer = Comparer(
+        read_targets(inputs),
+        request.space,
+        request.made_error,
+        request.made_motion,
+        threads=threads(),
+    )
+    return request, comparer

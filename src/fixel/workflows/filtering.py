@@ -1,0 +1,197 @@
+"""A stored experiment filtered, and the run kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.recorded import FilterEstimates, Progress, run_filter
+from fixel.model import Experiment, Provenance
+from fixel.model.fields import FloatArray
+from fixel.model.records import FilterParameters, FilterRun
+
+NAME: Final = "particle"  # of the settings, in the project
+
+# Of the columns that are kept of every parameter.
+ENDINGS: Final = ("", "_q05", "_q50", "_q95")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterAnswer:
+    """A filter run over an experiment, beside what was measured.
+
+    Attributes
+    ----------
+    experiment_id : int
+    experiment : Experiment
+    estimates : FilterEstimates
+    run_id : int or None
+        In the project; none where it was not kept.
+    """
+
+    experiment_id: int
+    experiment: Experiment
+    estimates: FilterEstimates
+    run_id: int | None = None
+
+    def rms(self, hidden: bool) -> tuple[float, float] | None:
+        """Root mean square of errors [m, rad] inside or outside the occlusion; none for no pose."""
+        position, angle, inside = self.estimates.errors(self.experiment.trajectory)
+        wanted = inside == hidden
+        if not wanted.any():
+            return None
+        return _rms(position[wanted]), _rms(angle[wanted])
+
+    def summary(self) -> dict[str, Any]:
+        """All of it as plain values, for `--json`."""
+        found, experiment = self.estimates, self.experiment
+        return {
+            "experiment": experiment.key,
+            "experiment_id": self.experiment_id,
+            "filter_run_id": self.run_id,
+            "real": experiment.real,
+            "particles": found.options.n_particles,
+            "seed": found.seed,
+            "frames": len(found.time),
+            "from_s": float(found.time[0]),
+            "to_s": float(found.time[-1]),
+            "occlusion_s": None if found.occlusion is None else list(found.occlusion),
+            "uses_tactile": found.uses_tactile,
+            "seen": _named(self.rms(hidden=False)),
+            "hidden": _named(self.rms(hidden=True)),
+            "parameters": self._parameters(),
+            "contact_mode": {
+                "measured": experiment.contact_mode,
+                "estimated": found.contact_mode,
+                "touch_probability": found.touch[-1].tolist(),
+            },
+            "recovered_frames": int(found.recovered.sum()),
+            "failed_particles": int(found.failed.sum()),
+            "mean_ess": float(found.ess.mean()),
+            "frame_ms": {
+                "median": 1e3 * float(np.median(found.busy[1:])),
+                "max": 1e3 * float(found.busy.max()),
+            },
+            "real_time_factor": found.real_time_factor,
+        }
+
+    def _parameters(self) -> dict[str, dict[str, float | bool]]:
+        found = self.estimates
+        rows = zip(found.prior.names, found.mean[-1], found.quantiles[-1], strict=True)
+        return {
+            name: {
+                "mean": float(mean),
+                "q05": float(low),
+                "q50": float(middle),
+                "q95": float(high),
+                "excited": found.excited[name],
+            }
+            for name, mean, (low, middle, high) in rows
+        }
+
+    def record(self, filter_parameters_id: int, command: str = "") -> FilterRun:
+        """What a project keeps of the run; `command` is what was typed."""
+        found = self.estimates
+        values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
+        return FilterRun(
+            experiment_id=self.experiment_id,
+            filter_parameters_id=filter_parameters_id,
+            provenance=_provenance(found, command),
+            trajectory=found.trajectory,
+            uses_tactile=found.uses_tactile,
+            occlusion=found.occlusion,
+            contact_mode=found.contact_mode,
+            estimate_names=tuple(n + ending for n in found.prior.names for ending in ENDINGS),
+            estimates=values.reshape(len(values), -1),
+        )
+
+    def settings(self, command: str = "") -> FilterParameters:
+        """What a project keeps of the options."""
+        found = self.estimates
+        numbers = {
+            name: float(value)
+            for name in ParticleFilter.__dataclass_fields__
+            if name != "threads" and isinstance(value := getattr(found.options, name), int | float)
+        }
+        prior = found.prior
+        for name, low, high in zip(prior.names, prior.low, prior.high, strict=True):
+            numbers |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+        return FilterParameters(
+            name=f"{NAME}, {found.options.motion.name}",
+            is_particle_filter=True,
+            provenance=_provenance(found, command),
+            values=numbers,
+        )
+
+
+def _provenance(found: FilterEstimates, command: str) -> Provenance:
+    return Provenance(version=version("fixel"), command=command, seed=found.seed)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _named(errors: tuple[float, float] | None) -> dict[str, float] | None:
+    return None if errors is None else {"position_rms_m": errors[0], "angle_rms_rad": errors[1]}
+
+
+def filter_experiment(
+    project: Project,
+    key: str,
+    options: ParticleFilter | None = None,
+    *,
+    occlusion: tuple[float, float] | None = None,
+    use_tactile: bool = True,
+    seed: int = 0,
+    save: bool = True,
+    command: str = "",
+    progress: Progress | None = None,
+) -> FilterAnswer:
+    """Filter an experiment of a project and keep the run.
+
+    Parameters
+    ----------
+    project : Project
+    key : str
+        Id, name, or dataset/name.
+    options : ParticleFilter, optional
+    occlusion, use_tactile, seed, progress
+        As for `run_filter`.
+    save : bool
+        Whether the project keeps the run, and the settings with it.
+    command : str
+        What was typed.
+
+    Raises
+    ------
+    NotStored
+        No such experiment.
+    InvalidInput
+        One that cannot be filtered, or an occlusion outside of it.
+    """
+    with project.store() as store:
+        number = store.find(key)
+        experiment = store.experiment(number)
+        estimates = run_filter(
+            experiment,
+            options,
+            occlusion=occlusion,
+            use_tactile=use_tactile,
+            seed=seed,
+            progress=progress,
+        )
+        answer = FilterAnswer(experiment_id=number, experiment=experiment, estimates=estimates)
+        if not save:
+            return answer
+        settings = store.add_filter_parameters(answer.settings(command))
+        run = store.add_filter_run(answer.record(settings, command))
+    return FilterAnswer(
+        experiment_id=number, experiment=experiment, estimates=estimates, run_id=run
+    )

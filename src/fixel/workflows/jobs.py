@@ -1,0 +1,320 @@
+"""Jobs: prepare, submit, look, resume, cancel, copy; here or on a cluster.
+
+A job is a folder (`fixel.jobs.folder`). Whatever ends it early, running it again goes on from what
+is in its journal.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Final, final
+
+from fixel.errors import InvalidInput, JobRefused
+from fixel.exchange.atomic import written_whole
+from fixel.exchange.journal import read_journal
+from fixel.jobs import folder as files
+from fixel.jobs.coordinator import coordinate
+from fixel.jobs.folder import Job, Run, Status
+from fixel.jobs.site import Site
+from fixel.jobs.stamp import stamp
+from fixel.jobs.work import Progress
+
+Show = Callable[[Progress], None]
+Say = Callable[[str], None]
+
+START_S: Final = 30.0  # [s] for a detached coordinator to begin
+END_S: Final = 60.0  # [s] for a coordinator to end when asked to
+LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` goes on
+JOBS: Final = "jobs"  # folder of a project
+# What travels with a packed job: nothing that is of one machine or secret.
+_PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
+_MOST_BYTES: Final = 50_000_000_000
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class JobStatus:
+    """How far a job is.
+
+    Attributes
+    ----------
+    folder : str
+    state : str
+        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died.
+    kept : int
+        Answers in the journal, this session's and those before.
+    status : Status
+        The coordinator's own word.
+    """
+
+    folder: str
+    state: str
+    kept: int
+    status: Status
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing runs."""
+        return self.state in (*files.ENDED, LOST)
+
+    def summary(self) -> dict[str, Any]:
+        """For `--json`."""
+        content = asdict(self)
+        content.pop("status")
+        return self.status.model_dump() | content
+
+
+def prepare_job(
+    folder: Path,
+    *,
+    maker: str,
+    inputs: Mapping[str, bytes | Path] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Job:
+    """Make a job folder.
+
+    Parameters
+    ----------
+    folder : Path
+        New; by custom `<project>/jobs/<name>`.
+    maker : str
+        `"fixel.module:function"`, called as `maker(inputs: Path, options) -> Work`.
+    inputs : dict from name to bytes or Path
+        Files for the work and its chunks.
+    options : dict
+        For the maker; what JSON can hold.
+    """
+    return files.prepare(folder, maker, inputs or {}, options or {})
+
+
+def arrange(
+    folder: Path,
+    *,
+    workers: int | None = None,
+    site: Site | None = None,
+    lease_s: float | None = None,
+    accept_version: bool = False,
+) -> Run:
+    """Say how a job is to be run; what is None stays as it was.
+
+    Raises
+    ------
+    JobRefused
+        It is running, or what it needs is missing here.
+    """
+    files.read_job(folder)
+    _refuse_running(folder)
+    changes: dict[str, Any] = {"workers": workers, "site": site, "lease_s": lease_s}
+    if site is not None and workers is None:
+        changes["workers"] = site.max_jobs
+    if accept_version:
+        changes["stamp"] = stamp()
+    kept = {name: value for name, value in changes.items() if value is not None}
+    run = files.read_run(folder).model_copy(update=kept)
+    _refuse_impossible(run)
+    files.write_run(folder, run)
+    (folder / files.CANCEL).unlink(missing_ok=True)
+    return run
+
+
+def run_here(folder: Path, progress: Show | None = None, say: Say | None = None) -> JobStatus:
+    """Run or continue a job in this process, until it ends."""
+    coordinate(folder, progress=progress, say=say)
+    return status_of(folder)
+
+
+def run_detached(folder: Path) -> JobStatus:
+    """Run or continue a job in a process of its own, which outlives this one."""
+    with (folder / files.LOG).open("ab") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())],
+            stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+        )  # fmt: skip
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline and process.poll() is None:
+        owner = files.coordinator_of(folder)
+        if owner is not None and owner.pid == process.pid:
+            break
+        time.sleep(0.05)
+    # The process goes on without us; nobody needs to wait for it.
+    process.returncode = process.returncode or 0
+    return status_of(folder)
+
+
+def run_on_slurm(folder: Path) -> str:
+    """Run or continue a job by a coordinator that is a SLURM job itself; its number."""
+    from fixel.jobs.link import refuse_without_dask
+    from fixel.jobs.slurm import SlurmTrouble, job_script, submit
+
+    refuse_without_dask()
+    run, job = files.read_run(folder), files.read_job(folder)
+    if run.site is None:
+        raise InvalidInput("coordinator", found="slurm", expected="a site template with it")
+    workers = folder / "workers"
+    workers.mkdir(exist_ok=True)
+    script = workers / "coordinator.sh"
+    command = ["-m", "fixel.jobs.coordinator", shlex.quote(str(folder.resolve()))]
+    alone = run.site.model_copy(update={"cores": 1})
+    script.write_text(job_script(alone, f"{job.label}-c", command, workers.resolve()))
+    try:
+        number = submit(script)
+    except SlurmTrouble as trouble:
+        raise JobRefused(f"sbatch refuses the coordinator: {trouble}") from None
+    files.write_status(folder, Status(reason=f"the coordinator waits in the queue as {number}"))
+    files.log(folder, f"submitted the coordinator as {number}")
+    return number
+
+
+def status_of(folder: Path) -> JobStatus:
+    """How far a job is, and whether anybody is at it."""
+    files.read_job(folder)
+    running = files.coordinator_of(folder) is not None
+    status = files.read_status(folder)
+    state: str = status.state
+    if not running and state not in (*files.ENDED, "queued"):
+        state = LOST
+    journal = folder / files.JOURNAL
+    kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0
+    return JobStatus(str(folder), state, kept, status)
+
+
+def jobs_in(project: Path) -> list[JobStatus]:
+    """The jobs of a project, the newest first."""
+    folders = [path.parent for path in (project / JOBS).glob("*/job.json")]
+    made = {folder: files.read_job(folder).made_utc for folder in folders}
+    return [status_of(folder) for folder in sorted(folders, key=made.__getitem__, reverse=True)]
+
+
+def cancel(folder: Path) -> JobStatus:
+    """End a job and its workers; what was finished stays, and `resume` would go on."""
+    job, run = files.read_job(folder), files.read_run(folder)
+    before = status_of(folder)
+    if before.ended and before.state != LOST:
+        return before
+    owner = files.coordinator_of(folder)
+    if owner is not None:
+        (folder / files.CANCEL).touch()
+        if owner.host == socket.gethostname():
+            os.kill(owner.pid, signal.SIGTERM)
+        _await_end(folder)
+    if run.site is not None:
+        _cancel_on_slurm(job.label)
+    if owner is None:
+        files.write_status(folder, before.status.model_copy(update={"state": "cancelled"}))
+        files.log(folder, "cancelled")
+    return status_of(folder)
+
+
+def log_lines(folder: Path, follow: bool = False) -> Iterator[str]:
+    """Lines of a job's log; with `follow`, those to come until the job ends."""
+    files.read_job(folder)
+    path = folder / files.LOG
+    path.touch()
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        while True:
+            # Asked before reading, so that the last words are not missed.
+            ended = not follow or files.coordinator_of(folder) is None
+            for line in stream:
+                yield line.rstrip("\n")
+            if ended:
+                return
+            time.sleep(0.3)
+
+
+def pack(folder: Path, file: Path) -> int:
+    """Write a job into one file, to be copied by hand; how many bytes."""
+    files.read_job(folder)
+    _refuse_running(folder)
+    names = [folder / name for name in _PACKED] + sorted((folder / "inputs").iterdir())
+    with (
+        written_whole(file) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for path in names:
+            if path.is_file():
+                archive.write(path, path.relative_to(folder).as_posix())
+    return file.stat().st_size
+
+
+def unpack(file: Path, folder: Path) -> JobStatus:
+    """The job of a file, in a new folder."""
+    if folder.exists() and any(folder.iterdir()):
+        raise InvalidInput(str(folder), found="something there", expected="a new folder")
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = [m for m in archive.infolist() if not m.is_dir()]
+            _refuse_strange(file, members)
+            (folder / "inputs").mkdir(parents=True)
+            # `job.json` last, since it makes the folder a job.
+            for member in sorted(members, key=lambda m: m.filename == "job.json"):
+                with archive.open(member) as source, (folder / member.filename).open("wb") as copy:
+                    shutil.copyfileobj(source, copy)
+    except (OSError, zipfile.BadZipFile) as problem:
+        raise InvalidInput(str(file), found=str(problem), expected="a packed job") from None
+    return status_of(folder)
+
+
+def _refuse_strange(file: Path, members: list[zipfile.ZipInfo]) -> None:
+    names = [member.filename for member in members]
+    for name in names:
+        path = PurePosixPath(name)
+        plain = path.parent == PurePosixPath("inputs") and not path.name.startswith(".")
+        if "\\" in name or str(path) != name or not (name in _PACKED or plain):
+            raise InvalidInput(str(file), found=f"a file {name!r}", expected="a packed job")
+    if "job.json" not in names or len(set(names)) < len(names):
+        raise InvalidInput(str(file), found="something else", expected="a packed job")
+    if sum(member.file_size for member in members) > _MOST_BYTES:
+        raise InvalidInput(str(file), found="too much", expected=f"at most {_MOST_BYTES} bytes")
+
+
+def _refuse_running(folder: Path) -> None:
+    owner = files.coordinator_of(folder)
+    if owner is not None:
+        raise JobRefused(
+            f"{folder} is being run by {owner}",
+            hint="look with: fixel jobs status, or end it with: fixel jobs cancel",
+        )
+
+
+def _refuse_impossible(run: Run) -> None:
+    if run.workers:
+        from fixel.jobs.link import listening, refuse_without_dask
+
+        refuse_without_dask()
+        if run.site is not None:
+            listening(run.site.interface)
+    if run.site is not None:
+        from fixel.jobs.slurm import refuse_without_slurm
+
+        refuse_without_slurm()
+
+
+def _await_end(folder: Path) -> None:
+    deadline = time.monotonic() + END_S
+    while files.coordinator_of(folder) is not None:
+        if time.monotonic() > deadline:
+            raise JobRefused(
+                f"{folder} was asked to end and has not yet", hint="it ends after its chunk"
+            )
+        time.sleep(0.1)
+
+
+def _cancel_on_slurm(label: str) -> None:
+    from fixel.jobs.slurm import SlurmTrouble, cancel
+
+    try:
+        cancel(label)
+        cancel(f"{label}-c")
+    except SlurmTrouble as trouble:
+        raise JobRefused(f"the SLURM jobs {label} could not be cancelled: {trouble}") from None

@@ -1,0 +1,74 @@
+"""Clusters of nearly equal solutions, and what their supports have in common."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.calibration.solutions import find_solutions, support_features
+from fixel.errors import InvalidInput
+
+
+def test_clusters_are_found_best_first():
+    rng = np.random.default_rng(2)
+    near = [0.2, 0.3] + 0.005 * rng.normal(size=(20, 2))
+    far = [0.7, 0.3] + 0.005 * rng.normal(size=(10, 2))
+    points = np.concatenate((near, far, [[0.5, 0.9], [0.1, 0.1]]))
+    errors = np.concatenate((1.0 + rng.random(20), 0.5 + rng.random(10), [9.0, np.inf]))
+    found = find_solutions(points, errors, [0.1, 0.1], threshold=2.0)
+    assert [group.size for group in found] == [10, 20]
+    assert found[0].error == errors[20:30].min()
+    assert np.array_equal(found[0].point, points[found[0].members[0]])
+    assert (found[1].low >= 0.17).all()
+    assert (found[1].high <= 0.33).all()
+    assert sorted(np.concatenate([group.members for group in found]).tolist()) == list(range(30))
+
+
+def test_a_valley_is_one_solution():
+    t = np.linspace(0.0, 1.0, 30)
+    found = find_solutions(np.c_[t, 1 - t], np.zeros(30), [0.1, 0.1], threshold=1.0)
+    assert len(found) == 1
+    assert found[0].high[0] - found[0].low[0] == 1.0
+
+
+def test_none_and_one():
+    assert find_solutions(np.zeros((3, 2)), np.full(3, np.inf), [1, 1], 1.0) == ()
+    (only,) = find_solutions(np.zeros((1, 2)), [3.0], [1, 1], 1.0)
+    assert only.size == 1
+
+
+def test_features_of_two_points_and_of_a_ring():
+    two = np.array([[[0.03, 0.0], [-0.03, 0.0]]])
+    told = support_features(two + np.array([0.1, 0.2]), [[1.0, 1.0]], (0.1, 0.2))
+    assert told.mean_radius[0] == pytest.approx(0.03)
+    np.testing.assert_allclose(told.radii[0], [0.03, 0.0], atol=1e-12)
+    assert told.angle[0] == pytest.approx(0.0, abs=1e-12)
+    a = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
+    ring = np.stack((np.cos(a), np.sin(a)), axis=1)[None]
+    told = support_features(ring, np.full((1, 12), 5.0))
+    np.testing.assert_allclose(told.radii[0], math.sqrt(0.5), rtol=1e-12)
+    assert told.mean_radius[0] == pytest.approx(1.0)
+    np.testing.assert_allclose(told.share, 1.0 / 12.0)
+
+
+@pytest.mark.parametrize("angle", [-1.5, -0.4, 0.0, 0.9, 1.57])
+def test_features_turn_with_the_support(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    points = np.array([[0.03, 0.0], [-0.02, 0.004], [-0.02, -0.004]]) @ [[c, s], [-s, c]]
+    told = support_features(points[None], [[1.0, 0.7, 0.7]])
+    assert math.remainder(told.angle[0] - angle, math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert -math.pi / 2 < told.angle[0] <= math.pi / 2
+
+
+def test_centre_of_load_apart_from_the_mass():
+    told = support_features([[[0.0, 0.0], [0.04, 0.0]]], [[1.0, 3.0]])
+    np.testing.assert_allclose(told.centre[0], [0.03, 0.0])
+
+
+def test_refusals():
+    with pytest.raises(InvalidInput, match="solutions"):
+        find_solutions(np.zeros((3, 2)), np.zeros(2), [1, 1], 1.0)
+    with pytest.raises(InvalidInput, match="support"):
+        support_features(np.zeros((1, 3, 2)), np.ones((1, 2)))
+    with pytest.raises(InvalidInput, match="loads"):
+        support_features(np.zeros((1, 2, 2)), [[1.0, -1.0]])

@@ -1,0 +1,184 @@
+"""Every kind of verdict on a function made for it."""
+
+import numpy as np
+import pytest
+from tests.calibration.toys import (
+    DECAY_BOX,
+    THRESHOLD,
+    box,
+    calibrated,
+    decay_residuals,
+    rough,
+    space_of,
+)
+
+from fixel.calibration.cost import Prior
+from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.profile import ProfileLikelihood, run_profiles
+from fixel.calibration.solutions import find_solutions
+from fixel.calibration.verdict import WORDS, judge
+from fixel.errors import InvalidInput
+
+UNIT = box([0, 0, 0], [1, 1, 1])
+
+
+def verdicts(residuals, where=UNIT, **options):
+    _, found = calibrated(residuals, where)
+    return judge(space_of(where), found, **options)
+
+
+def words(told):
+    return [str(verdict) for verdict in told]
+
+
+def test_identified():
+    told = verdicts(decay_residuals(1), DECAY_BOX)
+    assert words(told) == ["identified"] * 3
+    for verdict, truth in zip(told, (2.0, 1.3, 0.5), strict=True):
+        assert verdict.low < truth < verdict.high
+        assert verdict.low < verdict.value < verdict.high
+        assert "% of the range" in verdict.reason
+
+
+def test_flat_is_not_identified():
+    told = verdicts(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05)
+    assert words(told) == ["identified", "identified", "not identified"]
+    assert told[2].low is None
+    assert told[2].high is None
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 1e-2])
+def test_flat_but_rough_is_not_identified(size):
+    told = verdicts(
+        rough(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05, size, jump=0.0)
+    )
+    assert words(told) == ["identified", "identified", "not identified"]
+
+
+def test_sum_trades_off_and_the_third_does_not():
+    told = verdicts(lambda p: np.c_[p[:, 0] + p[:, 1] - 1, p[:, 2] - 0.4] / 0.01)
+    assert words(told) == [
+        "trades off with mu_fixel",
+        "trades off with mu_pusher",
+        "identified",
+    ]
+    assert told[0].partners == ("mu_fixel",)
+    assert told[0].word == "trades off"
+
+
+def test_sum_of_three_names_both_others():
+    told = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
+    assert {*told[0].partners} == {"mu_fixel", "mu_support"}
+
+
+def test_sloppy_product_trades_off():
+    where = box([0.05, 0.05], [1, 1], [0.3, 0.3])
+    product = lambda p: np.c_[p[:, 0] * p[:, 1] - 0.25, p[:, 0] * p[:, 1] - 0.26] / 0.01  # noqa: E731
+    assert words(verdicts(product, where)) == [
+        "trades off with mu_fixel",
+        "trades off with mu_pusher",
+    ]
+
+
+def test_correlated_but_narrow_is_identified():
+    told = verdicts(
+        lambda p: np.c_[p[:, 0] + p[:, 1] - 1, 0.1 * (p[:, 0] - p[:, 1]), p[:, 2] - 0.4] / 0.005
+    )
+    assert words(told) == ["identified"] * 3
+
+
+def test_at_bound_says_whether_the_deviance_still_falls():
+    told = verdicts(lambda p: np.c_[p[:, 0] - 1.3, p[:, 1], p[:, 2] - 0.4] / 0.1)
+    assert words(told) == ["at bound", "at bound", "identified"]
+    assert told[0].value == 1.0
+    assert told[0].high is None
+    assert told[0].low == pytest.approx(0.95, abs=0.02)
+    assert "still falls at the bound 1" in told[0].reason
+    assert "is the bound 0 itself" in told[1].reason
+
+
+def test_interval_that_reaches_a_bound():
+    told = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
+    assert str(told[0]) == "at bound"
+    assert "do not tell it from the bound 0" in told[0].reason
+    assert told[0].low is None
+
+
+def test_wide_is_not_identified():
+    told = verdicts(lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1])
+    assert words(told) == ["not identified", "identified", "identified"]
+    assert told[0].low is not None
+
+
+def test_one_sided_and_wide_says_on_which_side():
+    told = verdicts(lambda p: np.c_[np.exp(-12 * p[:, 0]) / 0.05, (p[:, 1:] - 0.5) / 0.1])
+    assert str(told[0]) in ("not identified", "at bound")
+    assert told[0].low is not None
+    assert told[0].high is None
+
+
+def test_two_minima_are_not_identified_once_both_are_known():
+    def two(p):
+        return np.c_[(p[:, 0] - 0.2) * (p[:, 0] - 0.8) / 0.01, (p[:, 1:] - 0.5) / 0.1]
+
+    search = LeastSquares(starts=6).start(UNIT._replace(start=np.array([0.1, 0.5, 0.5])))
+    best = fit(search, two)
+    fits = search.fits
+    found = run_profiles(ProfileLikelihood().start(UNIT, best.point, THRESHOLD), two)
+    groups = find_solutions(
+        [f.point for f in fits], [f.deviance for f in fits], UNIT.scale, THRESHOLD
+    )
+    assert len(groups) == 2
+    told = judge(space_of(UNIT), found, solutions=[group.point for group in groups])
+    assert words(told) == ["not identified", "identified", "identified"]
+    assert "explains the data as well" in told[0].reason
+    # The interval holds both.
+    assert told[0].low < 0.21
+    assert told[0].high > 0.79
+
+
+def test_not_excited_comes_first():
+    told = verdicts(lambda p: (p - 0.5) / 0.05, excited=lambda label: label != "mu_fixel")
+    assert words(told) == ["identified", "not excited", "identified"]
+    assert told[1].low is None
+
+
+def test_prior_alone_is_nothing_learnt():
+    prior = Prior(mean=np.array([0.5, 0.5]), sd=np.array([0.05, 0.05]))
+    where = box([0, 0], [1, 1])
+    residuals = lambda p: np.c_[p[:, 0] - 0.52, 0.0 * p[:, 1]] / 0.03  # noqa: E731
+    _, found = calibrated(residuals, where, prior=prior)
+    told = judge(space_of(where, prior=0.05), found)
+    assert words(told) == ["identified", "not identified"]
+    assert "prior" in told[1].reason
+
+
+def test_frozen_unknowns_are_not_judged_and_one_is_enough():
+    where = box([0], [1])
+    _, found = calibrated(lambda p: (p - 0.4) / 0.05, where)
+    space = space_of(UNIT).with_frozen({"mu_fixel": 0.2, "mu_support": 0.3})
+    (only,) = judge(space, found)
+    assert (only.label, str(only), only.unit) == ("mu_pusher", "identified", "-")
+
+
+def test_nothing_evaluated_is_a_verdict_too():
+    def failing(points):
+        return np.full((len(points), 3), np.inf)
+
+    told = verdicts(failing)
+    assert words(told) == ["not identified"] * 3
+    assert "could not be evaluated" in told[0].reason
+
+
+def test_verdicts_are_known_words_with_a_sentence_each():
+    for told in (verdicts(decay_residuals(2), DECAY_BOX), verdicts(lambda p: p - 1.3)):
+        assert all(verdict.word in WORDS and verdict.reason for verdict in told)
+        assert all(verdict.level == 0.95 for verdict in told)
+
+
+def test_refusals():
+    _, found = calibrated(lambda p: (p - 0.4) / 0.05, box([0], [1]))
+    with pytest.raises(InvalidInput, match="profiles"):
+        judge(space_of(UNIT), found)
+    with pytest.raises(InvalidInput, match="level"):
+        judge(space_of(box([0], [1])), found, level=95.0)

@@ -1,0 +1,153 @@
+"""The loop that gets rounds answered: once, from the journal or by the engine."""
+
+import pytest
+from tests.jobs.helpers import undisturbed
+
+from fixel.errors import InvalidInput
+from fixel.exchange.journal import Journal
+from fixel.jobs.engine import LocalEngine, answer_of
+from fixel.jobs.functions import THREADS, chunk_function, named_function, threads
+from fixel.jobs.stamp import stamp
+from fixel.jobs.work import Chunk, Failure, Round, Stopped, block_name, framed, run_work, unframed
+from fixel.testing.toy_work import FUNCTION, make_toy_work
+
+OPTIONS = {"rounds": 3, "chunks": 5}
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    folder = tmp_path / "inputs"
+    folder.mkdir()
+    (tmp_path / "calls").touch()
+    return folder
+
+
+def run(inputs, stop=None, progress=None, **options):
+    with Journal(inputs.parent / "journal") as journal, LocalEngine() as engine:
+        work = make_toy_work(inputs, OPTIONS | options)
+        return run_work(work, engine, inputs, journal, stop=stop, progress=progress)
+
+
+def calls(inputs):
+    return [line.split()[0] for line in (inputs.parent / "calls").read_text().splitlines()]
+
+
+def test_every_chunk_is_computed_once_and_the_result_is_the_works(inputs):
+    expected, names = undisturbed(inputs, **OPTIONS)
+    (inputs.parent / "calls").write_text("")
+    assert run(inputs) == expected
+    assert len(calls(inputs)) == len(names) == 15
+
+
+@pytest.mark.parametrize("n_before", range(0, 15, 3))
+def test_stopped_anywhere_it_goes_on_to_the_same_bits(inputs, n_before):
+    expected, _ = undisturbed(inputs, **OPTIONS)
+    (inputs.parent / "calls").write_text("")
+    with pytest.raises(Stopped):
+        run(inputs, stop=lambda: len(calls(inputs)) >= n_before)
+    assert len(calls(inputs)) == n_before
+    assert run(inputs) == expected
+    assert sorted(calls(inputs)) == sorted(set(calls(inputs)))
+
+
+def test_a_finished_work_is_answered_from_the_journal_alone(inputs):
+    expected = run(inputs)
+    (inputs.parent / "calls").write_text("")
+    assert run(inputs) == expected
+    assert calls(inputs) == []
+
+
+def test_another_payload_under_the_same_name_is_computed(inputs):
+    run(inputs)
+    (inputs.parent / "calls").write_text("")
+    run(inputs, sleep_s=1e-6)
+    assert len(calls(inputs)) == 15
+
+
+def test_a_chunk_that_raises_is_an_answer_and_the_rest_goes_on(inputs):
+    seen = []
+    run(inputs, faulty=["r0-c2"], progress=seen.append)
+    assert (seen[-1].done, seen[-1].total, seen[-1].failed) == (15, 15, 1)
+    run(inputs, faulty=["r0-c2"], progress=seen.append)
+    assert calls(inputs).count("r0-c2") == 1
+
+
+def test_progress_counts_earlier_sessions_but_does_not_count_them_as_speed(inputs):
+    run(inputs)
+    seen = []
+    run(inputs, progress=seen.append)
+    assert [p.done for p in seen] == [5, 10, 15]
+    assert seen[-1].note.startswith("best ")
+    assert all(p.rate == 0.0 and p.left_s is None for p in seen)
+
+
+def test_a_name_twice_in_a_round_is_refused(inputs):
+    def work():
+        yield Round(FUNCTION, [Chunk("a", b""), Chunk("a", b"x")])
+
+    with (
+        Journal(inputs.parent / "journal") as journal,
+        pytest.raises(InvalidInput, match="found a name twice"),
+    ):
+        run_work(work(), LocalEngine(), inputs, journal)
+
+
+def test_answers_survive_the_trip():
+    for answer in (b"", b"A\x00", Failure("no such thing: µ")):
+        assert unframed(framed(answer)) == answer
+
+
+def test_a_block_is_of_its_function_and_payload():
+    names = {
+        block_name(function, Chunk("c", payload))
+        for function in ("fixel.a:f", "fixel.a:g")
+        for payload in (b"1", b"2")
+    }
+    assert len(names) == 4
+
+
+def test_what_a_chunk_function_may_answer(inputs):
+    def ends(inputs, payload):
+        raise SystemExit(3)
+
+    assert answer_of(lambda inputs, payload: payload, inputs, b"x") == b"x"
+    assert "expected bytes" in answer_of(lambda inputs, payload: "x", inputs, b"x").reason
+    assert answer_of(ends, inputs, b"").reason.startswith("SystemExit: 3 (test_work.py, line")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "os:system",
+        "fixel.jobs.functions:os",
+        "fixel.jobs.functions:_NAME",
+        "fixel.jobs.functions:InvalidInput",
+        "fixel.jobs.no_such:function",
+        "fixel.jobs.functions:no_such",
+        "fixel.jobs.engine:chunk_function",  # defined elsewhere
+        "fixel.jobs/../os:system",
+        "fixelate.evil:run",
+        "",
+    ],
+)
+def test_only_public_functions_of_fixel_are_called_by_name(name):
+    with pytest.raises(InvalidInput, match="function of a job"):
+        named_function(name)
+
+
+def test_a_chunk_function_by_name(inputs):
+    assert chunk_function(FUNCTION).__name__ == "evaluate"
+
+
+def test_threads_of_a_worker(monkeypatch):
+    monkeypatch.delenv(THREADS, raising=False)
+    assert threads() is None
+    for said, meant in (("4", 4), ("0", None), ("many", None)):
+        monkeypatch.setenv(THREADS, said)
+        assert threads() == meant
+
+
+def test_the_stamp_is_of_this_version():
+    import fixel
+
+    assert stamp().startswith(f"{fixel.__version__}+")

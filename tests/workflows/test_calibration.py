@@ -1,0 +1,232 @@
+"""Calibrations of stored experiments: the whole way, interrupted, refused, and stored."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.errors import InvalidInput
+from fixel.jobs.work import Stopped
+from fixel.model import Trajectory
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.calibration import run
+from fixel.workflows.calibration.inputs import read_targets, target_files
+from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
+from fixel.workflows.calibration.request import Choice, Request, entry_of
+from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
+
+PLANNED = thesis_plan().experiments
+QUICK = Choice(name="pattern-search", options={"threshold_delta": 0.05})
+
+
+@pytest.fixture(scope="module")
+def experiments():
+    return list(SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]))
+
+
+@pytest.fixture
+def project(tmp_path, experiments):
+    made = Project.create(tmp_path / "lab")
+    with made.store() as store:
+        for experiment in experiments:
+            store.add_experiment(experiment)
+    return made
+
+
+@pytest.fixture
+def chosen(project):
+    with project.store() as store:
+        return run.choose(store, (), Query())
+
+
+def _request(chosen, **changes):
+    scenes = [target.case.scene for target in chosen.targets]
+    names = ["mu_pusher", "tripod_radius_mm=10:60:30"]
+    unknowns = [entry_of(u) for u in fitted(names, scenes)]
+    return Request(**({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes))
+
+
+def _done(project, chosen, request):
+    folder = run.prepare(project, chosen, request)
+    run.run(folder)
+    return run.collect(project, folder, "test", {})
+
+
+def test_each_experiment_by_itself(project, chosen):
+    done = _done(project, chosen, _request(chosen, mode="each"))
+    assert done.outcome.keys == tuple(target.key for target in chosen.targets)
+    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
+    for one in done.outcome.alone:
+        assert one.errors[0] < done.outcome.nominal[one.members[0]]
+        assert one.trace.errors.min() == one.errors[0]
+    with project.store() as store:
+        record = store.calibration(done.ids[0])
+    assert record.members[0].error_mm2 == done.outcome.found[0].errors[0]
+    assert record.evaluations.names == ("mu_pusher", "tripod_radius")
+    assert record.parameters["tripod_radius"] == done.outcome.found[0].point[1]
+    assert json.loads(json.dumps(done.summary()))["found"][0]["evaluations"] > 20
+
+
+def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
+    done = _done(project, chosen, _request(chosen, mode="campaign"))
+    ways = [one.how for one in done.outcome.together]
+    assert ways == ["weighted mean", "weighted mean of a subset", "direct minimisation"]
+    totals = [one.errors.sum() for one in done.outcome.together]
+    assert totals[1] <= totals[0]
+    assert totals[2] <= totals[1]
+    assert totals[2] < done.outcome.nominal.sum()
+
+
+def test_verdicts_and_what_they_stand_on(project, chosen):
+    few = replace(chosen, ids=chosen.ids[:1], targets=chosen.targets[:1])
+    request = _request(few, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    one = _done(project, few, request).outcome.alone[0]
+    words = {e.label: e.verdict for e in one.estimates}
+    assert set(words) == {"mu_pusher", "tripod_radius"}
+    assert all(words.values())
+    assert [curve.label for curve in one.profiles] == ["mu_pusher", "tripod_radius"]
+    for curve in one.profiles:
+        assert (np.diff(curve.values) > 0.0).all()
+        assert curve.deviances.min() >= 0.0
+    assert "as stated" in one.noise
+
+
+def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, monkeypatch):
+    request = _request(chosen, mode="campaign")
+    folder = run.prepare(project, chosen, request)
+    seen = []
+
+    def stop_soon(progress):
+        seen.append(progress.done)
+        if progress.done >= 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises((KeyboardInterrupt, Stopped)):
+        run.run(folder, progress=stop_soon)
+    assert run.prepare(project, chosen, request) == folder
+    run.run(folder)
+    resumed = run.collect(project, folder, "test", {})
+    again = run.collect(project, folder, "test", {})
+    assert again.ids == resumed.ids
+
+    other = Project.create(project.folder.parent / "other")
+    elsewhere = run.prepare(other, chosen, request)
+    run.run(elsewhere)
+    undisturbed = outcome_of((elsewhere / "result").read_bytes())
+    for a, b in zip(resumed.outcome.found, undisturbed.found, strict=True):
+        assert (a.point == b.point).all()
+        assert (a.errors == b.errors).all()
+        assert (a.trace is None) == (b.trace is None)
+        if a.trace is not None:
+            assert (a.trace.points == b.trace.points).all()
+
+
+def test_experiments_travel_bit_by_bit(chosen, tmp_path):
+    for name, data in target_files(chosen.targets).items():
+        (tmp_path / name).write_bytes(data)
+    for a, b in zip(read_targets(tmp_path), chosen.targets, strict=True):
+        assert a.key == b.key
+        assert a.case.scene == b.case.scene
+        assert (a.case.times == b.case.times).all()
+        assert (a.pose == b.pose).all()
+
+
+def test_an_outcome_travels_bit_by_bit(project, chosen):
+    outcome = _done(project, chosen, _request(chosen, mode="each", verdicts=True)).outcome
+    assert outcome_bytes(outcome_of(outcome_bytes(outcome))) == outcome_bytes(outcome)
+
+
+def test_start_and_bounds_are_the_scenes_own(chosen):
+    scenes = [target.case.scene for target in chosen.targets]
+    unknowns = {u.name: u for u in default_unknowns(scenes)}
+    assert set(unknowns) == {"mu_pusher", "mu_fixel", "mu_support", "tripod_radius"}
+    assert unknowns["tripod_radius"].nominal == scenes[0].bodies[0].support.radius
+    (radius,) = fitted(["tripod_radius_mm=10:60"], scenes)
+    assert (radius.low, radius.high) == pytest.approx((0.010, 0.060))
+    (angle,) = fitted(["start_theta_deg=-1:1:0"], scenes)
+    assert angle.high == pytest.approx(np.pi / 180)
+    (mu,) = held(["mu_fixel=0.3"])
+    assert (mu.frozen, mu.nominal) == (True, 0.3)
+
+
+def test_a_space_file(tmp_path):
+    file = tmp_path / "space.yaml"
+    file.write_text(
+        "mu_pusher: {low: 0, high: 1, start: 0.2}\n"
+        "tripod_radius_mm: {low: 10, high: 60, start: 40, prior: 5}\n"
+        "mu_fixel: {low: 0, high: 1, start: 0.2, frozen: true}\n"
+    )
+    space = read_space(file)
+    assert space.labels == ("mu_pusher", "tripod_radius")
+    assert space.free[1].prior == pytest.approx(5e-3)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("[1, 2]", "no parameters"),
+        ("mu_pusher: 3", "low, high, start"),
+        ("mu_pusher: {low: 0, high: 1}", "no start"),
+        ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
+        ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
+        ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
+    ],
+)
+def test_space_files_that_cannot_be(tmp_path, content, said):
+    file = tmp_path / "space.yaml"
+    file.write_text(content)
+    with pytest.raises(InvalidInput, match=said):
+        read_space(file)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"error": Choice(name="mean-sqare")}, "did you mean 'mean-square'"),
+        ({"optimiser": Choice(name="simplex")}, "expected one of pattern-search"),
+        ({"optimiser": Choice(name="pattern-search", options={"delta": 1})}, "the option delta"),
+        ({"motion": "static"}, "one of dynamic"),
+        ({"noise_position": 1e-4}, "both, or neither"),
+        ({"unknowns": []}, "no unknown"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused_before_work_starts(project, chosen, changes, said):
+    with pytest.raises(InvalidInput, match=said):
+        run.prepare(project, chosen, _request(chosen, **changes))
+    assert not (project.folder / "jobs").exists()
+
+
+def test_parameters_that_no_experiment_could_inform(chosen):
+    scenes = [target.case.scene for target in chosen.targets]
+    bare = [replace(scene, fixels=()) for scene in scenes]
+    with pytest.raises(InvalidInput, match="no fixel in any of the experiments"):
+        fitted(["mu_fixel"], bare)
+    with pytest.raises(InvalidInput, match="a body on Tripod"):
+        fitted(["support_1_x"], scenes)
+
+
+def test_experiments_that_cannot_be_compared(project, experiments):
+    scene_less = replace(experiments[0], name="lost", scene=None, contact_mode="")
+    one_frame = replace(
+        experiments[0],
+        name="one",
+        trajectory=Trajectory(time=[0.0], pose=experiments[0].trajectory.pose[:1]),
+        channels=(),
+        effective=None,
+        pusher=None,
+    )
+    with project.store() as store:
+        for experiment in (scene_less, one_frame):
+            store.add_experiment(experiment)
+        found = run.choose(store, (), Query())
+        assert len(found.targets) == 4
+        assert "no scene" in found.left_out["testbed/lost"]
+        assert "no measured pose" in found.left_out["testbed/one"]
+        with pytest.raises(InvalidInput, match="no scene"):
+            run.choose(store, ("lost",), Query())
+        with pytest.raises(InvalidInput, match="none to calibrate with"):
+            run.choose(store, (), Query(dataset="nowhere"))
