@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import Prior, Residuals
+from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import (
     Dispersion,
     Noise,
@@ -17,6 +18,7 @@ from fixel.calibration.noise import (
     noise_from_residuals,
 )
 from fixel.calibration.objective import Comparer, EndPose
+from fixel.calibration.optimiser import Box
 from fixel.calibration.profile import ProfileLikelihood, Profiles, run_profiles
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
@@ -29,6 +31,12 @@ from fixel.simulation.simulate import simulate
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MOST_RESIDUALS: Final = 30_000
+
+# Steps about the best that should change nothing [scales], how many, and the share of them that
+# counts as ordinary.
+JITTER: Final = 1e-3
+JITTERED: Final = 32
+ROUGH: Final = 0.9
 
 # Conditions that may differ between repetitions of an experiment.
 _OWN: Final = ("experiment", "repetition")
@@ -72,18 +80,20 @@ def assess(
         Other points nearly as good.
     """
     own = np.asarray(members, np.int64)
-    chosen = _Chosen(comparer, own)
+    chosen = Frames(comparer, own)
     noise = noise or repeated(comparer, own) or _left(comparer, own, point)
-    dispersion = chosen.dispersion(noise, point)
+    box = box_of(comparer.space.started_at(point))
+    # The search minimised its own error; the likeliest point lies near by.
+    near = fit(LeastSquares().start(box), chosen.residuals(noise)).point
+    dispersion = chosen.dispersion(noise, near)
     if dispersion.source != noise.source:
         # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
-        noise = _left(comparer, own, point)
-        dispersion = chosen.dispersion(noise, point)
+        noise = _left(comparer, own, near)
+        dispersion = chosen.dispersion(noise, near)
     residuals = chosen.residuals(noise)
     prior = Prior.of(comparer.space).weighted(dispersion.value)
-    search = ProfileLikelihood().start(
-        box_of(comparer.space), point, dispersion.threshold(level), prior
-    )
+    threshold = dispersion.threshold(level) + _roughness(residuals, box, near)
+    search = ProfileLikelihood().start(box, near, threshold, prior)
     found = run_profiles(search, residuals)
     verdicts = judge(
         comparer.space,
@@ -96,8 +106,29 @@ def assess(
     return Assessment(verdicts, found, noise, dispersion)
 
 
-class _Chosen:
-    """The frames that count, as residuals."""
+def _roughness(residuals: Residuals, box: Box, point: FloatArray) -> float:
+    """How much the deviance changes where nothing that matters does.
+
+    Steps of the integration and contacts that come and go make the surface rough. Its lowest point
+    is partly luck, by about this much, so that an interval must reach this much higher.
+    """
+    draw = np.random.default_rng(0)
+    moved = point + JITTER * box.scale * draw.normal(size=(JITTERED, box.n))
+    table = residuals(np.concatenate((point[None], np.clip(moved, box.low, box.high))))
+    deviance = np.einsum("km,km->k", table, table)
+    rise = deviance[1:][np.isfinite(deviance[1:])] - deviance[0]
+    return float(max(np.quantile(rise, ROUGH), 0.0)) if len(rise) else 0.0
+
+
+class Frames:
+    """The frames of experiments that count, as residuals.
+
+    Parameters
+    ----------
+    comparer : Comparer
+    members : (n,) int
+        Numbers of the experiments.
+    """
 
     def __init__(self, comparer: Comparer, members: np.ndarray) -> None:
         self._comparer = comparer
@@ -111,6 +142,12 @@ class _Chosen:
             # Counted from the last frame, which says most of where a push ends.
             seen = (frames < length[:, None]) & ((length[:, None] - 1 - frames) % stride == 0)
         self._seen: BoolArray = np.asarray(seen)
+
+    @property
+    def weights(self) -> FloatArray:
+        """(m,) how many frames stand for the experiment that a residual belongs to."""
+        count = self._seen.sum(axis=1)
+        return np.repeat(count, 3 * count).astype(np.float64)
 
     def dispersion(self, noise: Noise, point: FloatArray) -> Dispersion:
         """Of the residuals at the best."""

@@ -199,8 +199,8 @@ class Descent:
         self.iterations += 1
         if self.iterations >= self._options.most_iterations:
             self.reason = EXHAUSTED
-        elif gain <= self._enough():
-            self._confirm(SETTLED)
+        elif gain <= self._enough() or abs(self._most_to_gain() - gain) <= self._enough():
+            self._confirm(SETTLED)  # the second: it fell by just what the model says there is
         else:
             self._differentiate()
 

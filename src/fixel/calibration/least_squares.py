@@ -20,6 +20,11 @@ DifferenceKind = Literal["one-sided", "central", "auto"]
 
 DIFFERENCE_KINDS: Final[tuple[DifferenceKind, ...]] = get_args(DifferenceKind)
 
+# Distance of the points that measure roughness [scales]: the jumps of a simulation with adaptive
+# steps lie closer, and what bends over it is not roughness.
+NEAR: Final = 1e-4
+N_NEAR: Final = 9
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +54,7 @@ class LeastSquares:
     difference, largest_difference : float
         First and largest step of the differences, as fractions of the scale.
     roughness : float
-        Change of a residual that means nothing [standard deviations].
+        Change of a residual that means nothing [standard deviations]; `roughness_of` measures it.
     trials : int
         Steps of different damping that are tried in one batch.
     tolerance : float
@@ -68,9 +73,9 @@ class LeastSquares:
     width: float = 1.0
     starts: int = 1
     differences: DifferenceKind = "auto"
-    difference: float = 1e-3
+    difference: float = 1e-2
     largest_difference: float = 0.3
-    roughness: float = 1e-3
+    roughness: float = 1e-2
     trials: int = 5
     tolerance: float = 1e-8
     enough: float = 1e-8
@@ -182,6 +187,30 @@ class LeastSquaresSearch:
     @property
     def _running(self) -> list[Descent]:
         return [descent for descent in self.descents if not descent.done]
+
+
+def roughness_of(residuals: Residuals, box: Box, point: FloatArray) -> float:
+    """Change of a residual that means nothing, for `LeastSquares.roughness`.
+
+    Parameters
+    ----------
+    residuals : callable
+    box : Box
+    point : (n,) array
+        One that can be evaluated.
+
+    Returns
+    -------
+    float
+        Largest second difference along a short line, over the root of 6 by which it exceeds the
+        scatter of one residual [standard deviations]; 0 where fewer than three points succeed.
+    """
+    centre = np.clip(point, box.low, box.high)
+    inward = np.where(centre > 0.5 * (box.low + box.high), -1.0, 1.0)
+    steps = NEAR * np.arange(N_NEAR)[:, None]
+    told = np.asarray(residuals(centre + steps * inward * box.scale), np.float64)
+    told = told[np.isfinite(told).all(axis=1)]
+    return float(np.abs(np.diff(told, n=2, axis=0)).max(initial=0.0) / 6.0**0.5)
 
 
 def fit(search: LeastSquaresSearch, residuals: Residuals) -> Fit:

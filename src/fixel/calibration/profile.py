@@ -29,8 +29,18 @@ WORTH: Final = 0.02
 # The profiles begin anew from a point that is better than the best by more.
 ANEW: Final = 0.05
 MOST_RESTARTS: Final = 8
+# Distance from the best [radii of the predicted interval] of the points that measure roughness, and
+# how many an unknown: a smooth deviance rises by a hundredth of the threshold there.
+DENT: Final = 0.1
+DENT_POINTS: Final = 8
+# Quantile of their rise that is taken: bumps differ, and an interval should end at none.
+DENT_QUANTILE: Final = 0.75
+# Share of the roughness that is no better optimum, only a deeper dent.
+DEEPER: Final = 0.5
 # Steps of a descent at a value past the crossing, where only a second minimum is looked for.
-SCAN_ITERATIONS: Final = 5
+SCAN_ITERATIONS: Final = 3
+# Damped steps tried at once at a fixed value: a neighbour's answer is near, few are needed.
+TRIALS: Final = 3
 # Share of the largest eigenvalue added to the Hessian before its inverse predicts anything.
 RIDGE: Final = 1e-12
 
@@ -65,10 +75,16 @@ class Profiles(NamedTuple):
 
     best: Best  # the lowest deviance seen
     better: Best | None  # the same where it is lower than the one given, else None
-    threshold: float
+    threshold: float  # significant rise of the deviance
+    roughness: float  # rise that means nothing; intervals end at the sum of both
     hessian: FloatArray  # (n, n) half the second derivatives of the deviance at the best
     profiles: tuple[Profile, ...]  # one an unknown; empty if the best could not be evaluated
     evaluations: int
+
+    @property
+    def limit(self) -> float:
+        """Rise of the deviance at the ends of the intervals."""
+        return self.threshold + self.roughness
 
 
 @final
@@ -76,9 +92,14 @@ class Profiles(NamedTuple):
 class ProfileLikelihood:
     """Fix an unknown, fit the others, step outwards until the deviance has risen by the threshold.
 
-    Costs some 150 to 250 evaluations an unknown, about a third of them for the slices and the scan,
-    and as much again each time it meets a better optimum than it was given: it then begins anew
-    from there.
+    Simulations with adaptive steps make a rough surface, and a best that was searched for lies in
+    one of its dents. How much higher the deviance is close by is measured first and added to the
+    threshold: with ten thousand residuals it can be ten times as much, and intervals that ignore it
+    end at the nearest bump.
+
+    Costs some 150 evaluations an unknown where there are three, 300 where there are eight, half as
+    much again where the surface is rough, and all of it anew each time it meets a better optimum
+    than it was given: it then begins again from there. About a third is for the scan.
 
     Parameters
     ----------
@@ -100,7 +121,7 @@ class ProfileLikelihood:
 
     descent: LeastSquares = field(default_factory=LeastSquares)
     most_iterations: int = 20
-    scan: int = 2
+    scan: int = 1
     batch: int = 512
 
     def __post_init__(self) -> None:
@@ -143,21 +164,31 @@ class ProfileSearch:
         cost: Cost,
     ) -> None:
         self.box, self.reason, self.evaluations = box, "", 0
-        self._options, self._threshold, self._cost = options, threshold, cost
+        self._options, self._nominal, self._cost = options, threshold, cost
+        self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
         self._given: float | None = None
         self._hessian = np.zeros((box.n, box.n))
         self._sides: list[Side] = []
         self._slicers: list[Slicer] = []
         self._restarts = 0
-        self._fitting = replace(
-            options.descent,
-            differences="one-sided",
-            enough=PRECISION * threshold,
-            tolerance=0.0,
-            most_iterations=options.most_iterations,
-        )
         self._begin()
+
+    @property
+    def _threshold(self) -> float:
+        return self._nominal + self._roughness
+
+    @property
+    def _fitting(self) -> LeastSquares:
+        """Options of the descents at fixed values."""
+        return replace(
+            self._options.descent,
+            differences="one-sided",
+            enough=PRECISION * self._nominal + WORTH * self._roughness,
+            tolerance=0.0,
+            trials=min(TRIALS, self._options.descent.trials),
+            most_iterations=self._options.most_iterations,
+        )
 
     @property
     def done(self) -> bool:
@@ -189,11 +220,12 @@ class ProfileSearch:
     def profiles(self) -> Profiles:
         """What is known so far; complete once done."""
         given = math.inf if self._given is None else self._given
-        better = self._best.error < given - 1e-3 * self._threshold and math.isfinite(given)
+        better = self._best.error < given - 1e-3 * self._nominal and math.isfinite(given)
         return Profiles(
             best=self._best,
             better=self._best if better else None,
-            threshold=self._threshold,
+            threshold=self._nominal,
+            roughness=self._roughness,
             hessian=self._hessian,
             profiles=tuple(map(self._profile, range(self.box.n))) if self._slicers else (),
             evaluations=self.evaluations,
@@ -210,7 +242,8 @@ class ProfileSearch:
         """Whether the profiles stand on a point that turned out not to be the best."""
         if not self._sides or self._restarts >= MOST_RESTARTS:
             return False
-        return self._best.error < self._sides[0].nodes[0].deviance - ANEW * self._threshold
+        worth = ANEW * self._nominal + DEEPER * self._roughness
+        return self._best.error < self._sides[0].nodes[0].deviance - worth
 
     # Phases, in order; each makes tasks that run side by side.
 
@@ -242,15 +275,35 @@ class ProfileSearch:
         yield from _run(descent)
         self._hessian = descent.fit.hessian
         if math.isfinite(descent.deviance):
-            self._set_sides()
+            covariance = self._covariance()
+            yield from self._look_around(covariance)
+            self._set_sides(covariance)
 
-    def _set_sides(self) -> None:
-        """Both sides of each unknown, with what the curvature predicts."""
-        n, scale = self.box.n, self.box.scale
-        hessian = self._hessian * np.outer(scale, scale)
+    def _covariance(self) -> FloatArray:
+        """(n, n) inverse of the Hessian, very large where it says nothing."""
+        scale = np.outer(self.box.scale, self.box.scale)
+        hessian = self._hessian * scale
         ridge = RIDGE * max(float(np.diag(hessian).max()), np.finfo(float).tiny / RIDGE)
-        covariance = np.linalg.inv(hessian + ridge * np.eye(n)) * np.outer(scale, scale)
-        for j in range(n):
+        return np.asarray(np.linalg.inv(hessian + ridge * np.eye(self.box.n)) * scale)
+
+    def _look_around(self, covariance: FloatArray) -> Task:
+        """Measure the roughness: how much higher the deviance is than a smooth one, close by."""
+        n, best = self.box.n, self._best
+        directions = np.random.default_rng(n).normal(size=(DENT_POINTS * n, n))
+        # Each unknown moves by its share of the interval it would have alone, no more: along a
+        # valley the curvature may promise any distance.
+        alone = 1.0 / np.sqrt(np.maximum(np.diag(np.linalg.inv(covariance)), np.finfo(float).tiny))
+        radius = DENT * np.minimum(math.sqrt(self._nominal) * alone, self.box.scale)
+        moves = directions / np.linalg.norm(directions, axis=1, keepdims=True) * radius
+        points = np.clip(best.point + moves, self.box.low, self.box.high)
+        deviances = self._cost.deviance(points, (yield points))
+        smooth = np.einsum("ki,ij,kj->k", points - best.point, self._hessian, points - best.point)
+        rise = (deviances - self._best.error - smooth)[np.isfinite(deviances)]
+        self._roughness = max(0.0, float(np.quantile(rise, DENT_QUANTILE))) if len(rise) else 0.0
+
+    def _set_sides(self, covariance: FloatArray) -> None:
+        """Both sides of each unknown, with what the curvature predicts."""
+        for j in range(self.box.n):
             variance = max(float(covariance[j, j]), np.finfo(float).tiny)
             reach = math.sqrt(self._threshold) * math.sqrt(variance)
             node = Node(float(self._best.point[j]), self._best.error, self._best.point)

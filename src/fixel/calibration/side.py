@@ -128,7 +128,9 @@ class Side:
             rows.append(near[0].point + self._slope * (value - near[0].value))
         else:
             share = (value - near[0].value) / (near[1].value - near[0].value)
-            rows += [near[0].point + share * (near[1].point - near[0].point), near[1].point]
+            rows.append(near[0].point + share * (near[1].point - near[0].point))
+            if share > 0.0:  # between the two
+                rows.append(near[1].point)
         points = np.array(rows)
         points[:, self.index] = value
         return points
@@ -155,7 +157,8 @@ class Side:
         a, b = (self._length(node, threshold) for node in (inner, outer))
         from_, to = self._distance(inner.value), self._distance(outer.value)
         narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
-        if narrow or min(abs(1.0 - a), abs(b - 1.0)) <= CLOSE:
+        # From the best alone one cannot tell a parabola from a line: one more value in between.
+        if narrow or (a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE):
             return None
         # Interpolation halves a bracket slowly where the deviance jumps, so every third is halved.
         share = (

@@ -211,7 +211,7 @@ def _case(
     solutions: Sequence[FloatArray],
 ) -> _Case:
     profile = profiles.profiles[j]
-    good = profiles.best.error + profiles.threshold
+    good = profiles.best.error + profiles.limit
     values = [
         *profile.values[profile.deviances <= good].tolist(),
         *(float(s[j]) for s in solutions),
@@ -242,7 +242,7 @@ def _prior_width(
     """Width of the interval that the prior alone would give."""
     if unknown.prior is None:
         return None
-    ratio = profiles.threshold / (dispersion.value if dispersion else 1.0)
+    ratio = profiles.limit / (dispersion.value if dispersion else 1.0)
     return 2.0 * unknown.prior * math.sqrt(ratio)
 
 

@@ -27,6 +27,7 @@ from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Parameters, placed
+from fixel.model.space import Unknown
 from fixel.simulation import Simulation, simulate
 from fixel.workflows.calibration.desk import Desk, title_of
 from fixel.workflows.calibration.outcome import DIRECT, Curve, Found
@@ -37,6 +38,7 @@ SAMPLES: Final = 200  # of a simulation, at least
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
 GROUPED_BY: Final = ("shape", "layout")
 MOST_OTHERS: Final = 3
+VISIBLE: Final = 0.005  # share of a range that shows on paper
 
 
 class _Picture(NamedTuple):
@@ -85,9 +87,8 @@ def make_folder(folder: Path) -> None:
 
 def _written(folder: Path, picture: _Picture) -> list[Path]:
     paths = [folder / f"{picture.name}.{ending}" for ending in ("png", "pdf", "csv")]
-    for path in paths[:2]:
-        with written_whole(path) as temporary:
-            draw_chart(picture.chart, temporary, picture.banner)
+    with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
+        draw_chart(picture.chart, png, pdf, banner=picture.banner)
     with written_whole(paths[2]) as temporary:
         _write_table(temporary, picture.chart.table())
     return paths
@@ -153,11 +154,13 @@ def _of_parameters(desk: Desk) -> Pictures:
 
 def _of_experiments(desk: Desk) -> Pictures:
     """Errors of the experiments, before and after."""
+    if len(desk.keys) == 1:  # the overlay says it all
+        return
     series = _series(desk)
     yield _Picture(
         "errors", ErrorsChart(keys=desk.keys, series=series, unit=desk.unit), desk.banner
     )
-    if len(desk.keys) > 1 and desk.offset_axes:
+    if desk.offset_axes:
         name = "each alone" if "each alone" in series else list(series)[-1]
         error = Quantity("error", desk.unit, series[name], log=True)
         chart = _offsets_chart(desk, f"Error, {name}", [error])
@@ -226,8 +229,20 @@ def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
     for word, one in picks:
         assert one.trace is not None
         begins = desk.retraced(one).begins
-        panels.append(SearchPanel(title_of(desk, one, word), one.trace.errors, begins))
-    return SearchChart(panels=panels, unit=desk.unit)
+        title = title_of(desk, one)
+        if word:
+            title = f"{word} of {len(desk.searched)}\n{title}"
+        panels.append(SearchPanel(title, np.nan_to_num(one.trace.errors, nan=np.inf), begins))
+    return SearchChart(panels=panels, unit=desk.unit, what=_what(desk, picks[0][1]))
+
+
+def _what(desk: Desk, one: Found) -> str:
+    """The number that a search made small."""
+    if len(one.members) == 1:
+        return "error"
+    return {"largest": "largest error"}.get(
+        desk.request.combine, f"{desk.request.combine} of errors"
+    )
 
 
 def _starts(desk: Desk, name: str, one: Found) -> Pictures:
@@ -249,6 +264,7 @@ def _starts(desk: Desk, name: str, one: Found) -> Pictures:
         high=space.high,
         evaluations=traced.evaluations,
         nearly=NEARLY,
+        what=_what(desk, one),
     )
     yield _Picture(name, chart, desk.banner)
 
@@ -272,10 +288,11 @@ def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
                 label=unknown.label,
                 unit=unknown.unit,
                 bounds=(unknown.low, unknown.high),
-                start=unknown.nominal,
+                before=unknown.nominal,
                 value=float(one.point[k]),
                 low=None if own is None else own.low,
                 high=None if own is None else own.high,
+                likely=None if own is None else _elsewhere(own.value, float(one.point[k]), unknown),
                 verdict="" if own is None else own.verdict,
                 others=tuple(float(point[k]) for point in others.values()),
             )
@@ -286,6 +303,11 @@ def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
         others=list(others),
         level=desk.request.level,
     )
+
+
+def _elsewhere(likely: float, value: float, unknown: Unknown) -> float | None:
+    """The value an interval is about: weighted by noise, the best may lie elsewhere."""
+    return likely if abs(likely - value) > VISIBLE * (unknown.high - unknown.low) else None
 
 
 def _other_sets(desk: Desk, one: Found) -> dict[str, FloatArray]:

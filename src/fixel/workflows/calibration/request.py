@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart
+from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import ERRORS, AbstractError
+from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
@@ -18,6 +19,10 @@ from fixel.simulation.motion import MOTION_MODELS
 
 Mode = Literal["each", "joint", "campaign"]
 Combine = Literal["sum", "mean", "largest"]
+
+
+LEAST_SQUARES: Final = "least-squares"
+PAPER: Final = RootMeanSquare.name
 
 
 class _Entry(BaseModel):
@@ -100,6 +105,23 @@ class Request(_Entry):
         return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
 
     @property
+    def least_squares(self) -> LeastSquares | None:
+        """The search by residuals, where that was asked for."""
+        if self.optimiser.name != LEAST_SQUARES:
+            return None
+        error = self.made_error
+        options: dict[str, Any] = {"starts": self.starts}
+        if isinstance(error, Robust):
+            # Residuals are in millimetres.
+            options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
+        made: LeastSquares = _made(
+            (LeastSquares,),
+            Choice(name=LEAST_SQUARES, options=options | self.optimiser.options),
+            "--optimiser",
+        )
+        return made
+
+    @property
     def made_motion(self) -> AbstractMotionModel:
         """The motion model."""
         made: AbstractMotionModel = _made(MOTION_MODELS, Choice(name=self.motion), "--motion")
@@ -118,8 +140,21 @@ class Request(_Entry):
             raise InvalidInput(
                 "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"
             )
-        for _ in (self.space, self.made_error, self.made_optimiser, self.made_motion):
+        if self.least_squares is not None:
+            self._check_squares()
+        else:
+            _ = self.made_optimiser
+        for _ in (self.space, self.made_error, self.made_motion):
             pass
+
+    def _check_squares(self) -> None:
+        if self.mode != "joint" or self.combine == "largest" or self.error.name == PAPER:
+            raise InvalidInput(
+                f"--optimiser {LEAST_SQUARES}",
+                found=f"--mode {self.mode} --combine {self.combine} --error {self.error.name}",
+                expected="--mode joint and a sum or mean of squares",
+                hint="choose pattern-search or nelder-mead",
+            )
 
 
 def entry_of(unknown: Unknown) -> UnknownEntry:
@@ -138,7 +173,7 @@ def entry_of(unknown: Unknown) -> UnknownEntry:
 
 def _made(family: tuple[Any, ...], choice: Choice, where: str) -> Any:
     """A member of a family, by its name and options."""
-    known = {member.name: member for member in family}
+    known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:
         close = difflib.get_close_matches(choice.name, known, n=1)
         raise InvalidInput(

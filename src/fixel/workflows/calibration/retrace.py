@@ -7,11 +7,11 @@ of it: told them again, it says where its iterations began and where each start 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration import Mads
+from fixel.calibration import OPTIMISERS, Mads
 from fixel.calibration.multi_start import MultiStartSearch
 from fixel.calibration.optimiser import Best, Box, Feasible, Search
 from fixel.calibration.study import Trace
@@ -27,7 +27,10 @@ class Retraced(NamedTuple):
     evaluations: list[int]  # of each start
 
 
-UNKNOWN = Retraced(np.zeros(0, np.int64), [], [])
+UNKNOWN: Final = Retraced(np.zeros(0, np.int64), [], [])
+
+# Mads asks for one point at a time, in another process; least squares wants residuals, not errors.
+RETRACED: Final = {optimiser.name for optimiser in OPTIMISERS} - {Mads.name}
 
 
 def retraced(request: Request, trace: Trace, box: Box, feasible: Feasible) -> Retraced:
@@ -43,7 +46,7 @@ def retraced(request: Request, trace: Trace, box: Box, feasible: Feasible) -> Re
     feasible : callable
         As it had.
     """
-    if request.optimiser.name == Mads.name:  # asks for one point at a time, in another process
+    if request.optimiser.name not in RETRACED:
         return UNKNOWN
     search = request.made_optimiser.start(box, request.seed, feasible)
     begins = _told(search, trace)

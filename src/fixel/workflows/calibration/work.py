@@ -17,7 +17,8 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from fixel.calibration.assess import assess
+from fixel.calibration.assess import Frames, assess
+from fixel.calibration.cost import Prior
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluated, Objective
 from fixel.calibration.profile import Profiles
@@ -38,6 +39,7 @@ from fixel.calibration.study import (
     weighted,
 )
 from fixel.calibration.verdict import Verdict
+from fixel.errors import InvalidInput
 from fixel.exchange.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
@@ -84,7 +86,8 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     if request.mode == "campaign" and n > 1:
         found = yield from _campaign(request, comparer, found)
     elif request.mode == "joint":
-        found.append((yield from _direct(request, comparer, members, start)))
+        one = _by_squares if request.least_squares is not None else _direct
+        found.append((yield from one(request, comparer, members, start)))
     if request.verdicts and request.mode != "each":
         found = yield from _judged(comparer, found)
     return outcome_bytes(
@@ -304,6 +307,73 @@ def _direct(
         seconds=time.perf_counter() - begun,
         note=reasons[0],
     )
+
+
+def _by_squares(
+    request: Request, comparer: Comparer, members: Sequence[int], start: FloatArray
+) -> Rounds[Found]:
+    """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
+    options = request.least_squares
+    assert options is not None
+    begun = time.perf_counter()
+    box = box_of(comparer.space)
+    search = options.start(box, request.seed, comparer.feasible, Prior.of(comparer.space))
+    tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
+    best = math.inf
+    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
+    while not search.done:
+        points = search.ask()
+        chunks = [
+            Chunk(f"squares/{k}", bytes_of(points=points[at : at + per_chunk]))
+            for k, at in enumerate(range(0, len(points), per_chunk))
+        ]
+        note = f"least squares, best {best:.4g} mm^2" if tried[1:] else "least squares"
+        answers = yield Round(f"{HERE}:residuals", chunks, note=note)
+        table = np.concatenate([_residuals(answers[c.name], c) for c in chunks])
+        search.tell(table)
+        tried.append(points)
+        errors.append(np.einsum("km,km->k", table, table))
+        best = min(best, float(errors[-1].min()))
+    trace = Trace(
+        search.best.point,
+        best,
+        np.concatenate(tried),
+        np.concatenate(errors),
+        [""] * sum(map(len, errors)),
+        search.reason,
+    )
+    found, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    return Found(
+        how=DIRECT,
+        members=tuple(members),
+        point=trace.point,
+        errors=found[0],
+        trace=trace,
+        seconds=time.perf_counter() - begun,
+        note=reasons[0],
+    )
+
+
+def _residuals(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
+    if isinstance(answer, Failure):
+        raise InvalidInput(chunk.name, found=answer.reason, expected="residuals")
+    table: FloatArray = arrays_of(answer)["residuals"]
+    return table
+
+
+def residuals(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: residuals of all experiments under points, whose squares add up to the summed error.
+
+    A few frames stand for all of a long trajectory.
+    """
+    request, comparer = _desk(inputs)
+    members = np.arange(len(comparer.targets))
+    scale = request.made_error.angle_scale  # type: ignore[attr-defined]
+    noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale, source="stated")
+    frames = Frames(comparer, members)
+    table = frames.residuals(noise)(arrays_of(payload)["points"])
+    share = len(members) if request.combine == "mean" else 1
+    return bytes_of(residuals=table / np.sqrt(share * frames.weights))
 
 
 # --- what the data determine --------------------------------------------------------------------

@@ -1,0 +1,53 @@
+"""How the load under a plate depends on how it lies on a table that is not flat.
+
+A stiff plate on a warped board stands on other points when it is turned by a quarter. Body-fixed
+loads cannot say that: on plywood the pushes of one plate contradict each other by millimetres until
+the table's part is separated (docs/how-to/benchmark-on-real-pushes.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+
+# Distance at which a bend of 1 changes a load by the factor exp(1/2), and a slope of 1 by e [m].
+LENGTH: Final = 40e-3
+# Of the exponent: a factor of seven either way is all or nothing already.
+LARGEST_EXPONENT: Final = 2.0
+
+TABLE_NAMES: Final = ("bend", "bend_xy", "bend_diagonal", "slope_x", "slope_y")
+"""`bend`: more load (above 0) far from the centroid in all directions; `bend_xy`: more along world
+x than along y; `bend_diagonal`: the same between the diagonals; `slope_x`, `slope_y`: more load
+towards larger world x or y. All dimensionless."""
+
+
+def factors_on_table(
+    points: FloatArray, angle: FloatArray, values: Mapping[str, FloatArray]
+) -> FloatArray:
+    """Factors (n, n_point) of the loads on the points of a net.
+
+    The exponential of a polynomial of second degree in the world, about the centroid.
+
+    Parameters
+    ----------
+    points : (n_point, 2) float64
+        From the centroid, in the frame of the shape [m].
+    angle : (n,) float64
+        Of the body on the table [rad].
+    values : mapping of name to (n,) float64
+        Any of `TABLE_NAMES`; those left out are zero.
+    """
+    nothing = np.zeros(len(angle))
+    bend, bend_xy, bend_diagonal, slope_x, slope_y = (
+        values.get(name, nothing)[:, None] for name in TABLE_NAMES
+    )
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    u, v = (points / LENGTH).T
+    x, y = c * u - s * v, s * u + c * v
+    exponent = 0.5 * (bend * (x * x + y * y) + bend_xy * (x * x - y * y)) + bend_diagonal * x * y
+    exponent = exponent + slope_x * x + slope_y * y
+    return np.asarray(np.exp(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT)))

@@ -1,0 +1,99 @@
+"""`fixel calibrate` from the shell: tables, JSON, refusals."""
+
+import json
+
+import pytest
+
+from fixel.cli.main import run
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab") / "lab"
+    for arguments in (["new", str(folder)], ["testbed", "run", "-p", str(folder), "--limit", "3"]):
+        with pytest.raises(SystemExit) as end:
+            run(arguments)
+        assert not end.value.code
+    return folder
+
+
+def fixel(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        run([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return end.value.code or 0, out, err
+
+
+QUICK = ("--option", "threshold_delta=0.05", "--no-verdicts")
+
+
+def test_one_experiment_is_a_table_and_a_next_command(capsys, project):
+    code, out, _ = fixel(capsys, "calibrate", 1, "-p", project, *QUICK)
+    assert code == 0
+    lines = out.splitlines()
+    assert "alone: mean error" in lines[0]
+    assert "mm^2" in lines[0]
+    assert any(line.startswith("tripod_radius") and " mm" in line for line in lines)
+    assert lines[-1].startswith("Next: fixel compare testbed/")
+
+
+def test_all_of_it_as_json(capsys, project):
+    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "each", *QUICK, "--json")
+    assert code == 0
+    answer = json.loads(out)
+    assert len(answer["experiments"]) == len(answer["found"]) == 3
+    assert answer["found"][0]["errors"][0] < answer["nominal_error"][0]
+    assert answer["pictures"] == []
+
+
+def test_least_squares_finds_one_set_for_all(capsys, project):
+    options = ("--optimiser", "least-squares", "--no-verdicts", "--json")
+    fit = ("--fit", "mu_pusher", "--fit", "tripod_radius_mm=10:60:30")
+    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "joint", *fit, *options)
+    assert code == 0
+    (one,) = json.loads(out)["found"]
+    assert one["how"] == "direct minimisation"
+    assert one["evaluations"] < 200
+    assert sum(one["errors"]) < sum(json.loads(out)["nominal_error"])
+
+
+def test_verdicts_are_said(capsys, project):
+    options = ("--option", "threshold_delta=0.05", "--fit", "mu_pusher", "--name", "judged")
+    code, out, _ = fixel(capsys, "calibrate", 1, "-p", project, *options)
+    assert code == 0
+    row = next(line for line in out.splitlines() if line.startswith("mu_pusher "))
+    words = ("identified", "not identified", "not excited", "at bound")
+    assert any(word in row for word in words)
+    assert "noise" in out
+
+
+def test_a_job_to_submit_elsewhere(capsys, project):
+    code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
+    assert code == 0
+    assert "Next: fixel jobs submit" in out
+    (folder,) = (project / "jobs").glob("x-*")
+    code, _, _ = fixel(capsys, "jobs", "submit", folder)
+    assert code == 0
+    code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--name", "x", "--json")
+    assert json.loads(out)["job"] == str(folder)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--mode", "all"), "--mode: found 'all'"),
+        (("--combine", "product"), "--combine: found 'product'"),
+        (("--option", "delta"), "NAME=VALUE"),
+        (("--fit", "mu_pushr"), "did you mean 'mu_pusher'"),
+        (("--fit", "mu_pusher=1:0"), "the lower one first"),
+        (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
+        (("--optimiser", "least-squares", "--mode", "each"), "--mode joint"),
+        (("--noise-mm", "0.1"), "both, or neither"),
+        (("nowhere",), "no experiment 'nowhere'"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):
+    code, out, err = fixel(capsys, "calibrate", "-p", project, *arguments)
+    assert code == 2
+    assert out == ""
+    assert said in err
