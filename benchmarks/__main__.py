@@ -21,11 +21,14 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "steps": ("step_cost", "run", "where the time of a grasp goes"),
     "batch": ("batch", "run_grasps", "grasps with random parameters on two cores"),
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
+    "filter": ("filter", "run", "a particle filter frame by frame on one core"),
+    "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
+    "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers",)
+ONLY_WHEN_ASKED = ("peers", "coverage")
 
 
 def main(arguments: list[str] | None = None) -> int:

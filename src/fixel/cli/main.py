@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from fixel.cli import (
+    benchmark,
     calibrate,
     data,
     db,
@@ -59,6 +60,7 @@ app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
+app.add_typer(benchmark.app, name="benchmark")
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

@@ -10,8 +10,9 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.filtering.particle_filter import Estimate, Frame, ParticleFilter, scene_of
+from fixel.filtering.particle_filter import ParticleFilter, scene_of
 from fixel.filtering.prior import Prior, excited
+from fixel.filtering.running import Estimate, Frame
 from fixel.kernels.arrays import IntArray
 from fixel.model import Experiment, Scene, Trajectory, pose_error
 from fixel.model.fields import BoolArray, FloatArray

@@ -44,6 +44,8 @@ def pose_covariance(pose: FloatArray, weight: FloatArray, mean: FloatArray) -> F
 def quantiles(values: FloatArray, weight: FloatArray, levels: ArrayLike) -> FloatArray:
     """(n_name, n_level) quantiles of weighted values (n, n_name), linear between their middles."""
     wanted = np.asarray(levels, np.float64)
+    alive = weight > 0.0
+    values, weight = values[alive], weight[alive]
     found = np.empty((values.shape[1], len(wanted)))
     for k, column in enumerate(values.T):
         order = np.argsort(column, kind="stable")

@@ -1,0 +1,122 @@
+"""`fixel filter`, as called from a shell."""
+
+import json
+import shlex
+from dataclasses import replace
+
+import pytest
+from tests.filtering.recordings import push
+from typer.testing import CliRunner
+
+from fixel.cli.main import app
+from fixel.database.project import Project
+from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.model import Flag
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("projects") / "my lab"
+    recorded = push(duration=3.0)
+    flag = Flag("no-fixels", "nobody knows where", False)
+    with Project.create(place).store() as store:
+        store.add_experiment(recorded)
+        store.add_experiment(
+            replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
+        )
+    return place
+
+
+def call(folder, *arguments):
+    words = ["filter", *map(str, arguments), "--project", str(folder)]
+    return CliRunner().invoke(app, words)
+
+
+def good(folder, *arguments):
+    result = call(folder, *arguments, "--particles", "40")
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_the_answer_for_people(folder, tmp_path):
+    picture = tmp_path / "run.png"
+    out = good(folder, "push", "--occlude", "1:2", "--plot", picture)
+
+    assert out.startswith("testbed/push: SIMULATED by")
+    for words in (
+        "frames from 0 to 3 s, hidden from 1 to 2 s, with the fixels' readings",
+        "while seen",
+        "while hidden",
+        "tripod_radius [mm]",
+        "not excited",
+        "contact mode, recorded 000, estimated 000, the same",
+        "40 particles",
+        "times real time",
+        "kept as filter run",
+        f"wrote {picture}",
+    ):
+        assert words in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --project")
+
+
+def test_the_answer_for_programs(folder):
+    def answered(*more):
+        return json.loads(good(folder, "push", "--json", "--no-save", *more))
+
+    first = answered("--occlude", "1:2", "--seed", "3")
+    again = answered("--occlude", "1:2", "--seed", "3", "--threads", "2")
+    deaf = answered("--no-tactile")
+
+    assert first["parameters"] == again["parameters"]
+    assert first["hidden"] == again["hidden"]
+    assert (first["particles"], first["seed"], first["occlusion_s"]) == (40, 3, [1.0, 2.0])
+    assert first["filter_run_id"] is None
+    assert first["files"] == {}
+    assert set(first["parameters"]["mu_pusher"]) == {"mean", "q05", "q50", "q95", "excited"}
+    assert (deaf["uses_tactile"], deaf["hidden"]) == (False, None)
+
+
+def test_beliefs_can_be_given(folder):
+    answer = json.loads(good(folder, "push", "--prior", "mu_pusher=0.3:0.4", "--json", "--no-save"))
+
+    assert answer["parameters"]["mu_pusher"]["q05"] >= 0.3
+    assert answer["parameters"]["mu_pusher"]["q95"] <= 0.4
+
+
+def test_the_next_command_works_until_there_is_a_picture(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = good(folder, "push")
+    for _ in range(2):
+        following = out.splitlines()[-1].removeprefix("Next: ")
+        result = CliRunner().invoke(app, shlex.split(following)[1:])
+        assert result.exit_code == 0, result.output
+        out = result.stdout
+
+    assert "--occlude" in following
+    assert [path.name for path in tmp_path.iterdir()] == ["push-filter.png"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["bare"], "no scene: nobody knows where"),
+        (["push", "--occlude", "2"], "such as 2:4"),
+        (["push", "--occlude", "8:9"], "within what was recorded, 0 to 3 s"),
+        (["push", "--particles", "1"], "at least 2"),
+        (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
+        (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),
+        (["push", "--seed", "-1"], "at least 0"),
+        (["push", "--plot", "a.bmp"], "a picture file"),
+    ],
+)
+def test_bad_input_is_refused(folder, arguments, sentence):
+    result = call(folder, *arguments)
+
+    assert isinstance(result.exception, InvalidInput)
+    assert sentence in str(result.exception)
+
+
+def test_what_is_not_there_is_said(folder, tmp_path):
+    assert isinstance(call(folder, "nothing").exception, NotStored)
+    assert isinstance(call(tmp_path, "push").exception, StoreRefused)

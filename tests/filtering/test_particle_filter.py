@@ -1,0 +1,199 @@
+"""The filter frame by frame: repeatable, never NaN, back after it has lost the object."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.prior import DEFAULT_PRIORS
+from fixel.filtering.running import Frame
+from fixel.model import Disk, Ellipsoid, Scene
+from fixel.simulation import Dynamic, FirstOrder
+from fixel.testing.scenes import grasp, heap, sliding_block
+
+SCENE = grasp("slip")
+START, HEAD = SCENE.bodies[0].pose, SCENE.pushers[0].pose
+FEW = ParticleFilter(n_particles=60)
+
+
+def finite(estimate):
+    return all(
+        np.isfinite(getattr(estimate, name)).all()
+        for name in ("pose", "covariance", "mean", "quantiles", "touch", "ess")
+    )
+
+
+def forward(k):
+    """A head that moves 0.45 mm a frame."""
+    return HEAD + np.array([0.00045 * k, 0.0, 0.0])
+
+
+def test_same_seed_same_bits_on_any_number_of_threads():
+    def run(seed, threads):
+        running = replace(FEW, threads=threads).start(SCENE, seed)
+        for k in range(1, 90):
+            estimate = running.step(Frame(k / 30, forward(k), START if k < 40 else None))
+        return np.concatenate([x.ravel() for x in (*running.particles, estimate.pose)])
+
+    np.testing.assert_array_equal(run(3, 1), run(3, 1))
+    np.testing.assert_array_equal(run(3, 1), run(3, 3))
+    assert (run(3, 1) != run(4, 1)).any()
+
+
+def test_the_mean_angle_goes_on_past_half_a_turn():
+    body = replace(SCENE.bodies[0], shape=Disk(0.05), pose=np.array([0.09, 0.0, 3.1]))
+    running = FEW.start(replace(SCENE, bodies=(body,)))
+    angles = []
+    for k in range(1, 60):
+        seen = np.array([0.09, 0.0, (3.1 + 0.002 * k + np.pi) % (2 * np.pi) - np.pi])
+        angles.append(running.step(Frame(k / 30, HEAD, seen)).pose[2])
+
+    assert np.abs(np.diff(angles)).max() < 0.05
+    assert angles[-1] == pytest.approx(3.1 + 0.118, abs=0.04)
+
+
+def test_an_object_that_is_elsewhere_is_found_again():
+    running = FEW.start(SCENE)
+    away = START + np.array([0.05, 0.03, 1.0])
+    first = running.step(Frame(1 / 30, HEAD, away))
+    second = running.step(Frame(2 / 30, HEAD, away))
+
+    assert (first.recovered, second.recovered) == (True, False)
+    for estimate in (first, second):
+        assert finite(estimate)
+        np.testing.assert_allclose(estimate.pose, away, atol=0.02)
+
+
+def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
+    from fixel.filtering import running as module
+
+    real = module.simulate_batch
+
+    def failing(*args, **kwargs):
+        result = real(*args, **kwargs)
+        return replace(result, status=np.full_like(result.status, 3), pose=result.pose * np.nan)
+
+    running = FEW.start(SCENE)
+    calm = running.estimate
+    monkeypatch.setattr(module, "simulate_batch", failing)
+    estimates = [running.step(Frame(k / 30, HEAD)) for k in range(1, 8)]
+    assert all(e.recovered and e.failed == 60 and finite(e) for e in estimates)
+    spread = [np.trace(e.covariance[:2, :2]) for e in (calm, *estimates)]
+    assert spread[3] > spread[1] > spread[0]
+    monkeypatch.setattr(module, "simulate_batch", real)
+    back = running.step(Frame(9 / 30, HEAD, START))
+    assert finite(back)
+    np.testing.assert_allclose(back.pose[:2], START[:2], atol=0.02)
+
+
+def test_squeezed_particles_never_give_nan():
+    """The head runs the object into the fixels, and on: what no real head could do."""
+    running = FEW.start(SCENE)
+    for k in range(1, 40):
+        estimate = running.step(Frame(k / 3, forward(12 * k), None, [0.0, 0.0, 0.0]))
+        assert finite(estimate)
+
+
+def test_a_parameter_that_nothing_depends_on_stays_as_believed():
+    running = ParticleFilter(n_particles=300).start(SCENE)
+    for k in range(1, 30):  # before the head arrives
+        estimate = running.step(Frame(k / 30, forward(k) - np.array([0.02, 0, 0]), START))
+
+    for (low, high), quantiles in zip(DEFAULT_PRIORS.values(), estimate.quantiles, strict=True):
+        expected = low + (high - low) * np.array([0.05, 0.5, 0.95])
+        np.testing.assert_allclose(quantiles, expected, atol=0.12 * (high - low))
+
+
+def test_beliefs_fit_the_scene_and_can_be_changed():
+    bare = Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0)
+    assert FEW.start(bare).estimate.names == ("mu_support", "mu_pusher", "tripod_radius")
+    options = replace(FEW, priors={"mu_pusher": (0.3, 0.3), "mu_support": None})
+    estimate = options.start(SCENE).step(Frame(1 / 30, HEAD, START))
+
+    assert estimate.names == ("mu_pusher", "mu_fixel", "tripod_radius")
+    np.testing.assert_array_equal(estimate.quantiles[0], 0.3)
+
+
+def test_nothing_to_learn_is_fine():
+    options = replace(FEW, priors=dict.fromkeys(DEFAULT_PRIORS))
+    estimate = options.start(SCENE).step(Frame(1 / 30, HEAD, START))
+
+    assert estimate.names == ()
+    assert finite(estimate)
+
+
+def test_first_order_motion_and_rigid_drives():
+    rigid = grasp("slip", force_limit=None)
+    running = replace(FEW, motion=FirstOrder()).start(rigid)
+
+    assert running.scene.pushers[0].drive.force_limit == pytest.approx(20 * 0.15 * 9.81, rel=1e-2)
+    assert finite(running.step(Frame(1 / 30, HEAD, START)))
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"n_particles": 1}, "n_particles: found 1, expected a whole number of at least 2"),
+        ({"n_particles": 2.5}, "n_particles"),
+        ({"threads": 0}, "threads"),
+        ({"priors": {"mu_pushr": (0.1, 1.0)}}, "did you mean 'mu_pusher'"),
+        ({"priors": {"start_x": (0.1, 1.0)}}, "particles cannot differ in"),
+        ({"priors": {"mu_pusher": (1.0, 0.1)}}, "the lower first"),
+        ({"priors": {"mu_pusher": (0.1,)}}, "two numbers"),
+        ({"priors": {"mu_pusher": (-0.1, 1.0)}}, "at least 0"),
+        ({"position_deviation": 0.0}, "position_deviation"),
+        ({"position_noise": -1.0}, "position_noise"),
+        ({"contact_reliability": 1.0}, "between 0 and 1"),
+        ({"discount": 0.3}, "discount"),
+        ({"motion": Dynamic()}, "particles carry no velocities"),
+        ({"force_limit": -1.0}, "force_limit"),
+    ],
+)
+def test_impossible_options_are_refused(options, sentence):
+    with pytest.raises(InvalidInput, match=sentence):
+        ParticleFilter(**options)
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "sentence"),
+    [
+        (heap(3), FEW, "3 free bodies and 1 pushers"),
+        (sliding_block(), FEW, "1 free bodies and 0 pushers"),
+        (SCENE.bodies[0], FEW, "a Scene or an Experiment"),
+        (
+            Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0),
+            replace(FEW, priors={"mu_fixel": (0.1, 0.2)}),
+            "no fixels",
+        ),
+        (
+            replace(
+                SCENE,
+                bodies=(replace(SCENE.bodies[0], support=Ellipsoid(force=0.5, torque=0.02)),),
+            ),
+            replace(FEW, priors={"mu_support": (0.1, 0.2)}),
+            "ellipsoidal",
+        ),
+    ],
+)
+def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
+    with pytest.raises(InvalidInput, match=sentence):
+        options.start(scene)
+
+
+@pytest.mark.parametrize(
+    ("frame", "sentence"),
+    [
+        (Frame(0.0, HEAD), "an instant after 0 s"),
+        (Frame(np.nan, HEAD), "an instant after"),
+        (Frame(0.1, HEAD[:2]), "frame.pusher"),
+        (Frame(0.1, HEAD * np.nan), "frame.pusher"),
+        (Frame(0.1, HEAD, START * np.inf), "frame.seen"),
+        (Frame(0.1, HEAD, None, [1.0]), "3 readings, one a fixel"),
+        (Frame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
+    ],
+)
+def test_impossible_frames_are_refused(frame, sentence):
+    with pytest.raises(InvalidInput, match=sentence):
+        FEW.start(SCENE).step(frame)

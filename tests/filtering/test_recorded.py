@@ -1,0 +1,165 @@
+"""Recorded experiments filtered: better than blind guesses while the object is hidden.
+
+The simulated ones have known parameters; bounds on errors leave a factor of about two above what
+was measured with these seeds.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, carried_along, push
+
+from fixel.errors import InvalidInput
+from fixel.exchange.importers import importer_for
+from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.recorded import run_filter
+from fixel.model import Channel, Flag, Trajectory
+
+SOME = ParticleFilter(n_particles=200)
+FEW = ParticleFilter(n_particles=100)
+HIDDEN = (4.0, 6.5)
+
+
+def hidden_rms(experiment, estimates):
+    position, _, hidden = estimates.errors(experiment.trajectory)
+    return float(np.sqrt(np.mean(position[hidden] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return push(aside=0.008)
+
+
+@pytest.fixture(scope="module")
+def filtered(experiment):
+    return run_filter(experiment, ParticleFilter(), occlusion=HIDDEN, seed=1)
+
+
+def test_a_hidden_object_is_followed_better_than_by_guessing(experiment, filtered):
+    assert hidden_rms(experiment, filtered) < 0.5 * carried_along(experiment, HIDDEN)
+    position, angle, hidden = filtered.errors(experiment.trajectory)
+    assert np.sqrt(np.mean(position[~hidden] ** 2)) < 0.5e-3
+    assert np.sqrt(np.mean(angle[~hidden] ** 2)) < 0.02
+    assert filtered.contact_mode == experiment.contact_mode
+
+
+def test_parameters_that_matter_are_found(filtered):
+    last = dict(zip(filtered.prior.names, filtered.quantiles[-1], strict=True))
+
+    for name, truth in (("mu_pusher", MU_PUSHER), ("tripod_radius", TRIPOD_RADIUS)):
+        low, _, high = last[name]
+        assert low <= truth <= high
+        assert filtered.excited[name]
+    # Friction of the plane scales forces and no path.
+    assert not filtered.excited["mu_support"]
+
+
+def test_uncertainty_grows_while_hidden_and_no_longer(filtered):
+    spread = np.sqrt(np.trace(filtered.covariance[:, :2, :2], axis1=1, axis2=2))
+    inside = np.flatnonzero(filtered.hidden)
+
+    assert spread[inside].max() > 2.0 * spread[inside[0] - 1]
+    assert spread[-1] < 0.5 * spread[inside].max()
+    np.testing.assert_array_equal(
+        filtered.hidden[1:], (filtered.time[1:] >= 4.0 - 1e-6) & (filtered.time[1:] <= 6.5 + 1e-6)
+    )
+    assert not filtered.seen[filtered.hidden].any()
+    assert filtered.seen[~filtered.hidden].all()
+
+
+def test_fixels_help_the_blind():
+    experiment, long = push(aside=0.006), (1.0, 7.0)
+
+    def mean_error(use_tactile):
+        runs = [
+            run_filter(experiment, FEW, occlusion=long, use_tactile=use_tactile, seed=seed)
+            for seed in range(5)
+        ]
+        assert all(run.uses_tactile == use_tactile for run in runs)
+        return np.mean([hidden_rms(experiment, run) for run in runs])
+
+    # 2.2 mm with, 3.0 mm without when this was written.
+    assert mean_error(True) < mean_error(False)
+
+
+def test_the_same_every_time_and_only_within_what_is_useful(experiment):
+    short = replace(experiment, effective=(1.0, 2.0))
+    runs = [run_filter(short, replace(SOME, threads=n), seed=5) for n in (1, 2)]
+
+    for name in ("time", "pose", "covariance", "mean", "quantiles", "touch", "ess", "failed"):
+        np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
+    assert runs[0].time[0] == pytest.approx(1.0)
+    assert runs[0].time[-1] == pytest.approx(2.0)
+
+
+def test_sensors_may_have_clocks_of_their_own(experiment):
+    track = experiment.trajectory
+    sparse = Trajectory(time=track.time[::5], pose=track.pose[::5])
+    found = run_filter(replace(experiment, trajectory=sparse, effective=(0.0, 2.0)), SOME)
+
+    assert len(found.time) == np.count_nonzero(track.time <= 2.0 + 1e-9)
+    assert np.count_nonzero(found.seen) == np.count_nonzero(sparse.time <= 2.0 + 1e-9)
+
+
+def test_progress_is_told(experiment):
+    told = []
+    short = replace(experiment, effective=(0.0, 0.5))
+    found = run_filter(short, SOME, progress=lambda *done: told.append(done))
+
+    assert told[-1] == (len(found.time), len(found.time))
+    assert len(told) == len(found.time) - 1
+
+
+def test_without_readings_the_camera_is_enough(experiment):
+    short = replace(experiment, channels=(), effective=(0.0, 0.5))
+
+    assert not run_filter(short, SOME).uses_tactile
+
+
+@pytest.mark.parametrize(
+    ("change", "occlusion", "sentence"),
+    [
+        ({"scene": None, "contact_mode": ""}, None, "no scene"),
+        ({"pusher": None}, None, "no measured path of the pusher"),
+        ({}, (8.0, 9.0), "within what was recorded, 0 to 7 s"),
+        ({}, (-1.0, 2.0), "within what was recorded"),
+        ({}, (3.0, 2.0), "found 3 to 2 s"),
+        ({}, (2.0, float("nan")), "within what was recorded"),
+        ({"effective": (50.0, 60.0)}, None, "0 measured instants"),
+    ],
+)
+def test_what_cannot_be_filtered_is_refused(experiment, change, occlusion, sentence):
+    with pytest.raises(InvalidInput, match=sentence):
+        run_filter(replace(experiment, **change), SOME, occlusion=occlusion)
+
+
+def test_why_there_is_no_scene_is_said(experiment):
+    bare = replace(
+        experiment, scene=None, contact_mode="", flags=(Flag("no-fixels", "not kept", False),)
+    )
+    with pytest.raises(InvalidInput, match="no scene: not kept"):
+        run_filter(bare)
+
+
+def test_readings_must_be_one_a_fixel(experiment):
+    tactile = experiment.channel("tactile")
+    one = Channel(
+        name="tactile", time=tactile.time, columns=("a_bool",), values=tactile.values[:, :1]
+    )
+    with pytest.raises(InvalidInput, match="1 columns, expected 3"):
+        run_filter(replace(experiment, channels=(one,)), SOME)
+
+
+def test_experiment_141_with_a_second_hidden(data_root):
+    """Real data. The model is off there: its nominal simulation ends 15 mm from what was seen."""
+    folder = data_root / "rpi_2dgad"
+    experiment = {e.name: e for e in importer_for(folder).read(folder).experiments()}["141"]
+    found = run_filter(experiment, SOME, occlusion=(2.0, 3.0))
+    position, _, hidden = found.errors(experiment.trajectory)
+
+    assert np.sqrt(np.mean(position[~hidden] ** 2)) < 1.5e-3
+    # 2.1 mm with 500 particles; 4.1 mm is what holding the last pose costs on average.
+    assert np.sqrt(np.mean(position[hidden] ** 2)) < 4e-3
+    assert found.contact_mode == experiment.contact_mode == "010"
+    assert found.uses_tactile
