@@ -109,14 +109,18 @@ def test_flat_direction_is_open_and_so_is_a_sum():
 def test_better_optimum_is_reported_and_the_profiles_are_about_it():
     def two(points):
         a = points[:, :1]
-        return np.concatenate(((a - 0.2) * (a - 0.45) / 0.03, 2.5 * (a - 0.45), points[:, 1:]), 1)
+        return np.concatenate(((a - 0.2) * (a - 0.7) / 0.1, 1.5 * (a - 0.7), points[:, 1:]), 1)
 
-    where = box([0, 0], [1, 1])
-    search = ProfileLikelihood().start(where, np.array([0.2, 0.0]), THRESHOLD)
-    found = run_profiles(search, two)
+    where = box([0, 0], [1, 1], [0.2, 0.5])
+    fitted, found = calibrated(two, where)
+    assert fitted.point[0] == pytest.approx(0.25, abs=0.01)
     assert found.better is not None
-    assert found.better.point[0] == pytest.approx(0.45, abs=1e-3)
-    assert found.profiles[0].high > 0.45
+    assert found.better.point[0] == pytest.approx(0.7, abs=1e-3)
+    assert found.better.error < fitted.deviance - 0.5
+    # The rise beyond 0.7 counts from there.
+    high = found.profiles[0].high
+    above = two(np.array([[high, 0.0]]))[0]
+    assert np.sum(above**2) == pytest.approx(THRESHOLD, rel=0.02)
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-3])
@@ -128,6 +132,19 @@ def test_roughness_and_jumps_change_an_interval_little(size):
     change = np.abs(intervals(found) - intervals(clean)).max(axis=1)
     assert (change < 0.2 * width).all()
     assert found.evaluations < 2.5 * clean.evaluations
+
+
+def test_bumps_as_high_as_the_threshold_widen_an_interval():
+    smooth = decay_residuals(2)
+    bumpy = rough(smooth, size=0.5, jump=0.0)
+    _, clean = calibrated(smooth, DECAY_BOX)
+    _, found = calibrated(bumpy, DECAY_BOX)
+    assert clean.roughness < 0.02 * THRESHOLD
+    assert THRESHOLD < found.roughness < 10.0 * THRESHOLD
+    assert found.limit == found.threshold + found.roughness
+    ends = intervals(found)
+    assert (np.ptp(ends, axis=1) > 0.9 * np.ptp(intervals(clean), axis=1)).all()
+    assert ((ends[:, 0] < TRUTH) & (ends[:, 1] > TRUTH)).all()
 
 
 def test_coverage():

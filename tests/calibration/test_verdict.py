@@ -137,6 +137,11 @@ def test_two_minima_are_not_identified_once_both_are_known():
     assert told[0].high > 0.79
 
 
+def test_bumps_are_told():
+    told = verdicts(rough(decay_residuals(2), size=0.5, jump=0.0), DECAY_BOX)
+    assert any("finer steps" in verdict.reason for verdict in told)
+
+
 def test_not_excited_comes_first():
     told = verdicts(lambda p: (p - 0.5) / 0.05, excited=lambda label: label != "mu_fixel")
     assert words(told) == ["identified", "not excited", "identified"]

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.cost import Prior, Residuals
+from fixel.calibration.cost import Prior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import (
     Dispersion,
@@ -18,7 +18,6 @@ from fixel.calibration.noise import (
     noise_from_residuals,
 )
 from fixel.calibration.objective import Comparer, EndPose
-from fixel.calibration.optimiser import Box
 from fixel.calibration.profile import ProfileLikelihood, Profiles, run_profiles
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
@@ -31,12 +30,6 @@ from fixel.simulation.simulate import simulate
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MOST_RESIDUALS: Final = 30_000
-
-# Steps about the best that should change nothing [scales], how many, and the share of them that
-# counts as ordinary.
-JITTER: Final = 1e-3
-JITTERED: Final = 32
-ROUGH: Final = 0.9
 
 # Conditions that may differ between repetitions of an experiment.
 _OWN: Final = ("experiment", "repetition")
@@ -92,8 +85,7 @@ def assess(
         dispersion = chosen.dispersion(noise, near)
     residuals = chosen.residuals(noise)
     prior = Prior.of(comparer.space).weighted(dispersion.value)
-    threshold = dispersion.threshold(level) + _roughness(residuals, box, near)
-    search = ProfileLikelihood().start(box, near, threshold, prior)
+    search = ProfileLikelihood().start(box, near, dispersion.threshold(level), prior)
     found = run_profiles(search, residuals)
     verdicts = judge(
         comparer.space,
@@ -104,20 +96,6 @@ def assess(
         dispersion=dispersion,
     )
     return Assessment(verdicts, found, noise, dispersion)
-
-
-def _roughness(residuals: Residuals, box: Box, point: FloatArray) -> float:
-    """How much the deviance changes where nothing that matters does.
-
-    Steps of the integration and contacts that come and go make the surface rough. Its lowest point
-    is partly luck, by about this much, so that an interval must reach this much higher.
-    """
-    draw = np.random.default_rng(0)
-    moved = point + JITTER * box.scale * draw.normal(size=(JITTERED, box.n))
-    table = residuals(np.concatenate((point[None], np.clip(moved, box.low, box.high))))
-    deviance = np.einsum("km,km->k", table, table)
-    rise = deviance[1:][np.isfinite(deviance[1:])] - deviance[0]
-    return float(max(np.quantile(rise, ROUGH), 0.0)) if len(rise) else 0.0
 
 
 class Frames:

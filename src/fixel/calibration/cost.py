@@ -146,7 +146,10 @@ class Cost:
         if self.loss != "squares":
             residual, columns = _reweighted(residual / self.width, columns / self.width, self.loss)
             residual, columns = residual * self.width, columns * self.width
-        hessian, gradient = columns.T @ columns, columns.T @ residual
+        with np.errstate(over="ignore", invalid="ignore"):
+            hessian, gradient = columns.T @ columns, columns.T @ residual
+        if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+            return Quadratic(np.zeros_like(hessian), np.zeros_like(gradient))
         if self.prior is not None:
             weight = (scale / self.prior.sd) ** 2
             hessian = hessian + np.diag(weight)

@@ -43,6 +43,7 @@ class Fit(NamedTuple):
     point: FloatArray  # (n,)
     deviance: float  # inf where no point could be evaluated
     hessian: FloatArray  # (n, n) half the second derivatives of the deviance, Gauss and Newton's
+    gradient: FloatArray  # (n,) half the first derivatives, not zero where a bound holds it
     residual: FloatArray  # (m,); empty where no point could be evaluated
     evaluations: int
     reason: str
@@ -99,7 +100,13 @@ class Descent:
         """The best point so far, and the derivatives last taken."""
         hessian = self._model.hessian / np.outer(self.box.scale, self.box.scale)
         return Fit(
-            self.point, self.deviance, hessian, self._residual, self.evaluations, self.reason
+            self.point,
+            self.deviance,
+            hessian,
+            self._model.gradient / self.box.scale,
+            self._residual,
+            self.evaluations,
+            self.reason,
         )
 
     def ask(self) -> FloatArray:

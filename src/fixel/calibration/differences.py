@@ -16,6 +16,8 @@ PLAIN: Final = 1000.0
 # Probes of one unknown at one point, at most: enough to grow from 1e-3 to 1 scale.
 TRIES: Final = 4
 GROWTH: Final = 10.0
+# Steps this share of the first one that still fail are at an edge of what can be evaluated.
+SMALLEST: Final = 1e-3
 
 
 @final
@@ -41,6 +43,7 @@ class Differences:
     def __init__(self, box: Box, step: float, largest: float, roughness: float) -> None:
         self.box = box
         self.step = np.full(box.n, step)
+        self._first = step
         self._limits = step, max(step, largest)
         self._roughness = roughness
         self._todo: list[int] = []
@@ -96,7 +99,7 @@ class Differences:
         self._tries[j] += 1
         last = self._tries[j] >= TRIES
         if not len(moved):
-            self.step[j] /= GROWTH
+            self.step[j] = max(self.step[j] / GROWTH, SMALLEST * self._first)
             self._side[j] = -self._side[j]
             return j not in self._columns and not last
         self._columns[j] = _slope(change, moved)

@@ -276,7 +276,7 @@ class ProfileSearch:
         self._hessian = descent.fit.hessian
         if math.isfinite(descent.deviance):
             covariance = self._covariance()
-            yield from self._look_around(covariance)
+            yield from self._look_around(covariance, descent.fit.gradient)
             self._set_sides(covariance)
 
     def _covariance(self) -> FloatArray:
@@ -286,7 +286,7 @@ class ProfileSearch:
         ridge = RIDGE * max(float(np.diag(hessian).max()), np.finfo(float).tiny / RIDGE)
         return np.asarray(np.linalg.inv(hessian + ridge * np.eye(self.box.n)) * scale)
 
-    def _look_around(self, covariance: FloatArray) -> Task:
+    def _look_around(self, covariance: FloatArray, gradient: FloatArray) -> Task:
         """Measure the roughness: how much higher the deviance is than a smooth one, close by."""
         n, best = self.box.n, self._best
         directions = np.random.default_rng(n).normal(size=(DENT_POINTS * n, n))
@@ -297,7 +297,10 @@ class ProfileSearch:
         moves = directions / np.linalg.norm(directions, axis=1, keepdims=True) * radius
         points = np.clip(best.point + moves, self.box.low, self.box.high)
         deviances = self._cost.deviance(points, (yield points))
-        smooth = np.einsum("ki,ij,kj->k", points - best.point, self._hessian, points - best.point)
+        apart = points - best.point
+        held = (best.point <= self.box.low) | (best.point >= self.box.high)
+        smooth = np.einsum("ki,ij,kj->k", apart, self._hessian, apart)
+        smooth += 2.0 * apart @ np.where(held, gradient, 0.0)
         rise = (deviances - self._best.error - smooth)[np.isfinite(deviances)]
         self._roughness = max(0.0, float(np.quantile(rise, DENT_QUANTILE))) if len(rise) else 0.0
 

@@ -112,6 +112,7 @@ class _Case(NamedTuple):
     low: float | None
     high: float | None
     others: tuple[float, ...]  # values outside the interval that are as good
+    rough: bool  # whether bumps of the deviance count for more than the noise
     level: float
 
     @property
@@ -232,6 +233,7 @@ def _case(
         low=low,
         high=high,
         others=others,
+        rough=profiles.roughness > profiles.threshold,
         level=level,
     )
 
@@ -317,7 +319,9 @@ def _why_wide(case: _Case) -> str:
 
 
 def _extent(case: _Case) -> str:
-    return f"its interval covers {100.0 * case.width / case.range:.2g} % of the range searched"
+    share = f"its interval covers {100.0 * case.width / case.range:.2g} % of the range searched"
+    widened = "; rough simulations widen it more than the noise does, finer steps would narrow it"
+    return share + widened if case.rough else share
 
 
 def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
