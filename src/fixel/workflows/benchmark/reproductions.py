@@ -1,0 +1,99 @@
+"""Reproductions of published work by name: the folder each needs, and what runs it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.exchange.atomic import written_whole
+from fixel.workflows.benchmark import asme_table_1, cmu_tripod, rpi_141
+from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
+
+
+class Part(NamedTuple):
+    """One reproduction."""
+
+    folder: str | None  # of its dataset; None where it needs none
+    run: Callable[..., Reproduction]  # (folder, progress, *, quick)
+
+
+REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
+    {
+        "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
+        "rpi-141": Part("rpi_2dgad", rpi_141.run),
+        "asme-table-1": Part(None, asme_table_1.run),
+    }
+)
+
+
+def reproduce(
+    name: str,
+    data: Path | None = None,
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    quick: bool = False,
+) -> Reproduction:
+    """Run one reproduction, and leave its tables and picture in a folder.
+
+    Parameters
+    ----------
+    name : str
+        Out of `REPRODUCTIONS`.
+    data : Path, optional
+        Folder of the datasets, or of the one.
+    out : Path, optional
+        Receives `<name>.json`, a table of each kind as `<name>_<table>.csv`, and `<name>.png`.
+    progress : callable, optional
+    quick : bool
+        A look, not figures.
+    """
+    if name not in REPRODUCTIONS:
+        raise InvalidInput(
+            "reproduction", found=repr(name), expected="one of " + ", ".join(REPRODUCTIONS)
+        )
+    part = REPRODUCTIONS[name]
+    folder = None if part.folder is None else _folder(data, part.folder)
+    answer = part.run(folder, progress or _silent, quick=quick)
+    if out is not None:
+        write(answer, out)
+    return answer
+
+
+def write(answer: Reproduction, out: Path) -> None:
+    """Leave tables and picture in a folder, which is made."""
+    from fixel.drawing.reproductions import draw
+
+    out.mkdir(parents=True, exist_ok=True)
+    with written_whole(out / f"{answer.name}.json") as beside:
+        beside.write_text(json.dumps(answer.summary(), indent=1), encoding="utf-8")
+    for name, rows in answer.tables.items():
+        _write_table(out / f"{answer.name}_{name}.csv", rows)
+    draw(answer.picture, out / f"{answer.name}.png")
+
+
+def _write_table(file: Path, rows: list[Row]) -> None:
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with (
+        written_whole(file) as beside,
+        beside.open("w", encoding="utf-8", newline="") as stream,
+    ):
+        writer = csv.DictWriter(stream, columns, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _folder(data: Path | None, name: str) -> Path:
+    for folder in () if data is None else (data / name, data):
+        if folder.name == name and folder.is_dir():
+            return folder
+    raise DatasetMissing(data or Path(name), name)
+
+
+def _silent(done: int, of: int, what: str) -> None:
+    """Nobody watches."""

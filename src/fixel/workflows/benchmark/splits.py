@@ -1,0 +1,69 @@
+"""Which pushes are learned from, and which are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import IntArray
+
+
+class Split(NamedTuple):
+    """Members of a group, by number; nobody is in both."""
+
+    train: IntArray
+    held_out: IntArray
+
+
+def random_split(strata: Sequence[Hashable], share: float, seed: int) -> Split:
+    """A share of every stratum at random for training, the rest held out.
+
+    Parameters
+    ----------
+    strata : (n,) sequence
+        Of each member: its speed, for instance.
+    share : float
+        Between 0 and 1.
+    """
+    if not 0.0 < share < 1.0:
+        raise InvalidInput("share", found=share, expected="a number between 0 and 1")
+    dice = np.random.default_rng(seed)
+    train: list[int] = []
+    for own in _members(strata):
+        train += dice.permutation(own)[: round(share * len(own))].tolist()
+    return _split(train, len(strata))
+
+
+def folds(strata: Sequence[Hashable], n: int, seed: int) -> list[Split]:
+    """Splits that hold out every member exactly once, each stratum spread evenly over them."""
+    if not 2 <= n <= max(len(strata), 2):
+        raise InvalidInput("--folds", found=n, expected=f"2 to {len(strata)}")
+    dice = np.random.default_rng(seed)
+    fold = np.zeros(len(strata), np.int64)
+    dealt = 0
+    for own in _members(strata):
+        fold[dice.permutation(own)] = (dealt + np.arange(len(own))) % n
+        dealt += len(own)
+    return [Split(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(n)]
+
+
+def few_of(split: Split, n: int, seed: int) -> Split:
+    """The same held out, and only `n` of those for training."""
+    dice = np.random.default_rng(seed)
+    return split._replace(train=np.sort(dice.permutation(split.train)[:n]))
+
+
+def _members(strata: Sequence[Hashable]) -> list[IntArray]:
+    names = list(dict.fromkeys(strata))
+    number = {name: k for k, name in enumerate(names)}
+    which = np.array([number[name] for name in strata], np.int64)
+    return [np.flatnonzero(which == k) for k in range(len(names))]
+
+
+def _split(train: Sequence[int], n: int) -> Split:
+    learned = np.zeros(n, bool)
+    learned[list(train)] = True
+    return Split(np.flatnonzero(learned), np.flatnonzero(~learned))

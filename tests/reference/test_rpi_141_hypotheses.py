@@ -1,0 +1,46 @@
+"""Why simulations miss experiment 141; figures of docs/reproductions/rpi-141.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fixel.model import Experiment
+from fixel.workflows.benchmark.rpi_141 import experiment_141, judged, lateral_misses
+from fixel.workflows.benchmark.rpi_141_hypotheses import hypotheses
+
+
+@pytest.fixture(scope="module")
+def experiment(data_root: Path) -> Experiment:
+    return experiment_141(data_root / "rpi_2dgad")
+
+
+@pytest.mark.parametrize(
+    ("name", "free", "whole"),
+    [
+        ("as recorded", 6.86, 9.02),
+        ("inertia", 6.85, 9.01),
+        ("smoothed actuator path", 6.92, 9.18),
+        ("gravity as in the laboratory's code", 5.35, 6.98),
+        ("even pressure", 5.68, 7.33),
+        ("push above the plane", 4.33, 5.60),
+        ("push above the plane, friction", 1.75, 3.55),
+        ("plane with a grain", 0.59, 1.06),
+    ],
+)
+def test_errors_of_hypotheses(experiment: Experiment, name: str, free: float, whole: float) -> None:
+    hypothesis = next(h for h in hypotheses() if h.name == name)
+    row, _ = judged(experiment, hypothesis, starts=1)
+    # A tenth of a millimetre: what the step and the end of a search are worth.
+    assert row["rms_mm_free"] == pytest.approx(free, abs=0.15)
+    assert row["rms_mm"] == pytest.approx(whole, abs=0.15)
+
+
+def test_only_two_of_twenty_trials_go_sideways_where_the_laboratory_did_not(
+    data_root: Path,
+) -> None:
+    rows = lateral_misses(data_root / "rpi_2dgad")
+    far = [r for r in rows if abs(r["sideways_mm"] - r["sideways_mm_simulated"]) > 5.0]
+    assert len(rows) == 20
+    assert [r["experiment"] for r in far] == [136, 141]
