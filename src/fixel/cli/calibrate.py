@@ -173,6 +173,10 @@ def calibrate(
         verdicts=verdicts,
     )
     _announce(scenes[0], as_json)
+    if plot is not None:
+        from fixel.workflows.calibration.pictures import make_folder
+
+        make_folder(plot)
     job = run.prepare(project, chosen, request)
     if prepare_only:
         _prepared(job, as_json)
@@ -311,20 +315,30 @@ def _together_lines(done: "Calibration", one: Any) -> list[str]:
         lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
     free = done.request.space.free
     rows = [_row(u, x, one) for u, x in zip(free, one.point.tolist(), strict=True)]
-    lines += table(("parameter", "value", "interval", "unit", "verdict"), rows)
+    head = ("parameter", "found", "likeliest", "interval", "unit", "verdict")
+    lines += table(head, rows) if one.estimates else table(head[:2] + head[4:5], _bare(rows))
     return lines + [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
 
 
+def _bare(rows: "list[tuple[str, ...]]") -> "list[tuple[str, ...]]":
+    """Without what a verdict says."""
+    return [(row[0], row[1], row[4]) for row in rows]
+
+
 def _row(unknown: Any, value: float, one: Any) -> tuple[str, ...]:
+    """What the search found, and what the measurements make most likely: they differ a little, as
+    the search's error and the noise weigh angles differently."""
     estimate = next((e for e in one.estimates if e.label == unknown.label), None)
-    interval, verdict = "", ""
+    likeliest, interval, verdict = "", "", ""
     if estimate is not None:
         ends = [estimate.low, estimate.high]
         written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
+        likeliest = f"{_shown(unknown.unit, estimate.value):.4g}"
         interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
         verdict = estimate.verdict
     unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
-    return (unknown.label, f"{_shown(unknown.unit, value):.4g}", interval, unit, verdict)
+    found = f"{_shown(unknown.unit, value):.4g}"
+    return (unknown.label, found, likeliest, interval, unit, verdict)
 
 
 def _headed(unknown: Any) -> str:

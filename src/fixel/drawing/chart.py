@@ -23,6 +23,7 @@ Style = dict[str, Any]
 
 WIDE: Final = 7.16  # [inch], two columns of text
 BANNER: Final = 0.20  # [inch]
+HEAD: Final = 0.22  # [inch]
 
 
 class Table(NamedTuple):
@@ -44,14 +45,14 @@ class AbstractChart(abc.ABC):
         """All that the picture shows."""
 
 
-def draw_chart(chart: AbstractChart, path: str | Path, banner: str = "") -> None:
-    """Draw a chart into a file.
+def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> None:
+    """Draw a chart into files.
 
     Parameters
     ----------
     chart : AbstractChart
-    path : str or Path
-        File (`.pdf`, `.svg` or `.png`).
+    *paths : str or Path
+        Files (`.pdf`, `.svg` or `.png`).
     banner : str
         Across the top, for experiments that no camera has seen.
 
@@ -62,24 +63,30 @@ def draw_chart(chart: AbstractChart, path: str | Path, banner: str = "") -> None
     """
     import matplotlib as mpl
 
-    refuse_ending(path, PICTURE_ENDINGS, "picture")
+    for path in paths:
+        refuse_ending(path, PICTURE_ENDINGS, "picture")
     # Without the time of day the same numbers give the same file.
     known: Style = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-    metadata = known.get(Path(path).suffix.lower())
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = chart.figure()
         if banner:
             _add_banner(figure, banner)
-        figure.savefig(path, metadata=metadata)
+        for path in paths:
+            figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
 
 
-def sheet(width: float, height: float) -> Figure:
-    """An empty figure [inch] that lays out what is put in it."""
+def sheet(width: float, height: float, title: str = "") -> Figure:
+    """An empty figure [inch] that lays out what is put in it, below a title."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    above = HEAD if title else 0.0
+    figure = Figure(figsize=(width, height + above), layout="constrained")
+    room = height / (height + above)
     engine: Any = figure.get_layout_engine()
-    engine.set(w_pad=0.06, h_pad=0.05)
+    engine.set(w_pad=0.06, h_pad=0.05, rect=(0.0, 0.0, 1.0, room))
+    if title:
+        place, size = 0.5 * (1.0 + room), palette.FONT_SIZE + 1.0
+        figure.text(0.5, place, shortened(title, 90), ha="center", va="center", fontsize=size)
     return figure
 
 
@@ -89,8 +96,15 @@ def _add_banner(figure: Figure, text: str) -> None:
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + BANNER)
     share = BANNER / (height + BANNER)
+    for title in figure.texts:
+        title.set_y(title.get_position()[1] * (1.0 - share))
     engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0.0, 0.0, 1.0, 1.0 - share))
+    if engine is not None:
+        engine.set(rect=(0.0, 0.0, 1.0, engine.get()["rect"][3] * (1.0 - share)))
+    else:
+        for axes in figure.axes:
+            x, y, wide, tall = axes.get_position(original=True).bounds
+            axes.set_position((x, y * (1.0 - share), wide, tall * (1.0 - share)))
     figure.add_artist(
         Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
     )
@@ -125,6 +139,34 @@ def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
     axis.set_major_locator(LogLocator(subs=subs, numticks=8))
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def room_above(axes: Axes, wanted: bool) -> None:
+    """For the marks of failures, above all errors."""
+    if wanted:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high * (high / low) ** 0.06)
+
+
+def whole_numbers(axes: Axes) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, min_n_ticks=1))
+
+
+def legend_below(figure: Figure, row: Sequence[Axes]) -> None:
+    """One legend for all panels; a label counts once."""
+    entries: dict[str, Any] = {}
+    for axes in row:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        frameon=False,
+        ncols=len(entries),
+        loc="outside lower center",
+    )
 
 
 def positive(values: FloatArray) -> FloatArray:
@@ -166,7 +208,9 @@ def column(unit: str) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """At most so many letters; of long names, what differs stands at the end."""
+    """At most so many letters; of long names the data set goes first, then what stands before."""
+    if len(text) > most:
+        text = text.partition("/")[2] or text
     return text if len(text) <= most else "…" + text[1 - most :]
 
 

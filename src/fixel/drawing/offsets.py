@@ -20,7 +20,6 @@ from fixel.drawing.chart import (
     positive,
     readable,
     sheet,
-    shortened,
 )
 from fixel.kernels.arrays import FloatArray, IntArray
 
@@ -84,7 +83,7 @@ class OffsetsChart(AbstractChart):
 
     def figure(self) -> Figure:
         n, m = len(self.quantities), len(self.columns)
-        figure = sheet(WIDE, 0.9 + (1.05 if n > 1 else 1.9) * n)
+        figure = sheet(WIDE, 0.7 + (1.05 if n > 1 else 1.7) * n, self.title)
         widths = (*(1.0 for _ in self.columns), 0.45)
         grid = figure.subplots(n, m + 1, squeeze=False, sharey="row", width_ratios=widths)
         for row, quantity in zip(grid, self.quantities, strict=True):
@@ -94,14 +93,13 @@ class OffsetsChart(AbstractChart):
             _draw_histogram(row[-1], quantity)
             row[0].set_ylabel(readable(quantity.unit).on(_broken(quantity.label)))
         for axes, axis in zip(grid[-1], self.columns, strict=False):
-            text = f"offset in {axis.name}" if self.axes else axis.name
+            text = f"offset in {axis.name.replace('theta', 'θ')}" if self.axes else axis.name
             axes.set_xlabel(readable(axis.unit or "-").on(text))
         for row in grid[:-1]:
             for axes in row[:m]:
                 axes.tick_params(labelbottom=False)
         grid[-1, -1].set_xlabel("experiments")
         figure.align_ylabels(grid[:, 0])
-        figure.suptitle(shortened(self.title, 90), fontsize=palette.FONT_SIZE + 1.0)
         self._legend(figure, grid[0, 0])
         return figure
 

@@ -36,9 +36,12 @@ MOST_OUTLINES: Final = 40  # that the extent is measured by
 
 # [inch] of the page.
 LEFT, BETWEEN, RIGHT, BOTTOM, TOP = 0.48, 0.62, 0.10, 0.36, 0.30
-PANEL, GAP = 0.86, 0.10
-VIEW: Final = 2.60  # width of the top view
-LEGEND_ROW: Final = 0.16
+PANEL, GAP = 0.90, 0.10
+TALL: Final = 3 * PANEL + 2 * GAP
+VIEW: Final = 2.75  # width of the top view
+LEGEND: Final = 0.62  # below it, with four rows
+LOWEST: Final = 1.0
+LEAST: Final = 0.02  # range of a panel [mm or deg]
 
 
 class Track(NamedTuple):
@@ -95,30 +98,36 @@ class OverlayChart(AbstractChart):
     def figure(self) -> Figure:
         from matplotlib.figure import Figure
 
-        tall = 3 * PANEL + 2 * GAP
-        legend = 2 * LEGEND_ROW + 0.04
-        total = BOTTOM + legend + tall + TOP
+        total = BOTTOM + TALL + TOP
         figure = Figure(figsize=(WIDE, total))
-        # Banners grow the figure: an engine that lays out nothing lets them move what is here.
-        view = figure.add_axes(_share(LEFT, BOTTOM + legend, VIEW, tall, total), label="view")
-        _draw_view(view, self, tall / VIEW)
+        box = _extent(self)
+        aspect = (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
+        # The legend takes the place that the view leaves below.
+        height = min(max(LOWEST, VIEW * aspect), TALL - LEGEND)
+        place = _share(LEFT, BOTTOM + TALL - height, VIEW, height, total)
+        view = figure.add_axes(place, label="view")
+        frame_axes(view, box.with_aspect(height / VIEW), MM)
+        _draw_view(view, self)
         width = (WIDE - LEFT - VIEW - 2 * BETWEEN - RIGHT) / 2.0
         for column, draw in enumerate((_draw_poses, _draw_differences)):
             left = LEFT + VIEW + BETWEEN + column * (width + BETWEEN)
             panels = []
             for k in range(3):
-                bottom = BOTTOM + legend + (2 - k) * (PANEL + GAP)
+                bottom = BOTTOM + (2 - k) * (PANEL + GAP)
                 panels.append(figure.add_axes(_share(left, bottom, width, PANEL, total)))
             draw(panels, self)
-            _time_axes(panels)
+            _time_axes(panels, self.measured)
         view.set_title(shortened(self.title, 100), loc="left", pad=5.0)
-        figure.legend(
+        view.legend(
             *view.get_legend_handles_labels(),
-            loc="lower center",
-            bbox_to_anchor=(0.5, 0.0),
-            ncols=5,
+            loc="upper center",
+            bbox_to_anchor=(0.42, -0.33 / height),
+            ncols=2,
             frameon=False,
-            columnspacing=1.4,
+            borderpad=0.0,
+            borderaxespad=0.0,
+            labelspacing=0.35,
+            columnspacing=1.2,
             handlelength=2.2,
         )
         return figure
@@ -133,7 +142,8 @@ class OverlayChart(AbstractChart):
         return Table(columns, rows)
 
 
-_MEASURED: Final[Style] = {"color": palette.INK, "linewidth": 1.5}
+# Broad and pale, so that it shows below a simulation that meets it.
+_MEASURED: Final[Style] = {"color": "#9A9A9A", "linewidth": 2.4}
 _BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": DASHED}
 _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
 
@@ -145,8 +155,7 @@ def _share(
     return left / WIDE, bottom / total, width / WIDE, height / total
 
 
-def _draw_view(axes: Axes, chart: OverlayChart, aspect: float) -> None:
-    frame_axes(axes, _extent(chart).with_aspect(aspect), MM)
+def _draw_view(axes: Axes, chart: OverlayChart) -> None:
     start: Style = {"facecolor": tint(palette.FIXEL, 0.2), "edgecolor": palette.FIXEL}
     first = placed(chart.outline, chart.measured.pose[0])
     axes.fill(*_closed(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
@@ -155,10 +164,10 @@ def _draw_view(axes: Axes, chart: OverlayChart, aspect: float) -> None:
         label = f"{name}, end{_error(track, chart.unit)}"
         axes.plot(*_closed(last), label=label, zorder=4, **style)
         if len(track.time) > FEW:
-            thin = style | {"linewidth": 0.7}
+            thin = style | {"linewidth": 0.6 * style["linewidth"]}
             axes.plot(*(track.pose[:, :2].T * MM.per_metre), zorder=3, **thin)
     for k, outline in enumerate(chart.fixels):
-        axes.fill(*_closed(outline), color=palette.FIXEL, zorder=5, linewidth=0.0,
+        axes.fill(*_closed(outline), color=palette.INK, zorder=5, linewidth=0.0,
                   label="" if k else "fixel")  # fmt: skip
     for outline, line, label in zip(chart.pusher, (DASHED, "-"), ("start", "end"), strict=False):
         axes.plot(*_closed(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
@@ -188,7 +197,7 @@ def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
     for _, track, style in chart.tracks:
         turned = np.degrees(np.unwrap(track.pose[:, 2]))
         for axes, values in zip(panels, (*track.pose[:, :2].T * MM.per_metre, turned), strict=True):
-            axes.plot(track.time, values, **style, **_dots(track))
+            axes.plot(track.time, values, **style | _dots(track))
     for axes, label in zip(panels, ("x [mm]", "y [mm]", "θ [deg]"), strict=True):
         axes.set_ylabel(label, labelpad=1.0)
 
@@ -199,9 +208,9 @@ def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
         time, difference = _difference(track, chart.measured)
         if len(time):
             for axes, values in zip(panels, difference.T, strict=True):
-                axes.plot(time, values, **style, **_dots(chart.measured))
+                axes.plot(time, values, **style | _dots(chart.measured))
     for axes, label in zip(panels, ("Δx [mm]", "Δy [mm]", "Δθ [deg]"), strict=True):
-        axes.axhline(0.0, **(_MEASURED | {"linewidth": 0.6}))
+        axes.axhline(0.0, color=palette.INK, linewidth=0.5, zorder=1)
         axes.set_ylabel(label, labelpad=1.0)
     panels[0].set_title(
         f"simulated less {chart.tracks[0][0]}", loc="right", fontsize=palette.FONT_SIZE, pad=3.0
@@ -224,14 +233,20 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
 
 def _dots(track: Track) -> Style:
     """Of a few poses nobody knows what lies between."""
-    return {"marker": "o", "markersize": 2.2} if len(track.time) <= FEW else {}
+    few = len(track.time) <= FEW
+    return {"linestyle": "none", "marker": "o", "markersize": 3.5} if few else {}
 
 
-def _time_axes(panels: Sequence[Axes]) -> None:
+def _time_axes(panels: Sequence[Axes], measured: Track) -> None:
+    end = float(measured.time[-1])
     for axes in panels:
         clean(axes)
+        axes.set_xlim(-0.02 * end, 1.02 * end)
+        axes.margins(y=0.10)
+        low, high = axes.get_ylim()
+        if high - low < LEAST:  # rounding errors are no motion
+            axes.set_ylim(0.5 * (low + high - LEAST), 0.5 * (low + high + LEAST))
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.tick_params(labelbottom=axes is panels[-1])
-        axes.margins(x=0.02, y=0.10)
         axes.yaxis.set_label_coords(-0.25, 0.5)
     panels[-1].set_xlabel("time [s]", labelpad=1.5)

@@ -47,10 +47,11 @@ class ParameterRow(NamedTuple):
     label: str
     unit: str
     bounds: tuple[float, float]
-    start: float  # of the search
+    before: float
     value: float
     low: float | None = None  # ends of the interval; None where the data set no end
     high: float | None = None
+    likely: float | None = None  # the value that the interval is about, where it is another
     verdict: str = ""
     others: tuple[float, ...] = ()  # with other sets of parameters
 
@@ -83,10 +84,13 @@ class ParametersChart(AbstractChart):
     def figure(self) -> Figure:
         n = len(self.rows)
         figure = sheet(WIDE, 0.85 + ROW * n)
-        axes, words = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
+        judged = any(row.judged for row in self.rows)
+        width = 0.72 if judged else 0.22
+        axes, words = figure.subplots(1, 2, width_ratios=(1.0, width), sharey=True)
         for k, row in enumerate(self.rows):
             _draw_row(axes, k, row)
             _write_row(words, k, row)
+        words.set_xlim(0.0, width)
         axes.set_ylim(n - 0.4, -0.6)
         axes.set_xlim(-0.03, 1.03)
         names = [_broken(row.label) for row in self.rows]
@@ -107,9 +111,12 @@ class ParametersChart(AbstractChart):
             label = f"{100 * self.level:g} % interval; an arrow: no end in the data"
             entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
                                   label=label))  # fmt: skip
+        if any(row.likely is not None for row in self.rows):
+            entries.append(Line2D([], [], label="most likely value, where it is another",
+                                  **_dot(palette.BODY, "o", hollow=True)))  # fmt: skip
         entries.append(
             Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
-                   label="start of the search")
+                   label="before")
         )  # fmt: skip
         for name, style in zip(self.others, OTHERS, strict=False):
             dot = _dot(style["color"], style["marker"], hollow=True)
@@ -117,16 +124,17 @@ class ParametersChart(AbstractChart):
         figure.legend(
             handles=entries,
             frameon=False,
-            ncols=len(entries) if len(entries) < 4 else 3,
+            ncols=len(entries) if len(entries) < 5 else 3,
             loc="outside lower left",
         )
 
     def table(self) -> Table:
-        columns = ("parameter", "unit", "bound_low", "bound_high", "start", "value",
-                   "interval_low", "interval_high", "verdict", *self.others)  # fmt: skip
+        columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
+                   "interval_low", "interval_high", "most_likely", "verdict",
+                   *self.others)  # fmt: skip
         rows: list[tuple[Value, ...]] = [
-            (row.label, row.unit, *row.bounds, row.start, row.value, row.low, row.high,
-             row.verdict, *row.others)
+            (row.label, row.unit, *row.bounds, row.before, row.value, row.low, row.high,
+             row.likely, row.verdict, *row.others)
             for row in self.rows
         ]  # fmt: skip
         return Table(columns, rows)
@@ -140,7 +148,7 @@ def _dot(colour: str, marker: str, hollow: bool = False) -> Style:
     return {
         "linestyle": "none",
         "marker": marker,
-        "markersize": 4.5 if hollow else 6.0,
+        "markersize": 5.0,
         "color": colour,
         "markerfacecolor": "none" if hollow else colour,
         "markeredgewidth": 0.9,
@@ -169,12 +177,14 @@ def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
         for end, known, marker in ((ends[0], row.low, "<"), (ends[1], row.high, ">")):
             if known is None:
                 axes.plot([end], [k], marker=marker, markersize=5.0, color=colour, zorder=2.5)
-    axes.plot([share(row.start)], [k], marker="|", markersize=10, color=palette.INK, zorder=3)
+    axes.plot([share(row.before)], [k], marker="|", markersize=10, color=palette.INK, zorder=3)
     for value, style in zip(row.others, OTHERS, strict=False):
         dot = _dot(style["color"], style["marker"], hollow=True)
-        axes.plot([share(value)], [k], zorder=4, **dot)
+        axes.plot([share(value)], [k], zorder=6, **dot)
     colour = _colour(row.verdict) if row.judged else palette.BODY
     axes.plot([share(row.value)], [k], zorder=5, **_dot(colour, "o"))
+    if row.likely is not None:
+        axes.plot([share(row.likely)], [k], zorder=4, **_dot(colour, "o", hollow=True))
 
 
 def _colour(verdict: str) -> str:
@@ -191,9 +201,9 @@ def _write_row(axes: Axes, k: int, row: ParameterRow) -> None:
     if not row.judged:
         return
     ends = ["?" if end is None else unit.text(end) for end in (row.low, row.high)]
-    interval = "no end known" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]} {unit.name}"
-    axes.text(0.27, k, interval.rstrip(), va="center")
-    axes.text(0.62, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
+    interval = "no end known" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"
+    axes.text(0.18, k, interval, va="center")
+    axes.text(0.42, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
 
 
 def _wrapped(verdict: str) -> str:
@@ -241,7 +251,8 @@ class ProfilesChart(AbstractChart):
         n = len(self.panels)
         columns = min(n, COLUMNS) if n != 5 else 3
         rows = -(-n // columns)
-        figure = sheet(WIDE if columns > 2 else palette.COLUMN * columns, 0.75 + 1.75 * rows)
+        width = WIDE if columns > 2 else palette.COLUMN * columns
+        figure = sheet(width, 0.55 + 1.75 * rows, self.title)
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, self.panels, strict=False):
             _draw_profile(axes, panel, self.level)
@@ -249,7 +260,6 @@ class ProfilesChart(AbstractChart):
             axes.axis("off")
         for row in grid:
             row[0].set_ylabel("rise of the deviance\nover its threshold")
-        figure.suptitle(shortened(self.title, 90), fontsize=palette.FONT_SIZE + 1.0)
         figure.legend(
             *grid[0, 0].get_legend_handles_labels(),
             frameon=False,

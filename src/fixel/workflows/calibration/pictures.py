@@ -11,18 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.drawing.calibration import (
-    BEFORE,
-    ErrorsChart,
-    SearchChart,
-    SearchPanel,
-    SecondsChart,
-    StartsChart,
-)
+from fixel.drawing.calibration import BEFORE, ErrorsChart, SecondsChart
 from fixel.drawing.chart import AbstractChart, Table, draw_chart
 from fixel.drawing.offsets import OffsetsChart, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray

@@ -451,7 +451,7 @@ def _curves(labels: Sequence[str], found: Profiles) -> tuple[Curve, ...]:
             slice_deviances=one.slice.deviances - least,
             low=one.low,
             high=one.high,
-            threshold=found.threshold,
+            threshold=found.limit,
         )
         for one in found.profiles
     )

@@ -1,0 +1,312 @@
+"""Searches as pictures: error against evaluation, and where several starts ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Style,
+    Table,
+    Value,
+    clean,
+    column,
+    legend_below,
+    log_scale,
+    plain,
+    positive,
+    readable,
+    room_above,
+    sheet,
+    shortened,
+    whole_numbers,
+    written,
+)
+from fixel.kernels.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class SearchPanel(NamedTuple):
+    """One search."""
+
+    title: str
+    errors: FloatArray  # (n,) of the evaluations in order; inf where one failed
+    begins: IntArray  # (m,) first evaluation of each iteration; none where they are not known
+
+    @property
+    def best(self) -> FloatArray:
+        """(n,) least so far; inf before the first success."""
+        return np.minimum.accumulate(self.errors) if len(self.errors) else self.errors
+
+    @property
+    def iteration(self) -> IntArray:
+        """(n,) of each evaluation, from 0; nothing is known where all are -1."""
+        return np.searchsorted(self.begins, np.arange(len(self.errors)), side="right") - 1
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchChart(AbstractChart):
+    """Error against evaluation, a panel a search.
+
+    Source: RPI thesis, figure 5.5.
+
+    Parameters
+    ----------
+    panels : sequence of SearchPanel
+        One to three.
+    unit : str
+        Of the errors.
+    what : str
+        Is searched: `"sum of errors"` of several experiments.
+    """
+
+    panels: Sequence[SearchPanel]
+    unit: str
+    what: str = "error"
+
+    def figure(self) -> Figure:
+        n = len(self.panels)
+        figure = sheet(4.6 if n == 1 else WIDE, 2.9 if n == 1 else 2.7)
+        row = figure.subplots(1, n, squeeze=False)[0]
+        for axes, panel in zip(row, self.panels, strict=True):
+            _draw_search(axes, panel, 70 if n == 1 else 38)
+        row[0].set_ylabel(f"{self.what} [{written(self.unit)}]")
+        legend_below(figure, row)
+        return figure
+
+    def table(self) -> Table:
+        unit = column(self.unit)
+        columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
+        rows: list[tuple[Value, ...]] = [
+            (panel.title.replace("\n", " "), k + 1, None if i < 0 else i, error, best)
+            for panel in self.panels
+            for k, (i, error, best) in enumerate(
+                zip(panel.iteration.tolist(), plain(panel.errors), plain(panel.best), strict=True)
+            )
+        ]
+        return Table(columns, rows)
+
+
+def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
+    number = np.arange(1, len(panel.errors) + 1)
+    failed = ~np.isfinite(panel.errors)
+    shown = positive(panel.errors)
+    axes.plot(
+        number,
+        shown,
+        linestyle="none",
+        marker="o",
+        markersize=3.0 if len(number) < 30 else 1.8,
+        color=palette.TRAIL,
+        markeredgewidth=0.0,
+        label="evaluation",
+    )
+    # Not below zero on a logarithmic axis, so both from the same values.
+    best = np.fmin.accumulate(shown) if len(shown) else shown
+    axes.step(number, best, where="post", color=palette.BODY, linewidth=1.2, label="best so far")
+    if failed.any():
+        axes.plot(
+            number[failed],
+            np.full(failed.sum(), 0.975),
+            linestyle="none",
+            marker="x",
+            markersize=3.5,
+            markeredgewidth=0.7,
+            color=palette.FORCE,
+            transform=axes.get_xaxis_transform(),
+            label="no simulation",
+        )
+    log_scale(axes, "y", shown)
+    room_above(axes, bool(failed.any()))
+    margin = max(0.6, 0.02 * len(number))
+    axes.set_xlim(1.0 - margin, max(len(number), 1) + margin)
+    title = "\n".join(shortened(line, letters) for line in panel.title.split("\n"))
+    axes.set_title(title, fontsize=palette.FONT_SIZE)
+    axes.set_xlabel("evaluation")
+    whole_numbers(axes)
+    clean(axes)
+    if failed.all():
+        axes.text(0.5, 0.5, "nothing could be evaluated", transform=axes.transAxes, ha="center")
+        axes.tick_params(labelleft=False)
+    _iteration_axis(axes, panel)
+
+
+def _iteration_axis(axes: Axes, panel: SearchPanel) -> None:
+    """A second axis above, which counts iterations where each begins."""
+    # One evaluation an iteration says nothing new.
+    n, spread = len(panel.begins), len(panel.errors)
+    if not 2 < n < spread:
+        return
+    step = next(s for s in _round_steps() if (n - 1) / s <= 6)
+    wanted = np.arange(0, n, step)
+    places = panel.begins[wanted] + 1.0
+    # The first iterations may be one evaluation each: numbers would lie on each other.
+    keep = np.concatenate(([True], np.diff(places) > 0.05 * spread))
+    above = axes.secondary_xaxis("top")
+    above.set_xticks(places[keep], [str(k) for k in wanted[keep]])
+    above.set_xlabel("iteration", labelpad=2.0)
+    above.tick_params(pad=1.0)
+
+
+def _round_steps() -> list[int]:
+    return [k * 10**p for p in range(9) for k in (1, 2, 5)]
+
+
+# --- several starts -----------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartsChart(AbstractChart):
+    """Final errors of searches from several starts, sorted, and where each ended.
+
+    Parameters
+    ----------
+    title : str
+    unit : str
+        Of the errors.
+    errors : (k,) float64
+        Final; inf where a search found nothing.
+    points : (k, n) float64
+        Where each ended.
+    labels, units : sequences of str
+        Of the unknowns.
+    low, high : (n,) float64
+        Bounds.
+    evaluations : sequence of int
+        Of each search.
+    nearly : float
+        Share of the best error by which another may exceed it and count as good.
+    what : str
+        As in `SearchChart`.
+    """
+
+    title: str
+    unit: str
+    errors: FloatArray
+    points: FloatArray
+    labels: Sequence[str]
+    units: Sequence[str]
+    low: FloatArray
+    high: FloatArray
+    evaluations: Sequence[int]
+    nearly: float = 0.02
+    what: str = "error"
+
+    @property
+    def order(self) -> list[int]:
+        """Starts from the best to the worst."""
+        return [int(k) for k in np.argsort(self.errors, kind="stable")]
+
+    @property
+    def good(self) -> list[bool]:
+        """Which starts are as good as the best, or nearly."""
+        best = float(self.errors.min())
+        return [math.isfinite(e) and e <= best * (1.0 + self.nearly) for e in self.errors.tolist()]
+
+    def figure(self) -> Figure:
+        figure = sheet(WIDE, 2.7, self.title)
+        # Four unknowns and more need the room that three leave empty.
+        share = max(1.0, 0.35 * len(self.labels))
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
+        _draw_waterfall(left, self)
+        _draw_ends(right, self)
+        legend_below(figure, (left,))
+        return figure
+
+    def table(self) -> Table:
+        first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
+        names = tuple(
+            f"{label} [{unit}]" for label, unit in zip(self.labels, self.units, strict=True)
+        )
+        errors = plain(self.errors)
+        rows = [
+            (rank, k + 1, errors[k], str(self.good[k]).lower(), self.evaluations[k],
+             *self.points[k].tolist())
+            for rank, k in enumerate(self.order, 1)
+        ]  # fmt: skip
+        return Table((*first, *names), rows)
+
+
+def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:
+    ordered = chart.errors[chart.order]
+    shown, rank = positive(ordered), np.arange(1, len(ordered) + 1)
+    nearly = np.array(chart.good)[chart.order]
+    axes.step(rank, shown, where="mid", color=palette.FAINT, linewidth=1.0, zorder=1)
+    few = len(rank) <= 40
+    for which, style in ((nearly, _good(chart)), (~nearly & np.isfinite(ordered), _other())):
+        if which.any():
+            axes.plot(rank[which], shown[which], linestyle="none", markersize=4 if few else 2.5,
+                      **style)  # fmt: skip
+    none = ~np.isfinite(ordered)
+    if none.any():
+        axes.plot(rank[none], np.full(none.sum(), 0.96), linestyle="none", marker="x",
+                  markersize=4.0, color=palette.FORCE, label="found nothing",
+                  transform=axes.get_xaxis_transform())  # fmt: skip
+    log_scale(axes, "y", shown)
+    room_above(axes, bool(none.any()))
+    axes.set_xlim(0.4, len(rank) + 0.6)
+    axes.set(xlabel="start, best first", ylabel=f"final {chart.what} [{written(chart.unit)}]")
+    whole_numbers(axes)
+    clean(axes)
+
+
+def _good(chart: StartsChart) -> Style:
+    return {
+        "marker": "o",
+        "color": palette.BODY,
+        "label": f"the best, or within {100 * chart.nearly:g} % of it",
+    }
+
+
+def _other() -> Style:
+    return {"marker": "D", "color": palette.PUSHER, "label": "a worse end"}
+
+
+def _draw_ends(axes: Axes, chart: StartsChart) -> None:
+    """Each start a line across the unknowns, as shares of their ranges: ends that differ show."""
+    place = np.arange(len(chart.labels))
+    shares = (chart.points - chart.low) / (chart.high - chart.low)
+    for k in reversed(chart.order):
+        if math.isfinite(chart.errors[k]):
+            style = _good(chart) if chart.good[k] else _other()
+            axes.plot(
+                place,
+                shares[k],
+                color=style["color"],
+                marker=style["marker"],
+                markersize=2.8,
+                linewidth=1.0 if chart.good[k] else 0.5,
+                alpha=0.9 if chart.good[k] else 0.6,
+                zorder=3 if chart.good[k] else 2,
+            )
+    names = []
+    for label, unit, low, high in zip(
+        chart.labels, chart.units, chart.low.tolist(), chart.high.tolist(), strict=True
+    ):
+        own = readable(unit)
+        ends = f"{own.text(low)} … {own.text(high)} {own.name}".rstrip()
+        names.append(f"{_broken(label)}\n{ends}")
+    axes.set_xticks(place, names)
+    if len(names) > 6:
+        axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)
+    axes.set_xlim(-0.4, len(place) - 0.6)
+    axes.set_ylim(-0.04, 1.04)
+    axes.set_ylabel("place between the bounds")
+    clean(axes)
+
+
+def _broken(label: str) -> str:
+    """A label over two lines where it says for whom it is."""
+    return label.replace("[", "\n[", 1)
