@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.banner import BANNER, add_band
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
 from fixel.kernels.arrays import FloatArray
 
@@ -22,7 +23,6 @@ Value = str | float | int | None
 Style = dict[str, Any]
 
 WIDE: Final = 7.16  # [inch], two columns of text
-BANNER: Final = 0.20  # [inch]
 HEAD: Final = 0.22  # [inch]
 
 
@@ -91,8 +91,6 @@ def sheet(width: float, height: float, title: str = "") -> Figure:
 
 
 def _add_banner(figure: Figure, text: str) -> None:
-    from matplotlib.patches import Rectangle
-
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + BANNER)
     share = BANNER / (height + BANNER)
@@ -105,12 +103,7 @@ def _add_banner(figure: Figure, text: str) -> None:
         for axes in figure.axes:
             x, y, wide, tall = axes.get_position(original=True).bounds
             axes.set_position((x, y * (1.0 - share), wide, tall * (1.0 - share)))
-    figure.add_artist(
-        Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
-    )
-    figure.text(
-        0.5, 1.0 - 0.52 * share, text, color="white", weight="bold", ha="center", va="center"
-    )
+    add_band(figure, text, share)
 
 
 # --- shared by charts ---------------------------------------------------------------------------

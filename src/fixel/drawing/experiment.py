@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.banner import BANNER, add_simulated_band, cut_short
 from fixel.drawing.picture import PICTURE_ENDINGS, frame_axes, refuse_ending, tint
 from fixel.drawing.view import UNITS, Box, ghosts
 from fixel.errors import InvalidInput
@@ -24,7 +25,6 @@ MM: Final = UNITS[1]
 
 # Of the figure [inch].
 LEFT, RIGHT, TOP, BOTTOM = 0.60, 0.12, 0.24, 0.36
-BANNER = 0.20
 TALLEST, LOWEST = 3.4, 1.1
 VIEW_LABELS, PANEL, GAP, STRIP_ROW = 0.38, 0.62, 0.11, 0.13
 LEGEND_ROW = 0.128
@@ -531,25 +531,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
 
 def _heading(sheet: _Sheet, experiment: Experiment, total: float) -> None:
     """The name of the experiment, and a banner over what no camera has seen."""
-    sheet.view.set_title(_shortened(experiment.key, 52), loc="left", pad=3.5)
+    sheet.view.set_title(cut_short(experiment.key, 52), loc="left", pad=3.5)
     if experiment.real:
         return
-    from matplotlib.patches import Rectangle
-
-    share = BANNER / total
-    sheet.figure.add_artist(
-        Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
-    )
-    sheet.figure.text(
-        0.5,
-        1.0 - 0.52 * share,
-        f"SIMULATED by {_shortened(experiment.simulated_by)}",
-        color="white",
-        weight="bold",
-        ha="center",
-        va="center",
-    )
-
-
-def _shortened(text: str, most: int = 44) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+    add_simulated_band(sheet.figure, experiment.simulated_by, BANNER / total)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.banner import BANNER, add_simulated_band, cut_short
 from fixel.drawing.experiment import (
-    BANNER,
     BOTTOM,
     DASHED,
     DOTTED,
@@ -383,25 +383,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
 
 def _heading(sheet: _Sheet, experiment: Experiment, total: float) -> None:
     """The name of the experiment, and a banner over what no camera has seen."""
-    sheet.view.set_title(_shortened(f"{experiment.key}, filtered", 52), loc="left", pad=3.5)
+    sheet.view.set_title(cut_short(f"{experiment.key}, filtered", 52), loc="left", pad=3.5)
     if experiment.real:
         return
-    from matplotlib.patches import Rectangle
-
-    share = BANNER / total
-    sheet.figure.add_artist(
-        Rectangle((0.0, 1.0 - share), 1.0, share, facecolor=palette.FORCE, linewidth=0.0)
-    )
-    sheet.figure.text(
-        0.5,
-        1.0 - 0.52 * share,
-        f"SIMULATED by {_shortened(experiment.simulated_by, 44)}",
-        color="white",
-        weight="bold",
-        ha="center",
-        va="center",
-    )
-
-
-def _shortened(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+    add_simulated_band(sheet.figure, experiment.simulated_by, BANNER / total)

@@ -20,6 +20,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.prior import checked_priors
 from fixel.filtering.running import POSE, RunningFilter
@@ -193,19 +194,6 @@ _BETWEEN = {
     "discount": (0.5, 1.0),
     "resample_below": (0.0, 1.0),
 }
-
-
-def scene_of(experiment: Experiment) -> Scene:
-    """The scene of an experiment, or a refusal."""
-    if experiment.scene is None:
-        reasons = "; ".join(flag.detail for flag in experiment.flags if flag.detail)
-        raise InvalidInput(
-            f"experiment {experiment.key}",
-            found="no scene" + (f": {reasons}" if reasons else ""),
-            expected="one whose object, pusher and fixels are known",
-            hint="fixel show has its path",
-        )
-    return experiment.scene
 
 
 def _refuse_scene(scene: Scene) -> None:

@@ -9,8 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
-from fixel.filtering.particle_filter import ParticleFilter, scene_of
+from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import Prior, excited
 from fixel.filtering.running import Estimate, Frame
 from fixel.kernels.arrays import IntArray
