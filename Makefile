@@ -15,7 +15,7 @@ PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
 
-.PHONY: help demo test test-slow check lint format soak bench lock clean
+.PHONY: help demo test test-slow test-cluster check lint format soak bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -35,6 +35,9 @@ test: $(READY)  ## the tests, and the check that each floor imports only from th
 
 test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
 	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+test-cluster: $(READY)  ## campaigns on a real SLURM on this machine, killed and continued (needs slurm-wlm, munge)
+	@$(BIN)/python -m pytest -m "not soak" tests/jobs/test_slurm.py $(PYTEST_ARGS)
 
 lint: $(READY)  ## formatting, lint and types
 	@$(BIN)/ruff format --check .

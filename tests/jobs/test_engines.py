@@ -2,6 +2,8 @@
 
 import os
 import signal
+import socket
+import ssl
 import sys
 import time
 
@@ -83,6 +85,20 @@ def test_all_talk_is_encrypted_and_on_loopback(folder):
             assert address.startswith("0100007F:")  # 127.0.0.1 in the kernel's hexadecimal
 
 
+def test_nobody_joins_without_the_key_of_the_job(folder):
+    with workers(folder, size=1) as engine:
+        answers(engine, folder, chunks(1))
+        host, _, port = link.read_address(folder).removeprefix("tls://").rpartition(":")
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        with (
+            socket.create_connection((host, int(port)), timeout=10.0) as plain,
+            context.wrap_socket(plain) as encrypted,
+            pytest.raises((ssl.SSLError, ConnectionResetError)),
+        ):
+            encrypted.recv(1)
+
+
 def _listening(pid):
     names = {os.path.basename(os.readlink(f)) for f in _descriptors(pid)}
     inodes = {n.partition("[")[2].rstrip("]") for n in names if n.startswith("socket:")}
@@ -143,13 +159,13 @@ def test_workers_that_cannot_start_are_not_started_for_ever(folder, tmp_path):
 
 def test_a_stopped_worker_is_not_waited_for_and_its_late_answer_is_taken_once(folder):
     """SIGSTOP for longer than a lease, then SIGCONT."""
-    said = []
+    said, calls = [], folder / "calls"
+    calls.touch()
     # Dask lets a lease of few workers end after five seconds at the earliest.
     with workers(folder, size=1, said=said, lease_s=1.0) as engine:
-        asked = chunks(2, sleep_s=0.5)
+        asked = chunks(2, sleep_s=2.0)
         stream = engine.results(toy_work.FUNCTION, folder / "inputs", asked)
-        await_true(lambda: next(stream) or engine.workers, "a worker")
-        time.sleep(0.2)
+        await_true(lambda: next(stream) or calls.read_text(), "the first chunk to run")
         (pid,) = processes(folder, "worker")
         kill(pid, signal.SIGSTOP)
         found, stopped, deadline = {}, True, time.monotonic() + 60.0
@@ -192,6 +208,17 @@ def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
         assert processes(folder, "worker") == before
     assert len(found) == 12
     assert any("the scheduler has ended with code -9" in sentence for sentence in said)
+
+
+def test_a_scheduler_that_hangs_is_replaced(folder, monkeypatch):
+    monkeypatch.setattr("fixel.jobs.cluster.ANSWER_S", 2.0)
+    said = []
+    with workers(folder, size=1, said=said) as engine:
+        stream = engine.results(toy_work.FUNCTION, folder / "inputs", chunks(4, sleep_s=0.2))
+        await_true(lambda: next(stream), "an answer")
+        kill(engine.scheduler_pid, signal.SIGSTOP)
+        assert len([pair for batch in stream for pair in batch]) == 3
+    assert any("the scheduler does not answer" in sentence for sentence in said)
 
 
 def test_interfaces_are_named_ones():

@@ -131,7 +131,7 @@ def registration_from_gaps(
         weight = used / np.sqrt(1.0 + (rest / SCATTER) ** 2)
         rows = np.vstack((normal * weight[:, None], np.eye(2) * SCATTER / prior_sd))
         right = np.concatenate((-gap * weight, expected * SCATTER / prior_sd))
-        shift = np.linalg.lstsq(rows, right)[0]
+        shift = np.asarray(np.linalg.lstsq(rows, right)[0], np.float64)
     rest = gap + normal @ shift
     return Registration(
         shift,

@@ -88,7 +88,7 @@ class FileLock:
         self.release()
 
     def _take(self) -> int:
-        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             if not _locked(descriptor):
                 self._substitute = _substitute(self._path)
@@ -104,11 +104,12 @@ class FileLock:
 def holder(path: Path) -> Owner | None:
     """Who holds the lock, or None if nobody does."""
     try:
-        descriptor = os.open(path, os.O_RDWR)
+        # Also for those who may only read.
+        descriptor = os.open(path, os.O_RDONLY)
     except OSError:
         return None
     try:
-        if _locked(descriptor):
+        if _locked(descriptor, shared=True):
             return None
         substitute = _read_owner(_substitute_of(path))
         return substitute if substitute and not _gone(substitute) else None
@@ -133,7 +134,7 @@ def _read_owner(path: Path) -> Owner | None:
 if sys.platform == "win32":
     import msvcrt
 
-    def _locked(descriptor: int) -> bool:
+    def _locked(descriptor: int, shared: bool = False) -> bool:
         """Take the system's lock; False where there is none."""
         os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond the owner's name, which stays readable
         try:
@@ -145,10 +146,10 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _locked(descriptor: int) -> bool:
+    def _locked(descriptor: int, shared: bool = False) -> bool:
         """Take the system's lock; False where there is none."""
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             raise _Taken from None
         except OSError as problem:
@@ -169,7 +170,7 @@ def _substitute(path: Path) -> Path:
     if owner is not None and _gone(owner):
         held.unlink(missing_ok=True)
     try:
-        descriptor = os.open(held, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        descriptor = os.open(held, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     except FileExistsError:
         raise _Taken from None
     with os.fdopen(descriptor, "w") as stream:

@@ -115,7 +115,11 @@ class Cluster:
         """
         self._refuse_dead()
         try:
-            return sum(self._client.nthreads().values())
+            # `nthreads()` would wait for ever where a scheduler hangs.
+            cores = self._client.sync(
+                self._client.scheduler.ncores, workers=None, callback_timeout=ANSWER_S
+            )
+            return sum(cores.values())
         except Exception as problem:  # what Dask raises here depends on what broke
             raise ClusterLost(f"the scheduler does not answer: {problem!r}") from None
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import os
 import secrets
 import shutil
 import time
@@ -246,8 +247,11 @@ def _add_input(folder: Path, name: str, content: bytes | Path) -> None:
 
 
 def _write(path: Path, record: BaseModel) -> None:
-    with written_whole(path) as temporary:
-        temporary.write_text(json.dumps(record.model_dump(), indent=1) + "\n", encoding="utf-8")
+    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        stream.write(json.dumps(record.model_dump(), indent=1) + "\n")
+        stream.flush()
+        # Else a power cut may leave the new name on an empty file.
+        os.fsync(stream.fileno())
 
 
 def _read(path: Path, kind: type[Any]) -> Any:

@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import socket
+import sys
 import zlib
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -49,6 +50,8 @@ class Late(NamedTuple):
 
 def refuse_without_dask() -> None:
     """Refuse work in several processes where the packages for it are not installed."""
+    if sys.platform == "win32":
+        raise JobRefused("several workers need Linux or macOS", hint="leave --workers out")
     for package in ("distributed", "dask_jobqueue", "cryptography"):
         if find_spec(package) is None:
             raise JobRefused(
@@ -82,6 +85,16 @@ def read_address(folder: Path) -> str | None:
         return str(json.loads((folder / "connection.json").read_text())["address"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def answers(address: str) -> bool:
+    """Whether anybody listens at an address; Dask would try for long to find out."""
+    host, _, port = address.removeprefix("tls://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=2.0).close()
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def forget_address(folder: Path) -> None:

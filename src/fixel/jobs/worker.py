@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     alone_since = time.monotonic()
     while True:
         address = link.read_address(given.folder)
-        if address is not None:
+        if address is not None and link.answers(address):
             joined, asked_to_end = asyncio.run(_serve(given, address, until))
             _await_chunk(until)
             if asked_to_end:

@@ -5,6 +5,7 @@ For tests and benchmarks of `fixel.jobs`: chunks may sleep, compute, fail, or ki
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -18,6 +19,7 @@ from fixel.jobs.work import Chunk, Failure, Round, Work
 
 FUNCTION = "fixel.testing.toy_work:evaluate"
 MAKER = "fixel.testing.toy_work:make_toy_work"
+_BLOCK = bytes(1_000_000)
 
 
 def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
@@ -81,7 +83,7 @@ def _log_call(inputs: Path, name: str) -> None:
 
 
 def _compute(cpu_s: float) -> None:
-    """Keep a core busy for so much of its own time [s]."""
+    """Keep a core busy for so much of its own time [s]; as kernels do, let others run."""
     end = time.thread_time() + cpu_s
     while time.thread_time() < end:
-        sum(range(1000))
+        hashlib.sha256(_BLOCK)

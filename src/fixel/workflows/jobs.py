@@ -16,6 +16,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, final
@@ -206,7 +207,9 @@ def cancel(folder: Path) -> JobStatus:
     if owner is not None:
         (folder / files.CANCEL).touch()
         if owner.host == socket.gethostname():
-            os.kill(owner.pid, signal.SIGTERM)
+            # Of another user's, or gone: the file asks too.
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(owner.pid, signal.SIGTERM)
         _await_end(folder)
     if run.site is not None:
         _cancel_on_slurm(job.label)

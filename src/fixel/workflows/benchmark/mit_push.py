@@ -337,7 +337,7 @@ def learned_ends(
         Ends of all members by the physics; of the measured ones only those for training are read.
     """
     features = _features(group, physics, speed)
-    good = np.isfinite(physics).all(axis=1)
+    good: BoolArray = np.asarray(np.isfinite(physics).all(axis=1))
     train = split.train[good[split.train]]
     residual = _in_object(group, train, group.end[train] - physics[train])
     process = ResidualProcess(features[train], residual)

@@ -36,6 +36,11 @@ STEP: Final = 0.1
 # An overlap at the start is taken back over this part of the stroke.
 FADE: Final = 0.1
 
+# Logarithms of factors on the loads of a part of the net, beside those on edges, or inside where
+# the outline is smooth: how plates are made, and what tables do to them.
+PART_NAMES: Final = {"corner": "at_corners", "inside": "inside", "ring": "at_rim"}
+_ON_LOADS: Final = (*TABLE_NAMES, *PART_NAMES.values())
+
 Key = tuple[str, str]  # surface, shape
 
 
@@ -69,7 +74,7 @@ class PushGroup:
         self.shape = data.shapes[key[1]]
         self.start, self.end = data.start[rows], data.end[rows]
         self.tip_start, self.tip_end = data.tip_start[rows], data.tip_end[rows]
-        self.points = support_net(self.shape)
+        self.points, self._part = support_net(self.shape)
         friction = NOMINAL["mu_support"]
         even = UniformPressure(friction=friction, n_points=int(NOMINAL["support_points"]))
         stepper = StewartTrinkle(step=STEP)
@@ -94,10 +99,10 @@ class PushGroup:
         which : (n,) int
             Numbers of the members.
         values : mapping of name to (n,) float64
-            Parameters of the scene, `TABLE_NAMES` among them.
+            Parameters of the scene, and of `TABLE_NAMES` and `PART_NAMES`.
         """
-        given = {name: v for name, v in values.items() if name not in TABLE_NAMES}
-        if any(name in values for name in TABLE_NAMES):
+        given = {name: v for name, v in values.items() if name not in _ON_LOADS}
+        if any(name in values for name in _ON_LOADS):
             given |= self._loads(which, values)
         outcome = self._net.simulate(which, given)
         return Simulated(outcome.pose[:, -1], outcome.converged)
@@ -105,6 +110,9 @@ class PushGroup:
     def _loads(self, which: IntArray, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         away = self.points - self.shape.centroid
         factor = factors_on_table(away, self.middle[which], values)
+        for part, name in PART_NAMES.items():
+            if name in values:
+                factor[:, self._part == part] *= np.exp(values[name])[:, None]
         names = [f"load_{k + 1}" for k in range(len(self.points))]
         return {name: values.get(name, 1.0) * factor[:, k] for k, name in enumerate(names)}
 

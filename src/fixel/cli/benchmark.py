@@ -1,0 +1,177 @@
+"""`fixel benchmark real`: calibrate on recorded pushes, and be judged on others."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from fixel.workflows.benchmark import Benchmark
+
+app = typer.Typer(
+    help="Compare with published results.", no_args_is_help=True, rich_markup_mode=None
+)
+
+
+@app.callback()
+def benchmark() -> None:
+    """Compare with published results."""
+
+
+@app.command("real")
+def real(
+    data: Annotated[
+        Path,
+        typer.Option(
+            help="Folder of the datasets.",
+            metavar="FOLDER",
+            exists=True,
+            file_okay=False,
+            show_default=False,
+        ),
+    ],
+    only: Annotated[
+        str,
+        typer.Option(
+            help="Part of the benchmark: mit, cmu-tripod, rpi-141 or asme-table-1 (which needs no"
+            " data).",
+            metavar="PART",
+        ),
+    ] = "mit",
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="calibrated, learned, few, unregistered or new-shape; may be repeated. All where"
+            " left out. Or joint: the time one calibration of 1000 pushes takes.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(help="Random splits, 60 % for training.", min=1, metavar="COUNT")
+    ] = 3,
+    folds: Annotated[
+        int,
+        typer.Option(
+            help="Instead, hold every push out once, in so many folds.", min=0, metavar="COUNT"
+        ),
+    ] = 0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few plates and pushes, to see that it works.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for tables, a picture and finished fits; the same command goes on there.",
+            metavar="FOLDER",
+            file_okay=False,
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the answer as one JSON object.")
+    ] = False,
+) -> None:
+    """Calibrate on some recorded pushes and say how far others end from where they should."""
+    import json
+
+    from fixel.workflows.benchmark import PROTOCOLS, Request, benchmark_real, joint_real
+
+    from fixel.workflows.benchmark.reproductions import REPRODUCTIONS, reproduce
+
+    if only in REPRODUCTIONS:
+        with _progress() as tell:
+            found = reproduce(only, data, out=out, progress=tell, quick=quick)
+        typer.echo(json.dumps(found.summary()) if as_json else "\n".join(found.conclusions))
+        return
+    if protocol == ["joint"]:
+        with _progress() as tell:
+            timed = joint_real(data, only, tell)
+        typer.echo(json.dumps(timed) if as_json else _timed(timed))
+        return
+    request = Request(
+        protocols=tuple(protocol) if protocol else tuple(PROTOCOLS),
+        seeds=1 if quick else seeds,
+        folds=0 if quick else folds,
+        quick=quick,
+    )
+    with _progress() as tell:
+        answer = benchmark_real(data, request, part=only, out=out, progress=tell)
+    if as_json:
+        typer.echo(json.dumps(answer.summary(), allow_nan=False))
+        return
+    typer.echo("\n".join(_lines(answer, data, out)))
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("getting ready", total=None)
+
+        def tell(done: int, of: int, what: str) -> None:
+            bar.update(task, completed=done, total=of, description=what)
+
+        yield tell
+
+
+def _lines(answer: Benchmark, data: Path, out: Path | None) -> list[str]:
+    from fixel.cli.screen import seconds, table
+
+    rows = answer.rows
+    models = (
+        [m for m in ("published", "uncalibrated", "calibrated") if m in rows[0]] if rows else []
+    )
+    head = ["protocol", "surface", "shape", "held out"]
+    head += [f"{model} {unit}" for model in models for unit in ("mm", "deg")]
+    lines = table(head, [_cells(row, models) for row in rows], left=3)
+    lines += ["", "Errors are mean / median.", *answer.notes]
+    lines += [
+        f"{row['protocol']}: 90 % intervals hold {100.0 * row['inside_90']:.1f} %."
+        for row in rows
+        if row["surface"] == "all" and row.get("inside_90") is not None
+    ]
+    lines.append(f"Took {seconds(float(answer.timing['seconds']))}.")
+    if out is not None:
+        lines.append(f"Written: {out}/{answer.part}_rows.csv, _pushes.csv, .png")
+        lines.append(f"Next: fixel benchmark real --data {data} --protocol joint")
+    else:
+        lines.append(f"Next: fixel benchmark real --data {data} --out benchmark")
+    return lines
+
+
+def _cells(row: dict[str, Any], models: Sequence[str]) -> list[str]:
+    cells = [row["protocol"], row["surface"], row["shape"], str(row["held_out"])]
+    for model in models:
+        for what in ("position_mm", "angle_deg"):
+            value = row[model][what]
+            cells.append(f"{_number(value['mean'])} / {_number(value['median'])}")
+    return cells
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _timed(answer: dict[str, Any]) -> str:
+    found = ", ".join(f"{name} {value:.4g}" for name, value in answer["best"].items())
+    return "\n".join(
+        (
+            f"{answer['evaluations']} evaluations of {answer['pushes']} pushes under"
+            f" {answer['parameters']} parameters in {answer['seconds']:.1f} s"
+            f" ({answer['pushes_per_second']} pushes per second).",
+            f"Robust error {answer['error_at_start']:.3f} -> {answer['error_at_best']:.3f}"
+            f" {answer['error_unit']} at {found}.",
+        )
+    )

@@ -1,0 +1,153 @@
+"""`fixel jobs`: what is printed, what is left behind, exit codes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+import yaml
+from tests.jobs.helpers import await_true, names_in, start, toy_job
+from typer.testing import CliRunner
+
+from fixel.cli import jobs
+from fixel.errors import InvalidInput
+from fixel.jobs.site import load_site
+
+OPTIONS = {"rounds": 2, "chunks": 4}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return toy_job(tmp_path / "jobs" / "my toy", **OPTIONS)
+
+
+def call(*arguments):
+    """Exit code and standard output; a refusal is raised, for `main` to put into words."""
+    done = CliRunner().invoke(jobs.app, [str(a) for a in arguments])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, done.stdout
+
+
+@pytest.fixture(autouse=True)
+def _own_sigterm():
+    """A command takes SIGTERM over; the tests' own handling comes back."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_a_job_to_its_end(folder):
+    code, out = call("submit", folder)
+    assert code == 0
+    assert out.splitlines() == [
+        f"{folder} is done; 8 of 8 chunks",
+        f"the result is in {folder}/result",
+    ]
+    again = call("submit", folder)
+    assert again == (code, out)  # done is done
+    assert call("logs", folder)[1].splitlines()[-1].endswith(" done")
+
+
+def test_as_json(folder):
+    answer = json.loads(call("submit", folder, "--json")[1])
+    assert (answer["state"], answer["done"], answer["total"], answer["kept"]) == ("done", 8, 8, 8)
+    listing = json.loads(call("status", folder, folder.parent.parent, "--json")[1])
+    assert listing == {"jobs": [answer, answer]}
+    assert json.loads(call("cancel", folder, "--json")[1])["state"] == "done"
+
+
+def test_status_of_a_project(folder, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    code, out = call("status")
+    assert code == 0
+    assert out.splitlines() == [
+        "job          state   done  of  failed  workers  rate [1/s]  left",
+        "jobs/my toy  queued     0   0       0        0           0",
+        "",
+        "Next: fixel jobs submit 'jobs/my toy'",
+    ]
+    monkeypatch.chdir(folder)
+    assert call("status")[1].splitlines()[-1] == "Next: fixel jobs submit ."
+
+
+def test_status_where_there_is_none(tmp_path):
+    assert call("status", tmp_path)[1].splitlines()[0] == "no jobs here"
+
+
+def test_a_lost_job_says_what_is_kept_and_what_goes_on(tmp_path):
+    folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.3})
+    coordinator = start(folder)
+    await_true(lambda: names_in(folder), "an answer")
+    coordinator.kill()
+    coordinator.wait()
+    out = call("status", folder)[1]
+    assert " lost " in out
+    kept = len(names_in(folder))
+    assert out.splitlines()[-2:] == [
+        f"The process that ran {folder} has died; {kept} answers are kept, "
+        "and resume goes on from them.",
+        f"Next: fixel jobs resume {folder}",
+    ]
+    assert call("resume", folder)[0] == 0
+
+
+def test_detached_and_cancelled(tmp_path):
+    folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.5})
+    code, out = call("submit", folder, "--detach")
+    assert code == 0
+    assert out.splitlines()[-1] == f"Next: fixel jobs logs -f {folder}"
+    out = call("cancel", folder)[1]
+    assert f"{folder} is cancelled" in out
+    assert out.splitlines()[-1] == f"Next: fixel jobs resume {folder}"
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.2})
+    script = "from fixel.cli.main import run; run()"
+    command = [sys.executable, "-c", script, "jobs", "submit", str(folder)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
+    await_true(lambda: names_in(folder), "an answer")
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert f"Go on with: fixel jobs resume {folder}" in said
+    assert "Traceback" not in said
+    assert call("resume", folder)[1].splitlines()[0] == f"{folder} is done; 8 of 8 chunks"
+
+
+def test_failed_chunks_are_counted(tmp_path):
+    folder = toy_job(tmp_path / "job", **OPTIONS, faulty=["r0-c1"])
+    assert "8 of 8 chunks, 1 of them failed" in call("submit", folder)[1]
+
+
+def test_the_template_can_be_read(tmp_path):
+    code, out = call("site")
+    (tmp_path / "site.yaml").write_text(out)
+    assert code == 0
+    assert load_site(tmp_path / "site.yaml").cores == 4
+    assert "#" in out
+    assert yaml.safe_load(out)["interface"] == "ib0"
+
+
+def test_packed_and_unpacked(folder, tmp_path):
+    call("submit", folder)
+    code, out = call("pack", folder, tmp_path / "toy.zip")
+    assert code == 0
+    assert out.splitlines()[-1] == "Next: fixel jobs unpack toy.zip FOLDER"
+    out = call("unpack", tmp_path / "toy.zip", tmp_path / "copy")[1]
+    assert out.splitlines()[0] == f"{tmp_path}/copy is done; 8 of 8 chunks"
+
+
+@pytest.mark.parametrize("name", ["submit", "resume", "cancel", "logs", "status"])
+def test_a_folder_that_is_no_job(name, tmp_path):
+    (tmp_path / "job.json").touch() if name == "status" else None
+    with pytest.raises(InvalidInput):
+        call(name, tmp_path)
+
+
+def test_a_place_that_is_none(folder):
+    with pytest.raises(InvalidInput, match="--coordinator: found there, expected here or slurm"):
+        call("submit", folder, "--coordinator", "there")

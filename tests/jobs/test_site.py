@@ -1,0 +1,70 @@
+"""Site templates: what they may say."""
+
+from pathlib import Path
+
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.jobs.site import TEMPLATE, Site, load_site, site_of, site_text
+
+
+def test_the_template_is_one(tmp_path):
+    path = tmp_path / "site.yaml"
+    path.write_text(TEMPLATE)
+    assert load_site(path).queue == "main"
+    everything = "\n".join(
+        line.replace("# ", "", 1) if line.startswith("# ") and not line.startswith("# A") else line
+        for line in TEMPLATE.splitlines()
+    )
+    path.write_text(everything)
+    site = load_site(path)
+    assert (site.account, site.directives, site.prologue) == (
+        "my_group",
+        ["--qos=long"],
+        ["module load python/3.12"],
+    )
+    assert site.model_fields_set == set(Site.model_fields)
+
+
+@pytest.mark.parametrize("name", ["department", "national_centre"])
+def test_the_examples_are_sites(name):
+    examples = Path(__file__).parents[2] / "examples" / "sites"
+    assert load_site(examples / f"{name}.yaml").account
+
+
+def test_a_site_is_read_back(tmp_path):
+    site = Site(queue="a", walltime="2-00:00:00", prologue=["source x"], memory="1.5 GiB")
+    path = tmp_path / "site.yaml"
+    path.write_text(site_text(site))
+    assert load_site(path) == site
+
+
+@pytest.mark.parametrize(
+    ("walltime", "seconds", "lifetime"),
+    [("00:00:10", 10, 8), ("01:00:00", 3600, 3480), ("1-02:00:00", 93600, 93480)],
+)
+def test_a_worker_ends_before_its_time(walltime, seconds, lifetime):
+    site = Site(walltime=walltime)
+    assert (site.walltime_s, site.lifetime_s) == (seconds, lifetime)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ({"walltime": "soon"}, "walltime: found soon, expected HH:MM:SS"),
+        ({"walltime": 3600}, "walltime: found 3600, expected a string"),
+        ({"walltime": "00:00:01"}, "expected at least 00:00:10"),
+        ({"wall_time": "01:00:00"}, "wall_time: found an unknown key, expected one of scheduler"),
+        ({"memory": "much"}, "memory: found much, expected a size such as 4 GB"),
+        ({"cores": 0}, "cores: found 0"),
+        ({"max_jobs": -1}, "max_jobs: found -1"),
+        ({"queue": "a\n#SBATCH --uid=0"}, "queue: found a\n.*, expected one line"),
+        ({"prologue": ["a\nb"]}, "prologue.0: found a\nb, expected one line"),
+        ({"directives": "--x"}, "directives: found --x, expected a list"),
+        ({"scheduler": "pbs"}, "scheduler: found pbs, expected 'slurm'"),
+        ([], "expected a dictionary"),
+    ],
+)
+def test_what_a_site_may_not_say(content, complaint):
+    with pytest.raises(InvalidInput, match=complaint):
+        site_of(content, "site.yaml")

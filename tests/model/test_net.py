@@ -1,0 +1,54 @@
+"""Nets of support points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from fixel.errors import InvalidInput
+from fixel.model import Disk, Polygon, SupportPoints
+from fixel.model.net import INNER, OUTER, support_net
+
+SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
+TURN = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+ELLIPSE = Polygon(np.column_stack((0.05 * np.cos(TURN), 0.03 * np.sin(TURN))))
+HOOK = Polygon([[0.0, 0.0], [0.1, 0.0], [0.1, 0.02], [0.02, 0.02], [0.02, 0.1], [0.0, 0.1]])
+
+
+def test_a_square_has_corners_middles_and_centre() -> None:
+    net, part = support_net(SQUARE)
+
+    assert net.shape == (13, 2)
+    assert part.tolist() == ["corner"] * 4 + ["edge"] * 4 + ["inside"] * 5
+    assert np.abs(net[:4]).tolist() == pytest.approx(np.full((4, 2), 0.03 * OUTER))
+    assert np.hypot(*net[4:8].T) == pytest.approx(np.full(4, 0.03 * OUTER))
+    assert np.abs(net[8:12]).tolist() == pytest.approx(np.full((4, 2), 0.03 * INNER))
+    assert net[12] == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize("shape", [ELLIPSE, Disk(0.04)], ids=["ellipse", "disk"])
+def test_smooth_outlines_have_even_rings(shape: Polygon | Disk) -> None:
+    net, part = support_net(shape)
+
+    assert net.shape == (17, 2)
+    assert part.tolist() == ["ring"] * 10 + ["inside"] * 7
+    steps = np.hypot(*np.diff(net[:10], axis=0).T)
+    assert np.ptp(steps) < 0.3 * steps.mean()
+
+
+@pytest.mark.parametrize("shape", [SQUARE, ELLIPSE, Disk(0.04), HOOK])
+def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
+    net, part = support_net(shape)
+
+    assert len(part) == len(net)
+    inside = shapely.intersects_xy(shapely.Polygon(shape.outline), net[:, 0], net[:, 1])
+    assert inside.all()
+    assert len(np.unique(np.round(net, 9), axis=0)) == len(net)
+    SupportPoints(points=net, friction=0.3)
+
+
+@pytest.mark.parametrize("sizes", [{"outer": 1.0}, {"inner": 0.0}])
+def test_rings_beyond_the_outline_are_refused(sizes: dict[str, float]) -> None:
+    with pytest.raises(InvalidInput, match="fraction between 0 and 1"):
+        support_net(SQUARE, **sizes)
