@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PROGRAMS = ("slurmctld", "slurmd", "munged", "sbatch", "squeue", "scancel", "sinfo")
@@ -155,6 +155,18 @@ def _stop(folder: Path) -> None:
             os.kill(pid, how)
         while any(map(_alive, pids)) and time.monotonic() < deadline:
             time.sleep(0.05)
+    # Those that watch single jobs would wait for a controller that never comes back.
+    for pid in _inside(folder):
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _inside(folder: Path) -> Iterator[int]:
+    """Numbers of processes whose working directory is in this folder."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if folder in (entry / "cwd").readlink().parents:
+                yield int(entry.name)
 
 
 def _alive(pid: int) -> bool:

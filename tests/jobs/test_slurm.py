@@ -21,6 +21,8 @@ from fixel.jobs.site import Site
 from fixel.jobs.slurm import cancel, listed
 from fixel.workflows import jobs
 
+pytestmark = pytest.mark.cluster
+
 pytest.importorskip("dask_jobqueue")
 
 SITE = Site(

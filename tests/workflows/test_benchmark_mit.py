@@ -26,7 +26,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-def made_up(folder: Path, n: int = 36) -> Path:
+def made_up(folder: Path, n: int = 30) -> Path:
     """Pushes of two plates on one surface, that end where the simulator says under the truth."""
     dice = np.random.default_rng(7)
     rows = [_start(k, name, dice) for name in ("block", "egg") for k in range(n)]
@@ -159,6 +159,23 @@ def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
     again = benchmark_real(folder, request, out=out)
     assert again.rows == answer.rows
     assert again.timing["seconds"] < answer.timing["seconds"]
+
+
+def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
+    folder, out = made_up(tmp_path / "data", 12), tmp_path / "out"
+    request = Request(protocols=("calibrated",), seeds=1, quick=True)
+
+    def stop(done: int, of: int, what: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        benchmark_real(folder, request, out=out, progress=stop)
+    (kept,) = (out / "fits").iterdir()
+    written = kept.read_text()
+    benchmark_real(folder, request, out=out)
+
+    assert kept.read_text() == written
+    assert len(list((out / "fits").iterdir())) == 2
 
 
 def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:

@@ -80,7 +80,6 @@ def real(
     import json
 
     from fixel.workflows.benchmark import PROTOCOLS, Request, benchmark_real, joint_real
-
     from fixel.workflows.benchmark.reproductions import REPRODUCTIONS, reproduce
 
     if only in REPRODUCTIONS:

@@ -180,10 +180,12 @@ def run_on_slurm(folder: Path) -> str:
 def status_of(folder: Path) -> JobStatus:
     """How far a job is, and whether anybody is at it."""
     files.read_job(folder)
-    running = files.coordinator_of(folder) is not None
+    owner = files.coordinator_of(folder)
     status = files.read_status(folder)
     state: str = status.state
-    if not running and state not in (*files.ENDED, "queued"):
+    if owner is not None and owner.pid != status.pid:
+        state = "preparing"  # what stands there is of the one before
+    elif owner is None and state not in (*files.ENDED, "queued"):
         state = LOST
     journal = folder / files.JOURNAL
     kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0

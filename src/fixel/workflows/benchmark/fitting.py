@@ -15,7 +15,7 @@ from fixel.calibration.registration import Registration, registration_from_gaps
 from fixel.exchange.datasets.mit_push import PUSHER_RADIUS
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
-from fixel.workflows.benchmark.pushes import PushGroup
+from fixel.workflows.benchmark.pushes import PART_NAMES, PushGroup
 
 # A radian counts as this much [m]; one degree as 0.6 mm.
 ARM: Final = 35e-3
@@ -86,6 +86,11 @@ def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -
     ):
         found += [Belief(name, 0.0, sd, -limit, limit) for name in names if sd]
     return found
+
+
+def part_beliefs(sd: float) -> list[Belief]:
+    """How loads differ between corners, edges, rim and inside, in logarithms."""
+    return [Belief(name, 0.0, sd, -2.5, 2.5) for name in PART_NAMES.values()]
 
 
 def registration_beliefs(shift: FloatArray, sd: float) -> list[Belief]:

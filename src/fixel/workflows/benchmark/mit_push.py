@@ -30,6 +30,7 @@ from fixel.workflows.benchmark.fitting import (
     gap_registration,
     load_beliefs,
     outline_beliefs,
+    part_beliefs,
     registration_beliefs,
     table_beliefs,
     tip_beliefs,
@@ -41,6 +42,9 @@ from fixel.workflows.benchmark.splits import Split, few_of, folds, random_split
 PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
 SHARE: Final = 0.6  # of the pushes for training, where there are no folds
 FEW: Final = 10
+# Standard deviations of loads on the net.
+FREE: Final = 1.0
+FREEDOMS: Final = (1.5, 0.3, 3.0)
 # Of each other shape in the fit of what a surface has in common.
 MOST_OF_OTHERS: Final = 100
 QUICK_SHAPES, QUICK_PUSHES, QUICK_ITERATIONS = 3, 60, 4
@@ -228,7 +232,7 @@ def _full_fit(bench: _Bench, group: PushGroup, repeat: int, split: Split) -> Fit
     shift = gap_registration(group, split.train).shift
     beliefs = [
         *tip_beliefs(),
-        *load_beliefs(group, 1.0),
+        *load_beliefs(group, FREE),
         *registration_beliefs(shift, 0.3e-3),
         *outline_beliefs(),
         *table_beliefs(),
@@ -240,7 +244,7 @@ def _full_fit(bench: _Bench, group: PushGroup, repeat: int, split: Split) -> Fit
 def _unregistered(bench: _Bench, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        beliefs = [*tip_beliefs(), *load_beliefs(group, 1.0), *table_beliefs()]
+        beliefs = [*tip_beliefs(), *load_beliefs(group, FREE), *table_beliefs()]
         member = Member(group, split.train, {})
         found = bench.fitted(f"unregistered_{k}", key, [member], beliefs)
         yield _piece(bench, group, k, split.held_out, found)
@@ -248,36 +252,43 @@ def _unregistered(bench: _Bench, key: Key) -> Iterator[Piece]:
 
 
 def _few(bench: _Bench, key: Key) -> Iterator[Piece]:
-    """A handful of pushes of every plate: what plates have in common comes from all of these."""
+    """A handful of pushes of every plate: what plates have in common comes from all of these.
+
+    With so few, how free the loads are decides: three answers to that are averaged.
+    """
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
         few = {own: few_of(bench.splits(own)[k], FEW, k).train for own in bench.on_surface(key)}
-        shift, common = _in_common(bench, f"few_{k}", key[0], few)
-        mean = common.values
+        shift, common = _in_common(bench, f"few_{k}", key[0], few, quarter=0.3)
         shift = gap_registration(group, few[key], shift, 0.7e-3).shift
-        beliefs = [
-            *about(tip_beliefs(0.02), mean),
-            *load_beliefs(group, 1.5),
-            *registration_beliefs(shift, 0.3e-3),
-            *about(table_beliefs(bend=0.2, quarter=0.4, slope=0.0), mean),
+        known = [
+            *tip_beliefs(0.02),
+            *table_beliefs(bend=0.2, quarter=0.3, slope=0.0),
+            *part_beliefs(0.3),
         ]
-        found = bench.fitted(f"few_{k}", key, [Member(group, few[key], {})], beliefs)
-        yield _piece(bench, group, k, split.held_out, found)
+        shared = [*about(known, common.values), *registration_beliefs(shift, 0.3e-3)]
+        member = Member(group, few[key], {})
+        found = [
+            bench.fitted(f"few_{k}_{sd:g}", key, [member], [*load_beliefs(group, sd), *shared])
+            for sd in FREEDOMS
+        ]
+        yield _piece(bench, group, k, split.held_out, *found)
         bench.tell(f"few {' '.join(key)}")
 
 
 def _in_common(
-    bench: _Bench, name: str, surface: str, train: Mapping[Key, IntArray]
+    bench: _Bench, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
 ) -> tuple[FloatArray, FittedPushes]:
     """What plates on a surface share: the median of their registrations (2,), and a joint fit of
-    friction at the tip and of the table."""
+    friction at the tip and of how loads are spread."""
     members = []
     shifts = []
     for own, some in train.items():
         group = bench.group(own)
         shifts.append(gap_registration(group, some).shift)
         members.append(Member(group, some, _shifted(shifts[-1])))
-    beliefs = [*tip_beliefs(), *table_beliefs(bend=0.5, quarter=0.3, slope=0.0)]
+    table = table_beliefs(bend=0.5, quarter=quarter, slope=0.0)
+    beliefs = [*tip_beliefs(), *table, *part_beliefs(0.7)]
     found = bench.fitted(name, (surface, "common"), members, beliefs)
     return np.median(shifts, axis=0), found
 
@@ -290,7 +301,7 @@ def _new_shape(bench: _Bench, key: Key) -> Iterator[Piece]:
         some = {
             own: np.sort(dice.permutation(len(bench.rows[own]))[:MOST_OF_OTHERS]) for own in others
         }
-        shift, common = _in_common(bench, f"without_{key[1]}", key[0], some)
+        shift, common = _in_common(bench, f"without_{key[1]}", key[0], some, quarter=0.0)
         group = bench.group(key)
         found = common.beside(_shifted(shift))
         yield _piece(bench, group, 0, np.arange(len(group)), found)
@@ -395,16 +406,20 @@ _RUN: Final[dict[str, Callable[[_Bench, Key], Iterator[Piece]]]] = {
 
 
 def _piece(
-    bench: _Bench, group: PushGroup, repeat: int, which: IntArray, found: FittedPushes
+    bench: _Bench, group: PushGroup, repeat: int, which: IntArray, *found: FittedPushes
 ) -> Piece:
+    """The prediction of a fit, or the mean of several."""
     fit = {
         "surface": group.key[0],
         "shape": group.key[1],
         "split": repeat,
-        "values": found.values,
-        "pushes_simulated": found.evaluations,
+        "values": found[0].values,
+        "pushes_simulated": sum(own.evaluations for own in found),
     }
-    return Piece(group, repeat, which, found.predict(group, which), fit)
+    start = group.start[which]
+    moved = np.stack([own.predict(group, which) - start for own in found])
+    moved[..., 2] = wrapped(moved[..., 2])
+    return Piece(group, repeat, which, start + moved.mean(axis=0), fit)
 
 
 def _scored(bench: _Bench, protocol: str, pieces: Sequence[Piece]) -> Scored:
@@ -473,7 +488,8 @@ def _notes(bench: _Bench, chosen: Sequence[str]) -> tuple[str, ...]:
 def _quick(rows: dict[Key, IntArray]) -> dict[Key, IntArray]:
     surface = next(iter(rows))[0]
     keys = [key for key in rows if key[0] == surface]
-    chosen = [keys[k * len(keys) // QUICK_SHAPES] for k in range(min(QUICK_SHAPES, len(keys)))]
+    n_key = min(QUICK_SHAPES, len(keys))
+    chosen = [keys[k * len(keys) // n_key] for k in range(n_key)]
     return {
         key: rows[key][np.arange(n) * len(rows[key]) // n]
         for key in chosen
