@@ -142,7 +142,7 @@ def test_submissions_keep_their_distance(fake, folder, said):
         pool.keep()
         assert time.monotonic() < begun + 20.0
     gaps = [b - a for a, b in zip(fake["calls"], fake["calls"][1:], strict=False)]
-    assert min(gaps) > 0.15
+    assert min(gaps) > 0.2
 
 
 def test_a_wrong_template_is_refused_at_once(fake, pool):

@@ -249,7 +249,10 @@ class SlurmPool(AbstractPool):
 
     def _top_up(self, now: float) -> None:
         """Submit as many as are missing, one an interval."""
-        while len(self._jobs) + len(self._submitted) < self.size and now >= self._next_submit:
+        while (
+            len(self._jobs) + len(self._submitted) < self.size
+            and time.monotonic() >= self._next_submit
+        ):
             try:
                 number = submit(self._script())
             except SlurmTrouble as trouble:
@@ -259,7 +262,8 @@ class SlurmPool(AbstractPool):
             self._back_off = self._first_back_off
             self._submitted[number] = now
             self._say(f"submitted worker {number}")
-            self._next_submit = now + self._site.submit_interval_s
+            # Counted from the answer: a busy controller takes long to give one.
+            self._next_submit = time.monotonic() + self._site.submit_interval_s
             self._next_look = min(self._next_look, self._next_submit)
 
     def _submit_failed(self, trouble: SlurmTrouble, now: float) -> None:
