@@ -16,7 +16,8 @@ from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.datasets import mit_push
 from fixel.workflows.benchmark import Benchmark, Request, benchmark_real
 from fixel.workflows.benchmark.finished import Finished
-from fixel.workflows.benchmark.mit_push import PROTOCOLS, learned_ends
+from fixel.workflows.benchmark.leftover import learned_ends
+from fixel.workflows.benchmark.protocols import PROTOCOLS
 from fixel.workflows.benchmark.pushes import PushGroup, rows_by_key, usable_rows
 from fixel.workflows.benchmark.splits import Split, few_of, folds, random_split
 

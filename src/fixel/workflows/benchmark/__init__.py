@@ -8,7 +8,8 @@ from typing import Final
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.datasets.mit_push import read, recognised
 from fixel.workflows.benchmark.joint import joint_calibration
-from fixel.workflows.benchmark.mit_push import PROTOCOLS, Request, benchmark_pushes
+from fixel.workflows.benchmark.mit_push import benchmark_pushes
+from fixel.workflows.benchmark.protocols import PROTOCOLS, Request
 from fixel.workflows.benchmark.result import Benchmark, Progress, Row, write_tables
 
 PARTS: Final = ("mit",)
