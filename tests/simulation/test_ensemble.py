@@ -80,6 +80,19 @@ def test_scenes_that_differ_in_start_and_path_share_a_template():
     assert len(ensemble._templates) == 3
 
 
+def test_every_batch_is_laid_out_alike():
+    # Another layout of an array would be compiled anew, for half a minute.
+    ensemble = Ensemble(_cases()[:2])
+    values = _values(4) | {"anisotropy_xy": np.full(4, 0.1), "start_x": np.zeros(4)}
+    for given in ({}, values):
+        _, packed = ensemble._packed(np.array([0, 1, 0, 1]), given, np.ones(4, bool))
+        for part in packed:
+            for array in (*part.batch, *part.batch.model):
+                if isinstance(array, np.ndarray):
+                    assert array.flags.writeable
+                    assert array.flags.c_contiguous
+
+
 def test_what_cannot_be_is_not_tried_and_says_why():
     points = SupportPoints(points=[(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3)
     scene = grasp()
