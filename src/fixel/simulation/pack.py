@@ -454,7 +454,7 @@ class Template:
                 element_ratio=arm,
                 path_start=path_start,
                 path=np.ascontiguousarray(path / np.array([units.time, length, length, 1.0])),
-                plane=np.ascontiguousarray(plane),
+                plane=np.array(plane, order="C"),
                 map_frame=np.tile(frame, (n, 1)),
             ),
             map_shape=np.tile(np.array(factors.shape, np.int64), (n, 1)),
