@@ -57,6 +57,19 @@ def test_friction_of_the_plane_is_not_identified_in_quasi_static_motion(rotating
     assert (verdict.low, verdict.high) == (None, None)
 
 
+def test_nor_is_the_mass():
+    unknowns = [
+        Unknown(name="mu_pusher", low=0.02, high=1.0, nominal=0.2),
+        Unknown(name="mass", low=0.06, high=1.0, nominal=0.2564),
+    ]
+    # Until it seats: a drive that stalls is held up by the weight.
+    turning = replace(_experiment(2), effective=(0.0, 7.0))
+    space = ParameterSpace(unknowns=unknowns)
+    comparer = Comparer([target_of(turning)], space, motion=QuasiStatic())
+    found = assess(comparer, [0], space.nominal, noise=CAMERA)
+    assert [str(verdict) for verdict in found.verdicts] == ["identified", "not identified"]
+
+
 def test_friction_at_a_fixel_that_is_not_touched_is_not_excited():
     experiment = _experiment(2)
     far = tuple(

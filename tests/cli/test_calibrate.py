@@ -67,6 +67,18 @@ def test_verdicts_are_said(capsys, project):
     assert "noise" in out
 
 
+def test_the_best_of_those_stored(capsys, project):
+    options = ("--fit", "mu_pusher", "--mode", "stored", "--json")
+    code, out, _ = fixel(capsys, "calibrate", "-p", project, *options)
+    assert code == 0
+    (one,) = json.loads(out)["found"]
+    assert one["how"] == "best of those stored"
+    assert len(one["errors"]) == 3
+    code, _, err = fixel(capsys, "calibrate", "-p", project, "--fit", "start_x", "--mode", "stored")
+    assert code == 2
+    assert "no stored calibration" in err
+
+
 def test_a_job_to_submit_elsewhere(capsys, project):
     code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
     assert code == 0

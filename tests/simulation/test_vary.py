@@ -35,6 +35,14 @@ def _scene(support=None, round_pusher=False):
     return replace(scene, bodies=(body,), pushers=pushers, duration=5.0)
 
 
+def _pushed_by_hand():
+    """Fast enough, and against weak a drive, for the mass to matter."""
+    scene = _scene(Tripod(radius=0.04, friction=0.3))
+    pusher = scene.pushers[0]
+    weak = replace(pusher, drive=replace(pusher.drive, force_limit=0.6))
+    return replace(scene, pushers=(weak,), duration=4.0)
+
+
 def _end(scene, **values):
     done = simulate(scene, Parameters(values), motion=QuasiStatic())
     assert done.converged, done.status
@@ -94,6 +102,11 @@ def _moved_path(scene, registration):
             _scene(Tripod(radius=0.04, friction=0.3)),
             {"tripod_radius": 0.05, "mu_support": 0.2},
             lambda s: _with_body(s, support=Tripod(radius=0.05, friction=0.2)),
+        ),
+        (
+            _pushed_by_hand(),
+            {"mass": 0.4},
+            lambda s: _with_body(s, mass=0.4),
         ),
         (
             _scene(),

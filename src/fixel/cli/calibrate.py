@@ -38,7 +38,7 @@ def calibrate(
         str | None,
         typer.Option(
             help="each: every experiment by itself; joint: one set for all; campaign: both, and"
-            " the ways of the thesis between them.",
+            " the ways of the thesis between them; stored: the best of the sets found before.",
             metavar="MODE",
             show_default="each for one experiment, else joint",
         ),
@@ -172,6 +172,10 @@ def calibrate(
         level=level,
         verdicts=verdicts,
     )
+    if request.mode == "stored":
+        with project.store() as store:
+            points = run.stored_points(store, request)
+        request = request.model_copy(update={"stored": points, "verdicts": False})
     _announce(scenes[0], as_json)
     if plot is not None:
         from fixel.workflows.calibration.pictures import make_folder
@@ -203,7 +207,7 @@ def calibrate(
 def _mode(mode: str | None, n: int) -> Any:
     if mode is None:
         return "each" if n == 1 else "joint"
-    return _one_of("--mode", mode, ("each", "joint", "campaign"))
+    return _one_of("--mode", mode, ("each", "joint", "campaign", "stored"))
 
 
 def _one_of(where: str, value: str, known: tuple[str, ...]) -> Any:

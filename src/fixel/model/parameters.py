@@ -26,6 +26,7 @@ _ANY = -math.inf
 
 KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
     {
+        "mass": ParameterInfo("kg", "mass of the free body, its inertia in proportion", above=True),
         "mu_support": ParameterInfo("-", "friction of every support against the plane"),
         "mu_fixel": ParameterInfo("-", "friction of every free body against every fixel"),
         "mu_pusher": ParameterInfo("-", "friction of every free body against every pusher"),

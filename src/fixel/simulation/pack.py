@@ -35,6 +35,7 @@ from fixel.simulation.vary import (
     Elements,
     Values,
     grown_by,
+    heavier_by,
     moves,
     outline_of,
     varied_elements,
@@ -412,7 +413,8 @@ class Template:
         rows = _Rows(n)
         n_body, n_driven = len(scene.names), len(scene.pushers)
         elements = varied_elements(scene, self._elements, values)
-        point, limit, arm, drag = self._scaled(elements, n, rows)
+        ratio = heavier_by(scene, values)
+        point, limit, arm, drag = self._scaled(elements, n, rows, ratio is not None)
         friction = varied_friction(scene, self._friction, values)
         rows.place(families.PAIR, n_body * n_body, own=friction.ndim == 3)
         radius, bound = self._radii(values, rows)
@@ -437,11 +439,13 @@ class Template:
             begin=rows.begin,
             count=rows.count,
             model=model._replace(
-                mass=np.tile(model.mass, per_free),
-                inertia=np.tile(model.inertia, per_free),
+                mass=_times(np.tile(model.mass, per_free), ratio),
+                inertia=_times(np.tile(model.inertia, per_free), ratio),
                 wrench=np.tile(model.wrench, (per_free, 1)),
                 spring=np.tile(model.spring, (per_free, 1)),
-                drag=drag,
+                drag=drag
+                if len(drag) == per_free * len(scene.bodies)
+                else np.tile(drag, (n, 1, 1)),
                 piece_body=np.tile(model.piece_body, per_piece),
                 piece_bound=bound,
                 piece_radius=radius,
@@ -466,7 +470,7 @@ class Template:
         return Packed(batch, units, self.com, outline_of(values))
 
     def _scaled(
-        self, elements: Elements, n: int, rows: _Rows
+        self, elements: Elements, n: int, rows: _Rows, heavier: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Points, limits and arms of the supports, and the drag of the bodies on them, scaled."""
         units, n_free = self.units, len(self.scene.bodies)
@@ -480,7 +484,7 @@ class Template:
             point = np.broadcast_to(point, (n, n_element, 2))
             arm = np.broadcast_to(arm, (n, n_element))
         first_order = self.motion_kind == codes.FIRST_ORDER
-        rows.place(families.FREE, n_free, own=own and first_order)
+        rows.place(families.FREE, n_free, own=own and (first_order or heavier))
         drag = np.zeros((n_free, 3, 3))
         if first_order:
             drag = _drag(elements._replace(arm=arm), n_free, limit, point, units.speed)
@@ -552,6 +556,11 @@ class Template:
         pose[:, :n_free, 0] += c * self.com[:, 0] - s * self.com[:, 1]
         pose[:, :n_free, 1] += s * self.com[:, 0] + c * self.com[:, 1]
         return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
+
+
+def _times(rows: FloatArray, ratio: FloatArray | None) -> FloatArray:
+    """Rows (n,) of the one free body, each times its own ratio."""
+    return rows if ratio is None else rows * ratio
 
 
 class _Rows:

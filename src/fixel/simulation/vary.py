@@ -57,6 +57,11 @@ def varied_elements(scene: Scene, elements: Elements, values: Values) -> Element
         elements = elements._replace(friction=mu)
     if "ellipsoid_force" in values or "ellipsoid_torque" in values:
         elements = _of_ellipsoid(elements, values)
+    heavier = heavier_by(scene, values)
+    if heavier is not None:
+        points = elements.kind == codes.POINT
+        load = np.where(points, heavier[:, None], 1.0) * elements.load
+        elements = elements._replace(load=load)
     for axis, name in enumerate(("friction_centre_x", "friction_centre_y")):
         if name in values:
             point = np.array(_own(elements.point, len(values[name]), 2))
@@ -172,6 +177,15 @@ def _refuse_ellipsoid(elements: Elements, name: str) -> None:
 def _own(array: FloatArray, n: int, n_axis: int) -> FloatArray:
     """An array with one leading row a rollout, of one that may be shared."""
     return array if array.ndim > n_axis else np.broadcast_to(array, (n, *array.shape))
+
+
+def heavier_by(scene: Scene, values: Values) -> FloatArray | None:
+    """(n,) mass of the one free body over the scene's; None where it is the scene's."""
+    if "mass" not in values:
+        return None
+    if len(scene.bodies) != 1:
+        raise InvalidInput("parameters.mass", found=f"{len(scene.bodies)} bodies", expected="one")
+    return values["mass"] / scene.bodies[0].mass
 
 
 # --- contacts, plane, poses ---------------------------------------------------------------------

@@ -19,6 +19,7 @@ NEIGHBOUR: Final = "a neighbour's"
 WEIGHTED: Final = "weighted mean"
 SUBSET: Final = "weighted mean of a subset"
 DIRECT: Final = "direct minimisation"
+STORED: Final = "best of those stored"
 
 
 @final

@@ -17,7 +17,7 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import MOTION_MODELS
 
-Mode = Literal["each", "joint", "campaign"]
+Mode = Literal["each", "joint", "campaign", "stored"]
 Combine = Literal["sum", "mean", "largest"]
 
 
@@ -58,6 +58,7 @@ class Request(_Entry):
     mode : str
         `"each"`: every experiment by itself. `"joint"`: one set of parameters for all.
         `"campaign"`: each, then neighbours' values, then one set in every way of the thesis.
+        `"stored"`: no search, but the one of `stored` whose largest error is smallest.
     unknowns : list of UnknownEntry
     error, motion, optimiser : Choice
     starts : int
@@ -71,6 +72,8 @@ class Request(_Entry):
         Of the intervals.
     verdicts : bool
         Whether to find out what the data determine.
+    stored : list of list of float
+        Values of the free unknowns in earlier calibrations.
     """
 
     name: str = "calibration"
@@ -86,6 +89,7 @@ class Request(_Entry):
     noise_angle: float | None = Field(default=None, gt=0.0)
     level: float = Field(default=0.95, gt=0.0, lt=1.0)
     verdicts: bool = True
+    stored: list[list[float]] = []
 
     @property
     def space(self) -> ParameterSpace:
@@ -136,6 +140,13 @@ class Request(_Entry):
 
     def check(self) -> None:
         """Refuse what cannot be, before any work starts."""
+        if self.mode == "stored" and not self.stored:
+            raise InvalidInput(
+                "--mode stored",
+                found="no stored calibration with values of all these parameters",
+                expected="one at least",
+                hint="calibrate with --mode each first",
+            )
         if (self.noise_position is None) != (self.noise_angle is None):
             raise InvalidInput(
                 "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"

@@ -86,6 +86,17 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
     return Chosen(ids=found, targets=targets, left_out=left_out)
 
 
+def stored_points(store: Store, request: Request) -> list[list[float]]:
+    """Values of the free unknowns in all stored calibrations that have them, each set once."""
+    labels = request.space.labels
+    points: dict[tuple[float, ...], None] = {}
+    for number in store.calibrations():
+        parameters = store.calibration(number).parameters
+        if all(label in parameters for label in labels):
+            points[tuple(parameters[label] for label in labels)] = None
+    return [list(point) for point in points]
+
+
 def prepare(project: Project, chosen: Chosen, request: Request) -> Path:
     """The job folder of a calibration; the same one for the same request on the same experiments.
 

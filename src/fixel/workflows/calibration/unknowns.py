@@ -90,6 +90,8 @@ def usual(name: str, scene: Scene) -> Unknown:
     if name.startswith("ellipsoid_") and isinstance(support, Ellipsoid):
         value = support.force if name.endswith("force") else support.torque
         return Unknown(name=name, low=value / 10.0, high=value * 4.0, nominal=value)
+    if name == "mass":
+        return Unknown(name=name, low=body.mass / 4.0, high=4.0 * body.mass, nominal=body.mass)
     if name.startswith("load_"):
         return Unknown(name=name, low=0.0, high=10.0, nominal=1.0)
     raise InvalidInput(

@@ -29,6 +29,7 @@ from fixel.calibration.study import (
     Study,
     Trace,
     at_points,
+    best_stored,
     best_subset,
     box_of,
     conducted,
@@ -50,6 +51,7 @@ from fixel.workflows.calibration.outcome import (
     ALONE,
     DIRECT,
     NEIGHBOUR,
+    STORED,
     SUBSET,
     WEIGHTED,
     Curve,
@@ -85,6 +87,10 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
         found += alone
     if request.mode == "campaign" and n > 1:
         found = yield from _campaign(request, comparer, found)
+    elif request.mode == "stored":
+        points = np.array(request.stored)
+        pooled = yield from _asked(best_stored(members, points), "stored")
+        found.append(_pooled(STORED, members, pooled))
     elif request.mode == "joint":
         one = _by_squares if request.least_squares is not None else _direct
         found.append((yield from one(request, comparer, members, start)))
