@@ -16,7 +16,7 @@ from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.drawing.offsets import Axis
 from fixel.model.space import ParameterSpace
-from fixel.workflows.calibration.outcome import DIRECT, SUBSET, Found, Outcome
+from fixel.workflows.calibration.outcome import DIRECT, STORED, SUBSET, Found, Outcome
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.retrace import Retraced, retraced
 from fixel.workflows.calibration.run import EXPERIMENTS, Calibration
@@ -61,7 +61,7 @@ class Desk:
     @cached_property
     def together(self) -> Found | None:
         """The best set for all experiments."""
-        return next((one for one in self.outcome.together if one.how == DIRECT), None)
+        return next((one for one in self.outcome.together if one.how in (DIRECT, STORED)), None)
 
     @cached_property
     def banners(self) -> list[str]:
