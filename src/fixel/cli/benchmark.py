@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fixel.cli.screen import counting_bar
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Sequence
 
     from fixel.workflows.benchmark import Benchmark
 
@@ -83,12 +84,12 @@ def real(
     from fixel.workflows.benchmark.reproductions import REPRODUCTIONS, reproduce
 
     if only in REPRODUCTIONS:
-        with _progress() as tell:
+        with counting_bar() as tell:
             found = reproduce(only, data, out=out, progress=tell, quick=quick)
         typer.echo(json.dumps(found.summary()) if as_json else "\n".join(found.conclusions))
         return
     if protocol == ["joint"]:
-        with _progress() as tell:
+        with counting_bar() as tell:
             timed = joint_real(data, only, tell)
         typer.echo(json.dumps(timed) if as_json else _timed(timed))
         return
@@ -98,31 +99,12 @@ def real(
         folds=0 if quick else folds,
         quick=quick,
     )
-    with _progress() as tell:
+    with counting_bar() as tell:
         answer = benchmark_real(data, request, part=only, out=out, progress=tell)
     if as_json:
         typer.echo(json.dumps(answer.summary(), allow_nan=False))
         return
     typer.echo("\n".join(_lines(answer, data, out)))
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on standard error, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("getting ready", total=None)
-
-        def tell(done: int, of: int, what: str) -> None:
-            bar.update(task, completed=done, total=of, description=what)
-
-        yield tell
 
 
 def _lines(answer: Benchmark, data: Path, out: Path | None) -> list[str]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from fixel.cli.screen import counting_bar
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from rich.console import Console
 
@@ -103,7 +104,7 @@ def replay(
         everything=everything,
         window=window,
     )
-    with _progress() as tell:
+    with counting_bar() as tell:
         answer = replay_dataset(dataset, choice, tell)
     if plot is not None:
         draw_replay(answer, plot)
@@ -113,25 +114,6 @@ def replay(
         typer.echo(json.dumps(answer.summary()))
         return
     _print(answer, dataset, plot)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on standard error, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("getting ready", total=None)
-
-        def tell(done: int, of: int, what: str) -> None:
-            bar.update(task, completed=done, total=of, description=what)
-
-        yield tell
 
 
 class Column(NamedTuple):

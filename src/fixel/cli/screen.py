@@ -2,7 +2,8 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 Row = Sequence[str]
 
@@ -45,6 +46,25 @@ def progress_bar(what: str) -> Callable[[int, int], None] | None:
         print(f"\r{what} [{bar}] {100 * done // total:3d} %", end=end, file=sys.stderr, flush=True)
 
     return show
+
+
+@contextmanager
+def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on standard error that is told of how many and of what, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("getting ready", total=None)
+
+        def tell(done: int, of: int, what: str) -> None:
+            bar.update(task, completed=done, total=of, description=what)
+
+        yield tell
 
 
 def seconds(duration: float) -> str:

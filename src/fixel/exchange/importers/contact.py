@@ -6,10 +6,10 @@ import math
 from typing import Final
 
 import numpy as np
-import shapely
 
+from fixel.calibration.registration import gaps_and_normals
 from fixel.exchange.datasets.base import FloatArray
-from fixel.model import Disk, Flag, Shape
+from fixel.model import Flag, Shape
 
 # Registration errors up to here are taken back by moving the pusher to contact; with larger ones
 # nobody knows where it was [m].
@@ -44,8 +44,7 @@ def moved_to_contact(
     offset : (n, 2) float64
         In the world [m]; zero for tips outside.
     """
-    distance, outward = _from_outline(shape, pose, tip)
-    gap = distance - radius
+    gap, outward = gaps_and_normals(shape, radius, pose, tip)
     length = np.where(gap < 0.0, CLEARANCE - gap, 0.0)
     return gap, length[:, None] * outward
 
@@ -74,28 +73,3 @@ def correction_flag(gap: float) -> Flag:
     """What to say of a pusher that was moved to contact."""
     detail = f"in the scene, which it starts {-gap * 1e3:.3g} mm in"
     return Flag("pusher-moved-to-contact", detail, fault=False)
-
-
-def _from_outline(
-    shape: Shape, pose: FloatArray, point: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (n,) [m] and outward directions (n, 2) in the world."""
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    dx, dy = (point - pose[:, :2]).T
-    local = np.column_stack((c * dx + s * dy, c * dy - s * dx))
-    if isinstance(shape, Disk):
-        away = local
-        distance = np.hypot(*local.T) - shape.radius
-        sign: FloatArray = np.ones(len(local))
-    else:
-        outline = shapely.Polygon(shape.outline)
-        points = shapely.points(local)
-        along = shapely.line_locate_point(outline.exterior, points)
-        nearest = shapely.get_coordinates(shapely.line_interpolate_point(outline.exterior, along))
-        away = local - nearest
-        sign = np.where(shapely.contains(outline, points), -1.0, 1.0)
-        distance = sign * np.hypot(*away.T)
-    length = np.hypot(*away.T)[:, None]
-    normal = sign[:, None] * np.divide(away, length, out=np.zeros_like(away), where=length > 0.0)
-    nx, ny = normal.T
-    return distance, np.column_stack((c * nx - s * ny, s * nx + c * ny))
