@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.picture import save_filled
 from fixel.drawing.replay import SHOWN, WIDE, refuse_file
 from fixel.kernels.arrays import FloatArray
 
@@ -63,16 +64,7 @@ def draw(picture: BenchmarkPicture, file: str | Path) -> None:
     """Draw a benchmark into a file that ends with .png, .svg or .pdf."""
     path = Path(file)
     refuse_file(path)
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    style: Any = palette.STYLE
-    with mpl.rc_context(style):
-        figure = Figure(layout="constrained")
-        FigureCanvasAgg(figure)
-        _fill(figure, picture)
-        figure.savefig(path)
+    save_filled(lambda figure: _fill(figure, picture), path)
 
 
 def _fill(figure: Figure, picture: BenchmarkPicture) -> None:

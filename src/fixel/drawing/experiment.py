@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.banner import BANNER, add_simulated_band, cut_short
-from fixel.drawing.picture import PICTURE_ENDINGS, frame_axes, refuse_ending, tint
+from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import UNITS, Box, ghosts
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
@@ -56,11 +56,7 @@ def draw_experiment(experiment: Experiment, path: str | Path) -> None:
     InvalidInput
         Another ending.
     """
-    import matplotlib as mpl
-
-    refuse_ending(path, PICTURE_ENDINGS, "picture")
-    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        experiment_figure(experiment).savefig(path)
+    save_made(lambda: experiment_figure(experiment), path)
 
 
 def draw_comparison(
@@ -86,11 +82,7 @@ def draw_comparison(
     InvalidInput
         Another ending, or a simulation of another time.
     """
-    import matplotlib as mpl
-
-    refuse_ending(path, PICTURE_ENDINGS, "picture")
-    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        comparison_figure(experiment, simulated, contacts).savefig(path)
+    save_made(lambda: comparison_figure(experiment, simulated, contacts), path)
 
 
 def experiment_figure(experiment: Experiment) -> Figure:

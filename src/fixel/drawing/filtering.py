@@ -26,7 +26,7 @@ from fixel.drawing.experiment import (
     TOP,
     VIEW_LABELS,
 )
-from fixel.drawing.picture import PICTURE_ENDINGS, frame_axes, refuse_ending, tint
+from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import Box
 from fixel.filtering.recorded import FilterEstimates
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
@@ -68,11 +68,7 @@ def draw_filter(experiment: Experiment, estimates: FilterEstimates, path: str | 
     InvalidInput
         Another ending.
     """
-    import matplotlib as mpl
-
-    refuse_ending(path, PICTURE_ENDINGS, "picture")
-    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        filter_figure(experiment, estimates).savefig(path)
+    save_made(lambda: filter_figure(experiment, estimates), path)
 
 
 def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import atan, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,7 @@ from fixel.simulation import Simulation
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PICTURE_ENDINGS = (".pdf", ".png", ".svg")
 
@@ -86,6 +87,28 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
             found=f"the ending {Path(path).suffix!r}" if Path(path).suffix else "no ending",
             expected=f"a {what} file: " + ", ".join(endings),
         )
+
+
+def save_made(make: Callable[[], Figure], path: str | Path) -> None:
+    """Make a figure in the house style and save it, or refuse a file that is no picture."""
+    import matplotlib as mpl
+
+    refuse_ending(path, PICTURE_ENDINGS, "picture")
+    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+        make().savefig(path)
+
+
+def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
+    """Save a figure that lays out in the house style what is filled in."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        fill(figure)
+        figure.savefig(Path(path))
 
 
 def _figure(simulation: Simulation) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import PICTURE_ENDINGS, frame_axes, refuse_ending, tint
+from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import Box, Unit, unit_for
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, placed
@@ -53,11 +53,7 @@ def draw_plan(plan: Plan, path: str | Path) -> None:
     InvalidInput
         Another ending.
     """
-    import matplotlib as mpl
-
-    refuse_ending(path, PICTURE_ENDINGS, "picture")
-    with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        plan_figure(plan).savefig(path)
+    save_made(lambda: plan_figure(plan), path)
 
 
 def plan_figure(plan: Plan) -> Figure:

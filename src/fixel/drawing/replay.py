@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.picture import save_filled
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
@@ -122,21 +123,16 @@ def draw(picture: Picture, file: str | Path) -> None:
     """
     path = Path(file)
     refuse_file(path)
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    save_filled(lambda figure: _fill(figure, picture), path)
 
-    style: Any = palette.STYLE
-    with mpl.rc_context(style):
-        figure = Figure(layout="constrained")
-        FigureCanvasAgg(figure)
-        if isinstance(picture, PushPicture):
-            _pushes(figure, picture)
-        elif isinstance(picture, TrialPicture):
-            _trial(figure, picture)
-        else:
-            _windows(figure, picture)
-        figure.savefig(path)
+
+def _fill(figure: Figure, picture: Picture) -> None:
+    if isinstance(picture, PushPicture):
+        _pushes(figure, picture)
+    elif isinstance(picture, TrialPicture):
+        _trial(figure, picture)
+    else:
+        _windows(figure, picture)
 
 
 def refuse_file(path: Path) -> None:

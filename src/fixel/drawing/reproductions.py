@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, tint
+from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
 
@@ -86,21 +86,16 @@ def draw(picture: Picture, file: str | Path) -> None:
         Ends with .pdf, .png or .svg.
     """
     refuse_ending(file, PICTURE_ENDINGS, "picture")
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    save_filled(lambda figure: _fill(figure, picture), file)
 
-    style: Any = palette.STYLE
-    with mpl.rc_context(style):
-        figure = Figure(layout="constrained")
-        FigureCanvasAgg(figure)
-        if isinstance(picture, SupportPicture):
-            _supports(figure, picture)
-        elif isinstance(picture, PathPicture):
-            _paths(figure, picture)
-        else:
-            _clusters(figure, picture)
-        figure.savefig(Path(file))
+
+def _fill(figure: Figure, picture: Picture) -> None:
+    if isinstance(picture, SupportPicture):
+        _supports(figure, picture)
+    elif isinstance(picture, PathPicture):
+        _paths(figure, picture)
+    else:
+        _clusters(figure, picture)
 
 
 def _closed(outline: FloatArray, per_metre: float = 1e3) -> FloatArray:
