@@ -57,6 +57,19 @@ def test_friction_of_the_plane_is_not_identified_in_quasi_static_motion(rotating
     assert (verdict.low, verdict.high) == (None, None)
 
 
+def test_a_perfect_fit_has_verdicts_too():
+    target = target_of(next(iter(SimulatedTestbed.ideal(seed=3).run([PLANNED[2]]))))
+    comparer = Comparer([target], _space(), motion=QuasiStatic())
+    exact = comparer.ensemble.simulate(
+        np.array([0]), {name: np.array([value]) for name, value in TRUTH.items()}
+    )
+    comparer = Comparer([target._replace(pose=exact.pose[0])], _space(), motion=QuasiStatic())
+    found = assess(comparer, [0], comparer.space.nominal)
+    verdicts = {verdict.label: verdict for verdict in found.verdicts}
+    assert str(verdicts["mu_pusher"]) == "identified"
+    assert verdicts["mu_pusher"].value == pytest.approx(TRUTH["mu_pusher"], rel=1e-6)
+
+
 def test_nor_is_the_mass():
     unknowns = [
         Unknown(name="mu_pusher", low=0.02, high=1.0, nominal=0.2),

@@ -86,6 +86,11 @@ def test_residuals_give_the_noise_and_what_is_left_of_their_count():
     )
 
 
+def test_a_fit_that_leaves_nothing_has_the_smallest_noise():
+    noise = noise_from_residuals([np.zeros((20, 3))], unknowns=2)
+    assert 0.0 < noise.position_m == noise.angle_rad < 1e-5
+
+
 def test_thresholds_are_the_quantiles_of_chi_squared_and_f():
     assert Dispersion(value=1.0).threshold() == pytest.approx(stats.chi2.ppf(0.95, 1))
     assert Dispersion(value=3.0).threshold(0.9) == pytest.approx(3 * stats.chi2.ppf(0.9, 1))

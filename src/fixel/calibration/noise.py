@@ -24,6 +24,8 @@ IMPROBABLE: Final = 0.01
 # Degrees of freedom that an estimate is given at least. With one, the 95 % threshold is 42 times
 # that of known noise: an honest "do not know" that is still a number.
 LEAST_FREEDOM: Final = 1.0
+# Scatter that a fit is given at least [m or rad]: simulations are not more exact than that.
+LEAST_SCATTER: Final = 1e-6
 
 
 @final
@@ -174,11 +176,9 @@ def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
     # Of the freedom lost to the unknowns, each channel bears its share.
     spread = table.size / correlation / freedom
     variance = np.mean(table**2, axis=0) * spread
-    if not variance.all():
-        raise InvalidInput("series", found="residuals of zero", expected="a fit to measured poses")
     return Noise(
-        position_m=math.sqrt(variance[:2].mean()),
-        angle_rad=math.sqrt(variance[2]),
+        position_m=max(LEAST_SCATTER, math.sqrt(variance[:2].mean())),
+        angle_rad=max(LEAST_SCATTER, math.sqrt(variance[2])),
         source="residuals",
         correlation=correlation,
         freedom=freedom,

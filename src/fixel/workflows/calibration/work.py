@@ -407,17 +407,20 @@ def judge(inputs: Path, payload: bytes) -> bytes:
 
 
 def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
-    """With a verdict on every unknown, and the profiles behind it."""
+    """With a verdict on every unknown, and the profiles behind it; or a note why not."""
     if not np.isfinite(one.errors).all():
         return one
-    found = assess(
-        comparer,
-        one.members,
-        one.point,
-        noise=request.noise,
-        level=request.level,
-        solutions=list(one.solutions[1:]),
-    )
+    try:
+        found = assess(
+            comparer,
+            one.members,
+            one.point,
+            noise=request.noise,
+            level=request.level,
+            solutions=list(one.solutions[1:]),
+        )
+    except InvalidInput as problem:  # the values that were found stay worth having
+        return dataclasses.replace(one, note=f"no verdicts: {problem}")
     return dataclasses.replace(
         one,
         estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
