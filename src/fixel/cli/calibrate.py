@@ -178,7 +178,7 @@ def calibrate(
         request = request.model_copy(update={"stored": points, "verdicts": False})
     _announce(scenes[0], as_json)
     if plot is not None:
-        from fixel.workflows.calibration.pictures import make_folder
+        from fixel.workflows.pictures import make_folder
 
         make_folder(plot)
     job = run.prepare(project, chosen, request)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, ErrorsChart, SecondsChart
-from fixel.drawing.chart import AbstractChart, Table, draw_chart
 from fixel.drawing.offsets import OffsetsChart, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
-from fixel.errors import InvalidInput
-from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Parameters, placed
 from fixel.model.space import Unknown
@@ -27,6 +23,7 @@ from fixel.workflows.calibration.desk import Desk, title_of
 from fixel.workflows.calibration.outcome import DIRECT, Curve, Found
 from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.calibration.work import NEARLY
+from fixel.workflows.pictures import Picture, make_folder, write_picture
 
 SAMPLES: Final = 200  # of a simulation, at least
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
@@ -35,15 +32,7 @@ MOST_OTHERS: Final = 3
 VISIBLE: Final = 0.005  # share of a range that shows on paper
 
 
-class _Picture(NamedTuple):
-    """A chart, and where it goes."""
-
-    name: str  # of its files, without ending
-    chart: AbstractChart
-    banner: str = ""
-
-
-Pictures = Iterator[_Picture]
+Pictures = Iterator[Picture]
 
 
 def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
@@ -67,32 +56,7 @@ def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
     """
     make_folder(folder)
     pictures = _pictures(Desk(calibration))
-    return [path for picture in pictures for path in _written(folder, picture)]
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for pictures; what takes hours does so before it starts."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
-        raise InvalidInput(str(folder), found=reason, expected="a folder for pictures") from None
-
-
-def _written(folder: Path, picture: _Picture) -> list[Path]:
-    paths = [folder / f"{picture.name}.{ending}" for ending in ("png", "pdf", "csv")]
-    with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
-        draw_chart(picture.chart, png, pdf, banner=picture.banner)
-    with written_whole(paths[2]) as temporary:
-        _write_table(temporary, picture.chart.table())
-    return paths
-
-
-def _write_table(path: Path, table: Table) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table.columns)
-        writer.writerows(table.rows)
+    return [path for picture in pictures for path in write_picture(folder, picture)]
 
 
 # --- which pictures -----------------------------------------------------------------------------
@@ -109,16 +73,16 @@ def _of_searches(desk: Desk) -> Pictures:
     """Of the search for all experiments; of three single ones; how long each took."""
     together, searched = desk.together, desk.searched
     if together is not None and together.trace is not None:
-        yield _Picture("search", _search_chart(desk, [("", together)]), desk.banner)
+        yield Picture("search", _search_chart(desk, [("", together)]), desk.banner)
         yield from _starts(desk, "starts", together)
     picks = _picks(searched)
     if picks:
         name = "search" if together is None else "search_alone"
-        yield _Picture(name, _search_chart(desk, picks), desk.banner)
+        yield Picture(name, _search_chart(desk, picks), desk.banner)
     for word, one in picks:
         yield from _starts(desk, _named("starts", word, desk), one)
     if len(searched) > 1:
-        yield _Picture("seconds", _seconds_chart(desk, searched), desk.banner)
+        yield Picture("seconds", _seconds_chart(desk, searched), desk.banner)
 
 
 def _of_parameters(desk: Desk) -> Pictures:
@@ -126,12 +90,12 @@ def _of_parameters(desk: Desk) -> Pictures:
     together = desk.together
     sets = [("", together)] if together is not None else _picks(desk.searched)
     for word, one in sets:
-        yield _Picture(
+        yield Picture(
             _named("parameters", word, desk), _parameters_chart(desk, word, one), desk.banner
         )
         if one.profiles:
             profiles = _profiles_chart(desk, word, one)
-            yield _Picture(_named("profiles", word, desk), profiles, desk.banner)
+            yield Picture(_named("profiles", word, desk), profiles, desk.banner)
     if len(desk.alone) > 1:
         quantities = [
             Quantity(
@@ -143,7 +107,7 @@ def _of_parameters(desk: Desk) -> Pictures:
             for k, unknown in enumerate(desk.space.free)
         ]
         chart = _offsets_chart(desk, "Parameters, each experiment by itself", quantities)
-        yield _Picture("parameters_by_offset", chart, desk.banner)
+        yield Picture("parameters_by_offset", chart, desk.banner)
 
 
 def _of_experiments(desk: Desk) -> Pictures:
@@ -151,14 +115,12 @@ def _of_experiments(desk: Desk) -> Pictures:
     if len(desk.keys) == 1:  # the overlay says it all
         return
     series = _series(desk)
-    yield _Picture(
-        "errors", ErrorsChart(keys=desk.keys, series=series, unit=desk.unit), desk.banner
-    )
+    yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit=desk.unit), desk.banner)
     if desk.offset_axes:
         name = "each alone" if "each alone" in series else list(series)[-1]
         error = Quantity("error", desk.unit, series[name], log=True)
         chart = _offsets_chart(desk, f"Error, {name}", [error])
-        yield _Picture("errors_by_offset", chart, desk.banner)
+        yield Picture("errors_by_offset", chart, desk.banner)
 
 
 def _overlays(desk: Desk) -> Pictures:
@@ -168,7 +130,7 @@ def _overlays(desk: Desk) -> Pictures:
     for word, member in _three(after):
         one = together if together is not None else alone[member]
         chart = _overlay_chart(desk, word, member, one.point, float(after[member]))
-        yield _Picture(_named("overlay", word, desk), chart, desk.banners[member])
+        yield Picture(_named("overlay", word, desk), chart, desk.banners[member])
 
 
 # --- choices ------------------------------------------------------------------------------------
@@ -260,7 +222,7 @@ def _starts(desk: Desk, name: str, one: Found) -> Pictures:
         nearly=NEARLY,
         what=_what(desk, one),
     )
-    yield _Picture(name, chart, desk.banner)
+    yield Picture(name, chart, desk.banner)
 
 
 def _seconds_chart(desk: Desk, searched: list[Found]) -> SecondsChart:

@@ -297,6 +297,7 @@ def _parameters(request: Request, one: Found) -> Parameters:
 def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dict[str, str | float]:
     nominal = outcome.nominal[list(one.members)]
     options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
+    options |= {f"error.{k}": v for k, v in request.error.options.items()}
     return {
         "how": one.how,
         "mode": request.mode,

@@ -1,0 +1,1 @@
+"""Where a calibrated simulator can be trusted: growth, maps, promises; no files."""

@@ -1,0 +1,169 @@
+"""What an analysis of a project says: kept with its pictures, for reports and for other tools.
+
+An analysis is a folder in the project's `analyses`: `analysis.json`, the pictures as PNG, PDF and
+CSV, and long numbers in `arrays.npz`. The same question asked again takes its place.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from fixel.database.project import Project
+from fixel.exchange.array_bytes import arrays_of, bytes_of
+from fixel.exchange.atomic import written_whole
+from fixel.kernels.arrays import FloatArray
+from fixel.workflows.pictures import Picture, make_folder, write_picture
+
+Kind = Literal["growth", "domain", "sensitivity", "uncertainty"]
+
+ANALYSES: Final = "analyses"
+CONTENT: Final = "analysis.json"
+ARRAYS: Final = "arrays.npz"
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TextTable(_Entry):
+    """A table as people read it: units in the head."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+class Shown(_Entry):
+    """A picture of an analysis."""
+
+    name: str  # of its files, without ending
+    caption: str
+
+
+class Analysis(_Entry):
+    """The answer to one question about a project.
+
+    Attributes
+    ----------
+    kind : str
+    title : str
+    question : dict
+        Everything that was asked, as plain content; the same question has the same folder.
+    headline : tuple of str
+        What was found, in sentences with units; the most important first.
+    warnings : tuple of str
+        What a reader must know before believing it, in plain words.
+    tables : tuple of TextTable
+    pictures : tuple of Shown
+    methods : tuple of str
+        Sentences for the methods paragraph of a paper.
+    references : tuple of str
+        Keys of the bibliography (`workflows/report`).
+    numbers : dict
+        The same as plain values in SI units, for `--json`; None where there is none.
+    calibrations, experiments : tuple of int
+        Ids of what it used.
+    command : str
+        That makes it again.
+    version, created : str
+        Of fixel; when, as ISO 8601 in UTC.
+    seed : int, optional
+    seconds : float
+        It took [s].
+    """
+
+    kind: Kind
+    title: str
+    question: dict[str, Any]
+    headline: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    tables: tuple[TextTable, ...] = ()
+    pictures: tuple[Shown, ...] = ()
+    methods: tuple[str, ...] = ()
+    references: tuple[str, ...] = ()
+    numbers: dict[str, Any] = {}
+    calibrations: tuple[int, ...] = ()
+    experiments: tuple[int, ...] = ()
+    command: str = ""
+    version: str = ""
+    created: str = ""
+    seed: int | None = None
+    seconds: float = 0.0
+
+
+class Kept(NamedTuple):
+    """An analysis in its folder."""
+
+    folder: Path
+    analysis: Analysis
+
+    @property
+    def arrays(self) -> dict[str, FloatArray]:
+        """Its long numbers."""
+        path = self.folder / ARRAYS
+        return arrays_of(path.read_bytes()) if path.is_file() else {}
+
+    def picture(self, name: str, ending: str = "png") -> Path:
+        """A file of one of its pictures."""
+        return self.folder / f"{name}.{ending}"
+
+
+def keep(
+    project: Project,
+    analysis: Analysis,
+    pictures: Sequence[Picture] = (),
+    arrays: Mapping[str, Any] | None = None,
+) -> Kept:
+    """Write an analysis into its project; its own file comes last, so it is there whole or not.
+
+    Parameters
+    ----------
+    project : Project
+    analysis : Analysis
+        `pictures`, `version` and `created` are filled in here.
+    pictures : sequence of Picture
+        With captions.
+    arrays : mapping of name to array, optional
+    """
+    folder = project.folder / ANALYSES / _name_of(analysis)
+    make_folder(folder)
+    (folder / CONTENT).unlink(missing_ok=True)
+    for picture in pictures:
+        write_picture(folder, picture)
+    if arrays:
+        with written_whole(folder / ARRAYS) as path:
+            path.write_bytes(bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
+    done = analysis.model_copy(
+        update={
+            "pictures": tuple(Shown(name=p.name, caption=p.caption) for p in pictures),
+            "version": version("fixel"),
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        }
+    )
+    with written_whole(folder / CONTENT) as path:
+        path.write_text(json.dumps(done.model_dump(), indent=1, allow_nan=False), encoding="utf-8")
+    return Kept(folder, done)
+
+
+def kept(project: Project, kind: Kind | None = None) -> list[Kept]:
+    """Analyses of a project, the newest first."""
+    found = []
+    for path in sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}")):
+        one = Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
+        if kind in (None, one.analysis.kind):
+            found.append(one)
+    return sorted(found, key=lambda one: one.analysis.created, reverse=True)
+
+
+def _name_of(analysis: Analysis) -> str:
+    asked = json.dumps([analysis.kind, analysis.question], sort_keys=True, allow_nan=False)
+    return f"{analysis.kind}-{hashlib.sha256(asked.encode()).hexdigest()[:10]}"

@@ -1,0 +1,55 @@
+"""Analyses are kept whole, with their pictures, and found again."""
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.drawing.calibration import SecondsChart
+from fixel.workflows.analysis import CONTENT, Analysis, TextTable, keep, kept
+from fixel.workflows.pictures import Picture
+
+
+@pytest.fixture
+def project(tmp_path):
+    return Project.create(tmp_path / "lab")
+
+
+def _analysis(kind="domain", **question):
+    return Analysis(
+        kind=kind,
+        title="Where",
+        question=question,
+        headline=("Within 2 mm for 8 of 10 configurations.",),
+        tables=(TextTable(title="Cells", head=("cell", "error [mm]"), rows=(("a", "1"),)),),
+        numbers={"trusted": 8, "bound_mm": None},
+    )
+
+
+def _chart():
+    return SecondsChart(
+        keys=("a", "b", "c"), seconds=np.array([0.1, 0.2, 0.3]), evaluations=(1, 2, 3)
+    )
+
+
+def test_what_was_kept_comes_back(project):
+    picture = Picture("map", _chart(), "", "Where it holds.")
+    one = keep(project, _analysis(tau=2.0), [picture], {"error": np.arange(3.0)})
+    (again,) = kept(project, "domain")
+    assert again.analysis == one.analysis
+    assert again.analysis.pictures[0].caption == "Where it holds."
+    np.testing.assert_array_equal(again.arrays["error"], [0.0, 1.0, 2.0])
+    assert all(again.picture("map", ending).stat().st_size for ending in ("png", "pdf", "csv"))
+    assert kept(project, "growth") == []
+
+
+def test_the_same_question_takes_the_place_of_its_answer(project):
+    first = keep(project, _analysis(tau=2.0))
+    assert keep(project, _analysis(tau=2.0)).folder == first.folder
+    assert keep(project, _analysis(tau=3.0)).folder != first.folder
+    assert len(kept(project)) == 2
+
+
+def test_one_that_was_not_finished_is_not_there(project):
+    one = keep(project, _analysis())
+    (one.folder / CONTENT).unlink()
+    assert kept(project) == []
