@@ -141,6 +141,17 @@ def test_what_cannot_be_is_not_tried_and_says_why():
     assert np.isfinite(outcome.pose).all()
 
 
+def test_a_pusher_that_parameters_put_into_the_body_pushes_it_out():
+    """Tracker and robot do not quite agree: nothing is refused, and nothing flies away."""
+    scene = grasp()
+    touching = replace(scene.bodies[0], pose=(0.5 * (0.029 + 0.1075), 0.0, 0.0))
+    scene = replace(scene, bodies=(touching,))
+    values = {"start_x": np.array([0.0, -1e-3, -3e-3])}
+    outcome = Ensemble([Case(scene, TIMES)]).simulate(np.zeros(3, int), values)
+    assert outcome.converged.all()
+    assert outcome.pose[1:, -1, 0] == pytest.approx(outcome.pose[0, -1, 0], abs=1e-3)
+
+
 def test_a_simulation_that_stops_early_says_when():
     scene = grasp(force_limit=None)
     outcome = Ensemble([Case(scene, np.array([5.0, scene.duration]))]).simulate(
