@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from fixel.exchange import scene_file_from_dict, scene_json_schema
+from fixel.model import KNOWN_PARAMETERS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
@@ -27,6 +28,19 @@ def test_local_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_calibration_page_names_every_parameter() -> None:
+    page = (ROOT / "docs" / "how-to" / "calibrate.md").read_text(encoding="utf-8")
+    named = set()
+    for first_cell in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE):
+        names = re.findall(r"`(\w+)`", first_cell)
+        # `start_x`, `_y` stands for start_x and start_y.
+        stem = names[0].rpartition("_")[0]
+        named |= {stem + name if name.startswith("_") else name for name in names}
+    # Of the three free points the page names the first and the last.
+    known = {name for name in KNOWN_PARAMETERS if not name.startswith("support_")}
+    assert known <= named, f"undocumented: {sorted(known - named)}"
 
 
 def test_scene_file_page_names_every_key_and_its_example_loads() -> None:

@@ -93,6 +93,41 @@ def test_every_batch_is_laid_out_alike():
                     assert array.flags.c_contiguous
 
 
+def _on_net(turn):
+    scene = grasp()
+    net = SupportPoints(points=[(0.04, 0), (0, 0.04), (-0.04, 0), (0, -0.04)], friction=0.3)
+    body = scene.bodies[0]
+    body = replace(body, pose=body.pose + np.array([0.004, 0.002, turn]), support=net)
+    return Case(replace(scene, bodies=(body,)), TIMES)
+
+
+def test_cases_of_one_template_meet_the_table_at_their_own_angles():
+    cases = [_on_net(0.0), _on_net(0.05)]
+    which = np.array([1, 0, 1])
+    values = {
+        "table_bend_xy": np.array([1.2, 1.2, 0.0]),
+        "table_slope_x": np.array([0.3, 0.3, 0.0]),
+        "start_theta": np.array([0.0, 0.01, 0.0]),
+    }
+    ensemble = Ensemble(cases)
+    assert len(ensemble._templates) == 1
+
+    outcome = ensemble.simulate(which, values)
+
+    for r, k in enumerate(which):
+        alone = Ensemble([cases[k]]).simulate(
+            np.zeros(1, int), {name: v[r : r + 1] for name, v in values.items()}
+        )
+        assert (alone.pose[0] == outcome.pose[r]).all()
+    assert np.abs(outcome.pose[0, -1] - outcome.pose[2, -1]).max() > 1e-4
+    _, packed = ensemble._packed(which, values, np.ones(3, bool))
+    assert all(
+        a.flags.writeable and a.flags.c_contiguous
+        for a in (*packed[0].batch, *packed[0].batch.model)
+        if isinstance(a, np.ndarray)
+    )
+
+
 def test_what_cannot_be_is_not_tried_and_says_why():
     points = SupportPoints(points=[(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3)
     scene = grasp()
@@ -104,6 +139,17 @@ def test_what_cannot_be_is_not_tried_and_says_why():
     assert outcome.reasons[0] == ""
     assert "triangle" in outcome.reasons[1]
     assert np.isfinite(outcome.pose).all()
+
+
+def test_a_pusher_that_parameters_put_into_the_body_pushes_it_out():
+    """Tracker and robot do not quite agree: nothing is refused, and nothing flies away."""
+    scene = grasp()
+    touching = replace(scene.bodies[0], pose=(0.5 * (0.029 + 0.1075), 0.0, 0.0))
+    scene = replace(scene, bodies=(touching,))
+    values = {"start_x": np.array([0.0, -1e-3, -3e-3])}
+    outcome = Ensemble([Case(scene, TIMES)]).simulate(np.zeros(3, int), values)
+    assert outcome.converged.all()
+    assert outcome.pose[1:, -1, 0] == pytest.approx(outcome.pose[0, -1, 0], abs=1e-3)
 
 
 def test_a_simulation_that_stops_early_says_when():

@@ -8,9 +8,20 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
 from fixel.kernels import codes
-from fixel.model import Body, Ellipsoid, FrictionMap, NoSupport, PathDrive, Plane, Scene
+from fixel.model import (
+    Body,
+    Ellipsoid,
+    FrictionMap,
+    NoSupport,
+    PathDrive,
+    Plane,
+    Scene,
+    SupportPoints,
+)
 from fixel.simulation.pack import Variation, characteristic_units, pack, pusher_path, stack
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
+
+NET = np.array([(0.04, 0.0), (0.0, 0.04), (-0.04, 0.0), (0.0, -0.04)])
 
 
 def _pack(scene, parameters=None, n=1, motion=codes.DYNAMIC, start=None):
@@ -88,6 +99,54 @@ def test_mu_pusher_and_mu_fixel_set_their_own_pairs_only():
         assert (friction[0, 2:] == 0.31 + 0.01 * r).all()
         assert (friction[2:, 0] == 0.31 + 0.01 * r).all()
     assert np.array_equal(_one(_pack(grasp()), 0).friction[0], [0.0, 0.25, 0.2, 0.2, 0.2])
+
+
+def _on_net():
+    """A square on four points along its axes, the load on them 1, 2, 3 and 4 parts of ten."""
+    net = SupportPoints(points=NET, friction=0.5, loads=0.15 * 9.81 * np.arange(1.0, 5.0) / 10.0)
+    body = replace(grasp().bodies[0], pose=(0.0, 0.0, 0.0), support=net)
+    return Scene(bodies=(body,), duration=1.0)
+
+
+def _loads(scene, parameters, n, start=None):
+    packed = _pack(scene, parameters, n, start=start)
+    limits = np.array([_one(packed, r).element_limit for r in range(n)])
+    return limits * packed.units.force / 0.5
+
+
+def test_a_table_is_met_at_the_angle_of_the_start():
+    up, down = np.exp(0.4), np.exp(-0.4)
+    share = np.arange(1.0, 5.0) * [[up, down, up, down], [down, up, down, up]]
+    start = np.array([[[0.0, 0.0, 0.0]], [[0.3, 0.0, 0.5 * np.pi]]])
+
+    loads = _loads(_on_net(), {"table_bend_xy": [0.8, 0.8]}, 2, start)
+    turned = _loads(_on_net(), {"table_bend_xy": [0.8, 0.8], "start_theta": [0.0, 0.5 * np.pi]}, 2)
+
+    weight = 0.15 * 9.81
+    assert loads == pytest.approx(weight * share / share.sum(axis=1, keepdims=True), rel=1e-12)
+    assert turned == pytest.approx(loads, rel=1e-12)
+
+
+def test_a_table_multiplies_loads_that_vary_and_keeps_the_weight():
+    values = {"table_slope_x": [0.5, -0.2], "load_1": [3.0, 0.0], "mass": [0.15, 0.45]}
+    loads = _loads(_on_net(), values, 2)
+
+    assert loads.sum(axis=1) == pytest.approx(np.array(values["mass"]) * 9.81, rel=1e-12)
+    # The loads not named stay as they were to each other, but for the slope: 2, 3, 4 parts of ten.
+    assert loads[:, 3] / loads[:, 1] == pytest.approx([2.0, 2.0], rel=1e-12)
+    assert loads[:, 2] / loads[:, 1] == pytest.approx(1.5 * np.exp([-0.5, 0.2]), rel=1e-12)
+    assert loads[1, 0] == 0.0
+
+
+def test_a_shift_of_the_supports_does_not_change_what_the_table_says():
+    shifted = _loads(_on_net(), {"table_bend": [0.4], "friction_centre_x": [0.01]}, 1)
+    assert (shifted == _loads(_on_net(), {"table_bend": [0.4]}, 1)).all()
+
+
+def test_without_gravity_a_table_has_nothing_to_spread():
+    body = replace(_on_net().bodies[0], support=SupportPoints(points=NET, friction=0.5))
+    scene = Scene(bodies=(body,), duration=1.0, gravity=0.0)
+    assert (_loads(scene, {"table_bend": [0.4]}, 1) == 0.0).all()
 
 
 def test_parameters_that_have_nothing_to_change_are_refused():

@@ -15,8 +15,10 @@ from fixel.model import (
     Polygon,
     SupportPoints,
     Tripod,
+    UniformPressure,
 )
 from fixel.simulation import QuasiStatic, simulate
+from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.simulation.vary import composed, infeasible, inverted
 from fixel.testing.scenes import grasp
 
@@ -47,6 +49,21 @@ def _end(scene, **values):
     done = simulate(scene, Parameters(values), motion=QuasiStatic())
     assert done.converged, done.status
     return done.final[scene.bodies[0].name]
+
+
+def _on_warped_table(scene, turn, bend_xy, slope_y):
+    """Supports that press as the table tells them to, the body turned by so much."""
+    body = scene.bodies[0]
+    x, y = _in_world(NET / 0.04, body.pose[2] + turn).T
+    loads = np.exp(0.5 * bend_xy * (x**2 - y**2) + slope_y * y)
+    loads *= body.mass * scene.gravity / loads.sum()
+    pose = body.pose + np.array([0.0, 0.0, turn])
+    return _with_body(scene, pose=pose, support=replace(body.support, loads=loads))
+
+
+def _in_world(points, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]])
 
 
 def _with_body(scene, **changes):
@@ -85,6 +102,11 @@ def _moved_path(scene, registration):
             lambda s: _with_body(
                 s, support=SupportPoints(points=NET, friction=0.3, loads=[3.0, 1.0, 1.0, 0.5])
             ),
+        ),
+        (
+            _scene(SupportPoints(points=NET, friction=0.3)),
+            {"table_bend_xy": 0.9, "table_slope_y": -0.4, "start_theta": 0.02},
+            lambda s: _on_warped_table(s, 0.02, 0.9, -0.4),
         ),
         (
             _scene(SupportPoints(points=NET, friction=0.3)),
@@ -165,6 +187,9 @@ def test_an_outline_elsewhere_in_the_tracked_frame_is_a_shifted_polygon():
         (None, {"support_1_x": 0.01}, "no body on three support points"),
         (SupportPoints(points=POINTS, friction=0.3), {"load_1": 2.0}, "net"),
         (SupportPoints(points=NET, friction=0.3), {"load_5": 2.0}, "4 support points"),
+        (None, {"table_bend": 0.1}, "net"),
+        (SupportPoints(points=POINTS, friction=0.3), {"table_slope_x": 0.1}, "net"),
+        (Ellipsoid(force=1.0, torque=0.1), {"table_bend_xy": 0.1}, "net"),
         (None, {"ellipsoid_force": 1.0}, "no body on an ellipsoidal"),
         (None, {"contact_offset": 1e-3}, "not round"),
         (SupportPoints(points=POINTS, friction=0.3), {"support_1_x": -0.04}, "outside"),
@@ -173,6 +198,17 @@ def test_an_outline_elsewhere_in_the_tracked_frame_is_a_shifted_polygon():
 def test_a_parameter_without_a_meaning_is_refused(support, values, found):
     with pytest.raises(InvalidInput, match=found):
         _end(_scene(support), **values)
+
+
+def test_a_flat_table_changes_no_bit():
+    scene = _scene(SupportPoints(points=NET, friction=0.3))
+    flat = dict.fromkeys(TABLE_NAMES, 0.0)
+    assert (_end(scene, **flat) == _end(scene)).all()
+
+
+def test_a_table_spreads_even_pressure_too():
+    scene = _scene(UniformPressure(friction=0.3))
+    assert np.abs(_end(scene, table_bend=1.5) - _end(scene)).max() > 1e-4
 
 
 def test_infeasible_sets_have_their_reasons():

@@ -23,7 +23,7 @@ from fixel.workflows.benchmark.splits import Split, few_of, folds, random_split
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {
-    "mu_pusher": 0.15, "registration_x": SHIFT[0], "registration_y": SHIFT[1], "bend": 0.6,
+    "mu_pusher": 0.15, "registration_x": SHIFT[0], "registration_y": SHIFT[1], "table_bend": 0.6,
 }  # fmt: skip
 
 

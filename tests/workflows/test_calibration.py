@@ -10,8 +10,9 @@ from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.errors import InvalidInput
 from fixel.jobs.work import Stopped
-from fixel.model import Trajectory
+from fixel.model import Trajectory, UniformPressure
 from fixel.sampling.thesis import thesis_plan
+from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.inputs import read_targets, target_files
@@ -153,6 +154,14 @@ def test_start_and_bounds_are_the_scenes_own(chosen):
     assert (mu.frozen, mu.nominal) == (True, 0.3)
 
 
+def test_a_table_may_be_searched_under_even_pressure(chosen):
+    scene = chosen.targets[0].case.scene
+    body = replace(scene.bodies[0], support=UniformPressure(friction=0.3))
+    found = fitted(TABLE_NAMES, [replace(scene, bodies=(body,))])
+    assert [u.name for u in found] == list(TABLE_NAMES)
+    assert all(u.low == -u.high and u.nominal == 0.0 for u in found)
+
+
 def test_a_space_file(tmp_path):
     file = tmp_path / "space.yaml"
     file.write_text(
@@ -207,6 +216,8 @@ def test_parameters_that_no_experiment_could_inform(chosen):
         fitted(["mu_fixel"], bare)
     with pytest.raises(InvalidInput, match="a body on Tripod"):
         fitted(["support_1_x"], scenes)
+    with pytest.raises(InvalidInput, match="a body on Tripod"):
+        fitted(["table_bend_xy"], scenes)
 
 
 def test_experiments_that_cannot_be_compared(project, experiments):

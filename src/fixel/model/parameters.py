@@ -52,6 +52,19 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         "anisotropy_diagonal": ParameterInfo(
             "-", "the same along the diagonals of world x and y", -0.9
         ),
+        "table_bend": ParameterInfo(
+            "-", "extra load far from the centroid, on a table that is not flat", _ANY
+        ),
+        "table_bend_xy": ParameterInfo(
+            "-", "extra load far along world x, and less far along y, on such a table", _ANY
+        ),
+        "table_bend_diagonal": ParameterInfo(
+            "-", "the same between the diagonals of world x and y", _ANY
+        ),
+        "table_slope_x": ParameterInfo(
+            "-", "extra load towards larger world x, on such a table", _ANY
+        ),
+        "table_slope_y": ParameterInfo("-", "the same along world y", _ANY),
         "registration_x": ParameterInfo(
             "m", "shift along world x from where the pusher was recorded to where it was", _ANY
         ),

@@ -412,7 +412,8 @@ class Template:
         length = units.length
         rows = _Rows(n)
         n_body, n_driven = len(scene.names), len(scene.pushers)
-        elements = varied_elements(scene, self._elements, values)
+        start = varied_start(scene, variation.start, values)
+        elements = varied_elements(scene, self._elements, values, start)
         ratio = heavier_by(scene, values)
         point, limit, arm, drag = self._scaled(elements, n, rows, ratio is not None)
         friction = varied_friction(scene, self._friction, values)
@@ -423,7 +424,7 @@ class Template:
         rows.place(families.DRIVEN, n_driven)
         rows.place(families.PATH_START, n_driven + 1)
         path, path_start = self._paths(variation, float(np.max(duration)), rows)
-        pose = self._poses(variation, rows)
+        pose = self._poses(start, rows)
         factors, frame = self._map()
         rows.place(families.MAP, factors.size)
         model = self._model
@@ -540,11 +541,10 @@ class Template:
             rows.begin[:, families.PATH] = n_sample * of
         return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
 
-    def _poses(self, variation: Variation, rows: _Rows) -> FloatArray:
+    def _poses(self, start: FloatArray | None, rows: _Rows) -> FloatArray:
         """Poses of all bodies at time zero, of centres of mass where they are free, scaled."""
         scene, length = self.scene, self.units.length
         n_free = len(scene.bodies)
-        start = varied_start(scene, variation.start, variation.parameters)
         own = start is not None
         rows.place(families.BODY, len(scene.names), own=own)
         pose = np.array([item.pose for item in _items(scene)])

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model import Disk, Pusher, Scene, SupportPoints
+from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.parameters import info_of
 from fixel.model.support import LOAD_ROUNDING, triangle_shares
+from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
 
@@ -43,12 +44,27 @@ class Elements(NamedTuple):
 # --- supports -----------------------------------------------------------------------------------
 
 
-def varied_elements(scene: Scene, elements: Elements, values: Values) -> Elements:
-    """Supports under parameters; a refusal where the scene has none that a name could mean."""
+def varied_elements(
+    scene: Scene, elements: Elements, values: Values, start: FloatArray | None = None
+) -> Elements:
+    """Supports under parameters; a refusal where the scene has none that a name could mean.
+
+    Parameters
+    ----------
+    scene : Scene
+    elements : Elements
+        Of the scene.
+    values : mapping of name to (n,) float64
+    start : (n, n_free, 3) float64, optional
+        Poses of the outlines at the start, as `varied_start` answers [m, m, rad]; the scene's where
+        left out.
+    """
     if any(name in values for name in _CORNERS):
         elements = _on_three_points(scene, elements, values)
     if any(name.startswith("load_") for name in values):
         elements = _under_loads(scene, elements, values)
+    if any(name in values for name in TABLE_NAMES):
+        elements = _on_table(scene, elements, values, start)
     if "tripod_radius" in values:
         elements = _at_radius(elements, values["tripod_radius"])
     if "mu_support" in values:
@@ -129,6 +145,37 @@ def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
     if not (total > 0.0).all():
         raise InvalidInput("parameters.load_1", found="only zeros", expected="one load above 0")
     return elements._replace(load=body.mass * scene.gravity * load / total)
+
+
+def _on_table(
+    scene: Scene, elements: Elements, values: Values, start: FloatArray | None
+) -> Elements:
+    """Loads as a table that is not flat spreads them; their sum stays what it was.
+
+    The angle of the body is that at the start: loads do not change during a rollout.
+    """
+    _refuse_without_net(scene, elements)
+    body = scene.bodies[0]
+    n = next(len(values[name]) for name in TABLE_NAMES if name in values)
+    angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
+    away = elements.point + body.com - body.shape.centroid
+    load = elements.load * factors_on_table(away, angle, values)
+    total, now = elements.load.sum(axis=-1), load.sum(axis=-1)
+    # Without gravity there is no load, and nothing to share out.
+    ratio = np.divide(total, now, out=np.ones(n), where=now > 0.0)
+    return elements._replace(load=load * ratio[:, None])
+
+
+def _refuse_without_net(scene: Scene, elements: Elements) -> None:
+    support = scene.bodies[0].support
+    known = isinstance(support, SupportPoints | UniformPressure) and len(elements.body) >= 4
+    if len(scene.bodies) != 1 or not known:
+        raise InvalidInput(
+            "parameters.table_bend",
+            found="no body on a net of support points",
+            expected="one body that rests on four points or more, or with even pressure",
+            hint="the loads on three points are the same on any table",
+        )
 
 
 def _at_radius(elements: Elements, radius: FloatArray) -> Elements:

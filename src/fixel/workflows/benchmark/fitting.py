@@ -77,12 +77,13 @@ def load_beliefs(group: PushGroup, sd: float) -> list[Belief]:
 def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -> list[Belief]:
     """How the table presses; standard deviations, zero for what is left out.
 
-    `bend` is for loads that are not free themselves; `quarter` of `bend_xy` and `bend_diagonal`.
+    `bend` is for loads that are not free themselves; `quarter` of `table_bend_xy` and
+    `table_bend_diagonal`.
     """
-    found = [Belief("bend", 0.1, bend, -1.5, 1.5)] if bend else []
+    found = [Belief("table_bend", 0.1, bend, -1.5, 1.5)] if bend else []
     for sd, limit, names in (
-        (quarter, 2.0, ("bend_xy", "bend_diagonal")),
-        (slope, 1.0, ("slope_x", "slope_y")),
+        (quarter, 2.0, ("table_bend_xy", "table_bend_diagonal")),
+        (slope, 1.0, ("table_slope_x", "table_slope_y")),
     ):
         found += [Belief(name, 0.0, sd, -limit, limit) for name in names if sd]
     return found

@@ -8,7 +8,6 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.exchange.datasets.mit_push import PUSHER_RADIUS, STROKE, MitPushes, mass_of
 from fixel.exchange.importers.contact import moved_to_contact
 from fixel.kernels.arrays import FloatArray, IntArray
@@ -27,6 +26,7 @@ from fixel.model.fields import BoolArray
 from fixel.model.net import support_net
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.workflows.replay.mit_push import LARGEST_GAP, LARGEST_STROKE_ERROR, NOMINAL
 
 # The clock of quasi-static pushes is anybody's: all are simulated at one speed [s], in steps of

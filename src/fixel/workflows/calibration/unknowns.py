@@ -13,9 +13,10 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.exchange.document import read_document
-from fixel.model import Disk, Ellipsoid, Scene, SupportPoints, Tripod
+from fixel.model import Disk, Ellipsoid, Scene, SupportPoints, Tripod, UniformPressure
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.simulation.uneven_table import TABLE_NAMES
 
 MOST_FRICTION: Final = 1.0
 SMALLEST_RADIUS: Final = 1e-3  # [m] of a tripod: with zero the loads would stand on one point
@@ -38,6 +39,8 @@ _AROUND_ZERO: Final = {
     "outline_theta": 0.05,
     "contact_offset": 1e-3,
 }
+# The same, where loads could be spread otherwise. Real boards reached 1.8.
+_TABLE: Final = dict(zip(TABLE_NAMES, (1.5, 2.0, 2.0, 1.0, 1.0), strict=True))
 _UNITS: Final = {"_mm": 1e-3, "_deg": math.pi / 180.0, "_mrad": 1e-3}
 
 
@@ -90,6 +93,9 @@ def usual(name: str, scene: Scene) -> Unknown:
     if name.startswith("ellipsoid_") and isinstance(support, Ellipsoid):
         value = support.force if name.endswith("force") else support.torque
         return Unknown(name=name, low=value / 10.0, high=value * 4.0, nominal=value)
+    if name in _TABLE and isinstance(support, SupportPoints | UniformPressure):
+        width = _TABLE[name]
+        return Unknown(name=name, low=-width, high=width, nominal=0.0)
     if name == "mass":
         return Unknown(name=name, low=body.mass / 4.0, high=4.0 * body.mass, nominal=body.mass)
     if name.startswith("load_"):

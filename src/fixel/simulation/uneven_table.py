@@ -2,7 +2,7 @@
 
 A stiff plate on a warped board stands on other points when it is turned by a quarter. Body-fixed
 loads cannot say that: on plywood the pushes of one plate contradict each other by millimetres until
-the table's part is separated (docs/how-to/benchmark-on-real-pushes.md).
+the table's part is separated (docs/theory/support.md, docs/how-to/benchmark-on-real-pushes.md).
 """
 
 from __future__ import annotations
@@ -19,10 +19,16 @@ LENGTH: Final = 40e-3
 # Of the exponent: a factor of seven either way is all or nothing already.
 LARGEST_EXPONENT: Final = 2.0
 
-TABLE_NAMES: Final = ("bend", "bend_xy", "bend_diagonal", "slope_x", "slope_y")
-"""`bend`: more load (above 0) far from the centroid in all directions; `bend_xy`: more along world
-x than along y; `bend_diagonal`: the same between the diagonals; `slope_x`, `slope_y`: more load
-towards larger world x or y. All dimensionless."""
+TABLE_NAMES: Final = (
+    "table_bend",
+    "table_bend_xy",
+    "table_bend_diagonal",
+    "table_slope_x",
+    "table_slope_y",
+)
+"""`table_bend`: more load (above 0) far from the centroid in all directions; `table_bend_xy`: more
+along world x than along y; `table_bend_diagonal`: the same between the diagonals; `table_slope_x`,
+`table_slope_y`: more load towards larger world x or y. All dimensionless."""
 
 
 def factors_on_table(
