@@ -16,7 +16,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.desk import Desk
 from fixel.workflows.calibration.outcome import Curve
-from fixel.workflows.calibration.pictures import _pictures, draw_all
+from fixel.workflows.calibration.pictures import draw_all, pictures_of
 from fixel.workflows.calibration.request import Choice, Request, entry_of
 from fixel.workflows.calibration.retrace import UNKNOWN, retraced
 from fixel.workflows.calibration.unknowns import fitted
@@ -175,7 +175,7 @@ def test_what_could_not_be_calibrated_is_drawn_too(lab):
     lost = replace(done.outcome.found[3], errors=np.array([np.inf]), trace=None, note="crashed")
     outcome = replace(done.outcome, found=(*done.outcome.found[:3], lost))
 
-    pictures = {p.name: p.chart for p in _pictures(Desk(replace(done, outcome=outcome)))}
+    pictures = {p.name: p.chart for p in pictures_of(Desk(replace(done, outcome=outcome)))}
     for chart in pictures.values():
         chart.figure()
 

@@ -27,6 +27,7 @@ from fixel.cli import (
     jobs,
     project,
     replay,
+    report,
     sample,
     show,
     simulate,
@@ -55,6 +56,7 @@ app.command("show")(show.show)
 app.command("compare")(show.compare)
 app.command("filter")(filter.filter_)
 app.command("calibrate")(calibrate.calibrate)
+app.command("report")(report.report)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")

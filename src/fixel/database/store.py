@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -221,6 +222,15 @@ class Store:
             everything = int(connection.scalar(count) or 0)
             total = int(connection.scalar(count.where(*clean)) or 0) if clean else everything
         return Listing(summaries, total, everything - total)
+
+    def checksum(self, numbers: Iterable[int]) -> str:
+        """SHA-256 of the content of experiments: the same for the same data in any order."""
+        table = tables.experiment
+        wanted = set(numbers)
+        with reading(self._engine) as connection:
+            listed = connection.execute(sa.select(table.c.id, table.c.content_sha256))
+            sums = sorted(content for number, content in listed if number in wanted)
+        return hashlib.sha256("".join(sums).encode()).hexdigest()
 
     def datasets(self) -> dict[str, int]:
         """How many experiments of each dataset there are, flagged ones too."""

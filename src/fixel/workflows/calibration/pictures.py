@@ -55,18 +55,43 @@ def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
         The folder cannot be written to.
     """
     make_folder(folder)
-    pictures = _pictures(Desk(calibration))
+    pictures = pictures_of(Desk(calibration))
     return [path for picture in pictures for path in write_picture(folder, picture)]
 
 
 # --- which pictures -----------------------------------------------------------------------------
 
+# What to see in them, by how their names begin.
+CAPTIONS: Final = {
+    "search_alone": "Error against evaluation in three single calibrations: the best of the"
+    " experiments, the one in the middle, the worst.",
+    "search": "Error against evaluation while the search went on; the line is the best so far.",
+    "starts": "Where the searches from several starts ended: their errors in order, and the values"
+    " they found.",
+    "seconds": "How long the single calibrations took.",
+    "parameters_by_offset": "Values that each experiment by itself asks for, against where its"
+    " object started.",
+    "parameters": "Values before and after, with their intervals and verdicts, between the bounds"
+    " of the search.",
+    "profiles": "Profile likelihoods: how much worse the best fit becomes when one value is held"
+    " elsewhere. A flat line says that the data do not determine it.",
+    "errors_by_offset": "Error against where the object started.",
+    "errors": "Error of every experiment before and after.",
+    "overlay": "Measured and simulated motion, before and after calibration.",
+}
 
-def _pictures(desk: Desk) -> Pictures:
-    yield from _of_searches(desk)
-    yield from _of_parameters(desk)
-    yield from _of_experiments(desk)
-    yield from _overlays(desk)
+
+def pictures_of(desk: Desk) -> Pictures:
+    """The pictures of a calibration, with captions."""
+    for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
+        for picture in parts(desk):
+            yield picture._replace(caption=_caption(picture.name))
+
+
+def _caption(name: str) -> str:
+    stem = max((stem for stem in CAPTIONS if name.startswith(stem)), key=len)
+    which = name[len(stem) + 1 :]
+    return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
 
 
 def _of_searches(desk: Desk) -> Pictures:

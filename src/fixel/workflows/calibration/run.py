@@ -237,6 +237,14 @@ def collect(
     return Calibration(folder=folder, request=request, outcome=outcome, ids=ids, left_out=left_out)
 
 
+def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
+    """The calibration that a stored set of parameters came from; none where its job is gone."""
+    folder = project.folder / jobs.JOBS / str(record.method.get("job", ""))
+    if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
+        return None
+    return collect(project, folder, record.provenance.command, {})
+
+
 def _stored(
     project: Project, folder: Path, request: Request, outcome: Outcome, command: str
 ) -> list[int]:

@@ -1,0 +1,174 @@
+"""What a report may cite, as BibTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Final, NamedTuple
+
+
+class Work(NamedTuple):
+    """A work that can be cited."""
+
+    kind: str  # of the BibTeX entry
+    author: str
+    title: str
+    year: str
+    where: tuple[tuple[str, str], ...] = ()  # further fields
+
+
+WORKS: Final = {
+    "stewart1996": Work(
+        "article",
+        "Stewart, D. E. and Trinkle, J. C.",
+        "An implicit time-stepping scheme for rigid body dynamics with inelastic collisions and"
+        " Coulomb friction",
+        "1996",
+        (
+            ("journal", "International Journal for Numerical Methods in Engineering"),
+            ("volume", "39"),
+            ("pages", "2673--2691"),
+        ),
+    ),
+    "goyal1991": Work(
+        "article",
+        "Goyal, S. and Ruina, A. and Papadopoulos, J.",
+        "Planar sliding with dry friction. Part 1. Limit surface and moment function",
+        "1991",
+        (("journal", "Wear"), ("volume", "143"), ("pages", "307--330")),
+    ),
+    "yu2016": Work(
+        "inproceedings",
+        "Yu, K.-T. and Bauza, M. and Fazeli, N. and Rodriguez, A.",
+        "More than a million ways to be pushed. A high-fidelity experimental dataset of planar"
+        " pushing",
+        "2016",
+        (
+            (
+                "booktitle",
+                "IEEE/RSJ International Conference on Intelligent Robots and Systems (IROS)",
+            ),
+        ),
+    ),
+    "torczon1997": Work(
+        "article",
+        "Torczon, V.",
+        "On the convergence of pattern search algorithms",
+        "1997",
+        (("journal", "SIAM Journal on Optimization"), ("volume", "7"), ("pages", "1--25")),
+    ),
+    "nelder1965": Work(
+        "article",
+        "Nelder, J. A. and Mead, R.",
+        "A simplex method for function minimization",
+        "1965",
+        (("journal", "The Computer Journal"), ("volume", "7"), ("pages", "308--313")),
+    ),
+    "raue2009": Work(
+        "article",
+        "Raue, A. and Kreutz, C. and Maiwald, T. and Bachmann, J. and Schilling, M. and"
+        ' Klingm{\\"u}ller, U. and Timmer, J.',
+        "Structural and practical identifiability analysis of partially observed dynamical models"
+        " by exploiting the profile likelihood",
+        "2009",
+        (("journal", "Bioinformatics"), ("volume", "25"), ("pages", "1923--1929")),
+    ),
+    "vovk2005": Work(
+        "book",
+        "Vovk, V. and Gammerman, A. and Shafer, G.",
+        "Algorithmic learning in a random world",
+        "2005",
+        (("publisher", "Springer"),),
+    ),
+    "lei2018": Work(
+        "article",
+        "Lei, J. and G'Sell, M. and Rinaldo, A. and Tibshirani, R. J. and Wasserman, L.",
+        "Distribution-free predictive inference for regression",
+        "2018",
+        (
+            ("journal", "Journal of the American Statistical Association"),
+            ("volume", "113"),
+            ("pages", "1094--1111"),
+        ),
+    ),
+    "speagle2020": Work(
+        "article",
+        "Speagle, J. S.",
+        "dynesty: a dynamic nested sampling package for estimating Bayesian posteriors and"
+        " evidences",
+        "2020",
+        (
+            ("journal", "Monthly Notices of the Royal Astronomical Society"),
+            ("volume", "493"),
+            ("pages", "3132--3158"),
+        ),
+    ),
+    "skilling2006": Work(
+        "article",
+        "Skilling, J.",
+        "Nested sampling for general Bayesian computation",
+        "2006",
+        (("journal", "Bayesian Analysis"), ("volume", "1"), ("pages", "833--859")),
+    ),
+    "herman2017": Work(
+        "article",
+        "Herman, J. and Usher, W.",
+        "SALib: An open-source Python library for sensitivity analysis",
+        "2017",
+        (
+            ("journal", "The Journal of Open Source Software"),
+            ("volume", "2"),
+            ("number", "9"),
+            ("pages", "97"),
+        ),
+    ),
+    "saltelli2010": Work(
+        "article",
+        "Saltelli, A. and Annoni, P. and Azzini, I. and Campolongo, F. and Ratto, M. and"
+        " Tarantola, S.",
+        "Variance based sensitivity analysis of model output. Design and estimator for the total"
+        " sensitivity index",
+        "2010",
+        (
+            ("journal", "Computer Physics Communications"),
+            ("volume", "181"),
+            ("pages", "259--270"),
+        ),
+    ),
+}
+
+
+def fixel() -> Work:
+    """The program itself, in the version that runs."""
+    return Work(
+        "misc",
+        "{The fixel authors}",
+        "fixel: planar rigid bodies in frictional contact, solved as complementarity problems",
+        "2026",
+        (("note", f"Version {version('fixel')}, software"),),
+    )
+
+
+def works(keys: Sequence[str]) -> dict[str, Work]:
+    """The program, and what is cited, each once; keys that nobody knows are left out."""
+    known = {key: WORKS[key] for key in dict.fromkeys(keys) if key in WORKS}
+    return {"fixel": fixel(), **known}
+
+
+def bibtex(cited: dict[str, Work]) -> str:
+    """Entries of a `.bib` file."""
+    return "\n".join(_entry(key, work) for key, work in cited.items())
+
+
+def _entry(key: str, work: Work) -> str:
+    fields = [("author", work.author), ("title", f"{{{work.title}}}"), ("year", work.year)]
+    lines = [f"  {name} = {{{value}}}," for name, value in (*fields, *work.where)]
+    return "\n".join([f"@{work.kind}{{{key},", *lines, "}", ""])
+
+
+def line(work: Work) -> str:
+    """As people read it."""
+    authors = work.author.replace("{", "").replace("}", "").replace('\\"u', "ü")
+    authors = authors.replace(" and ", ", ")
+    rest = [value.replace("--", "-") for name, value in work.where if name != "number"]
+    return ". ".join([f"{authors} ({work.year})", work.title, ", ".join(rest)]) + "."

@@ -1,0 +1,249 @@
+"""The parts of a report about a calibration: errors before and after, parameters and verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+from fixel.model.records import Estimate
+from fixel.workflows.analysis import TextTable
+from fixel.workflows.calibrated import Calibrated
+from fixel.workflows.calibration.desk import Desk
+from fixel.workflows.calibration.pictures import pictures_of
+from fixel.workflows.calibration.run import Calibration
+from fixel.workflows.pictures import write_picture
+from fixel.workflows.report.content import Figure, Section
+
+# Of experiments far worse than the others.
+FAR: Final = 3.0
+MOST_NAMED: Final = 5
+READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
+SUSPECT: Final = {
+    "not identified": "is not identified: any value in its interval does as well. Do not quote it",
+    "not excited": "is not excited: nothing in these experiments depends on it",
+    "at bound": "is at a bound of the search: widen the bounds, or doubt the model",
+}
+OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
+
+
+def figures_of(calibration: Calibration, folder: Path) -> list[Figure]:
+    """Draw the pictures of a calibration into a folder."""
+    found = []
+    for picture in pictures_of(Desk(calibration)):
+        files = write_picture(folder, picture._replace(name=f"calibration_{picture.name}"))
+        found.append(Figure(name=files[0].stem, caption=picture.caption, png=files[0]))
+    return found
+
+
+def errors_section(
+    one: Calibrated, nominal: FloatArray | None, keys: Mapping[int, str], figures: list[Figure]
+) -> Section:
+    """Nominal against calibrated.
+
+    Parameters
+    ----------
+    one : Calibrated
+    nominal : (n_member,) float64, optional
+        Errors before.
+    keys : mapping from id to name of an experiment
+    figures : list of Figure
+    """
+    after = errors_of(one)
+    rows = [] if nominal is None else [("nominal", *_spread(rms(one, nominal)))]
+    rows.append(("calibrated", *_spread(rms(one, after))))
+    head = ("parameters", "mean [mm]", "median [mm]", "largest [mm]")
+    tables = [TextTable(title="Root mean square error of the path", head=head, rows=tuple(rows))]
+    worst = _worst(one, after, keys)
+    if worst:
+        tables.append(worst)
+    return Section(
+        title="Nominal and calibrated",
+        anchor="errors",
+        lead=(
+            "How far the simulated object is from the measured one, in the mean over the frames of"
+            f" an experiment; a radian counts as {1e3 * scale_of(one):.3g} mm.",
+            "These are the experiments that the parameters were fitted to. What new ones would"
+            " say is under the map.",
+        ),
+        tables=tuple(tables),
+        figures=_in_order([figure for figure in figures if not _of_parameters(figure)]),
+    )
+
+
+def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
+    """Values with their intervals and verdicts."""
+    estimates = one.record.estimates
+    head = ("parameter", "value", "interval", "unit", "verdict")
+    rows = [_row(one, estimate) for estimate in estimates]
+    rows += [
+        (name, f"{value:.4g}", "", "SI", "nobody asked")
+        for name, value in one.record.parameters.items()
+        if not estimates
+    ]
+    reasons = [f"{e.label}: {e.reason}" for e in estimates if e.reason]
+    return Section(
+        title="Parameters, and what the data say about them",
+        anchor="parameters",
+        lead=("The likeliest values, with intervals from profile likelihoods.",)
+        if estimates
+        else ("Nobody asked what the data determine: calibrate without --no-verdicts.",),
+        tables=(TextTable(title="Parameters", head=head, rows=tuple(rows)),),
+        figures=tuple(figure for figure in figures if _of_parameters(figure)),
+        notes=tuple(reasons),
+    )
+
+
+def calibration_warnings(one: Calibrated, keys: Mapping[int, str]) -> list[str]:
+    """What to know before using the values."""
+    found = []
+    for estimate in one.record.estimates:
+        for verdict, words in SUSPECT.items():
+            if estimate.verdict == verdict:
+                found.append(f"{estimate.label} {words}.")
+        if estimate.verdict.startswith("trades off"):
+            found.append(
+                f"{estimate.label} {estimate.verdict}: the two are known together only, not each"
+                " by itself."
+            )
+    errors = errors_of(one)
+    failed = [keys.get(m.experiment_id, "?") for m in one.record.members if not _has(m.error_mm2)]
+    if failed:
+        found.append(f"No simulation with these parameters: {_named(failed)}.")
+    far = _far(one, errors, keys)
+    if far:
+        found.append(
+            f"More than {FAR:g} times as far off as the median: {_named(far)}. Look at them"
+            " before believing the mean."
+        )
+    return found
+
+
+def headline(one: Calibrated, nominal: FloatArray | None) -> str:
+    """The calibration in one sentence."""
+    after = rms(one, errors_of(one))
+    n = len(after)
+    of = f"{n} experiments" if n > 1 else "the experiment"
+    sentence = f"Calibrated on {of}, the simulator is {_middle(after)} off"
+    if nominal is not None:
+        sentence += f", where nominal parameters were {_middle(rms(one, nominal))} off"
+    good = [e.label for e in one.record.estimates if e.verdict == "identified"]
+    if one.record.estimates:
+        sentence += f"; the data determine {', '.join(good) if good else 'no parameter by itself'}"
+    return sentence + "."
+
+
+def methods(one: Calibrated) -> list[str]:
+    """Sentences about it for a methods paragraph."""
+    method = one.record.method
+    n = len(one.record.members)
+    values = [name for name in one.record.parameters]
+    sentences = [
+        f"Parameters ({', '.join(values)}) were calibrated on {n} experiment{'s' * (n != 1)} by"
+        f" {method.get('optimiser', 'search')} ({method.get('how', 'direct minimisation')}),"
+        f" minimising the {method.get('error', 'mean-square')} error of the path with angles at"
+        f" {1e3 * scale_of(one):.3g} mm/rad, under {method.get('motion', 'dynamic')} motion with"
+        " contact and Coulomb friction as a mixed complementarity problem."
+    ]
+    if one.record.estimates:
+        sentences.append(
+            "Intervals are from profile likelihoods; a parameter whose profile stays flat is"
+            " reported as not identified."
+        )
+    return sentences
+
+
+# --- errors -------------------------------------------------------------------------------------
+
+
+def scale_of(one: Calibrated) -> float:
+    """What the error counts an angle as [m/rad]."""
+    scale: float = one.error.angle_scale  # type: ignore[attr-defined]
+    return scale
+
+
+def errors_of(one: Calibrated) -> FloatArray:
+    """(n_member,) as they were minimised; inf where there is none."""
+    return np.array([m.error_mm2 if _has(m.error_mm2) else math.inf for m in one.record.members])
+
+
+def rms(one: Calibrated, errors: FloatArray) -> FloatArray:
+    """Of the path [mm]."""
+    return errors if one.error.unit == "mm" else np.sqrt(errors)
+
+
+def _has(error: float | None) -> bool:
+    return error is not None and math.isfinite(error)
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _spread(values: FloatArray) -> tuple[str, str, str]:
+    good = _finite(values)
+    if len(good) == 0:
+        return ("none", "none", "none")
+    return f"{good.mean():.3g}", f"{np.median(good):.3g}", f"{good.max():.3g}"
+
+
+def _middle(values: FloatArray) -> str:
+    good = _finite(values)
+    if len(good) == 0:
+        return "nowhere near"
+    return f"{np.median(good):.3g} mm RMS{' (median)' * (len(values) > 1)}"
+
+
+def _far(one: Calibrated, errors: FloatArray, keys: Mapping[int, str]) -> list[str]:
+    values = rms(one, errors)
+    good = _finite(values)
+    if len(good) < 4:
+        return []
+    limit = FAR * float(np.median(good))
+    return [
+        f"{keys.get(member.experiment_id, '?')} ({value:.3g} mm)"
+        for member, value in sorted(
+            zip(one.record.members, values.tolist(), strict=True), key=lambda pair: -pair[1]
+        )
+        if limit < value < math.inf
+    ]
+
+
+def _worst(one: Calibrated, errors: FloatArray, keys: Mapping[int, str]) -> TextTable | None:
+    if len(errors) < 2 * MOST_NAMED:
+        return None
+    values = rms(one, errors)
+    order = np.argsort(-np.where(np.isfinite(values), values, -1.0), kind="stable")[:MOST_NAMED]
+    members = one.record.members
+    rows = tuple((keys.get(members[k].experiment_id, "?"), f"{values[k]:.3g}") for k in order)
+    return TextTable(title="The worst of them", head=("experiment", "error [mm]"), rows=rows)
+
+
+def _named(names: list[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _row(one: Calibrated, estimate: Estimate) -> tuple[str, ...]:
+    unit, factor = READABLE.get(estimate.unit, (estimate.unit, 1.0))
+    ends = [estimate.low, estimate.high]
+    low, high = ("open" if x is None else f"{factor * x:.4g}" for x in ends)
+    interval = "none" if (low, high) == ("open", "open") else f"{low} to {high}"
+    if estimate.verdict == "frozen":
+        interval = ""
+    value = f"{factor * estimate.value:.4g}"
+    return (estimate.label, value, interval, unit, estimate.verdict)
+
+
+def _in_order(figures: list[Figure]) -> tuple[Figure, ...]:
+    """How long it took is what a reader wants to know last."""
+    return tuple(sorted(figures, key=lambda figure: figure.name.endswith("seconds")))
+
+
+def _of_parameters(figure: Figure) -> bool:
+    name = figure.name.removeprefix("calibration_")
+    return any(name.startswith(stem) for stem in OF_PARAMETERS)

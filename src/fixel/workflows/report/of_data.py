@@ -1,0 +1,168 @@
+"""The part of a report about the experiments: how many, of what kind, what is wrong with some."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from fixel.database.query import Query, Summary
+from fixel.database.store import Store
+from fixel.workflows.analysis import TextTable
+from fixel.workflows.report.content import Section
+
+MOST_VALUES: Final = 8  # of one condition, written out
+FEW: Final = 10  # experiments below which little can be said
+
+
+@final
+@dataclass(frozen=True)
+class Data:
+    """The experiments that a report is about.
+
+    Parameters
+    ----------
+    summaries : list of Summary
+        Of those used.
+    flags : mapping from name of a flag to how many experiments of the project carry it
+    left_out : int
+        Of the project, for their flags.
+    """
+
+    summaries: list[Summary]
+    flags: Mapping[str, int]
+    left_out: int
+
+    @property
+    def simulated(self) -> int:
+        """How many no camera has seen."""
+        return sum(not summary.is_real for summary in self.summaries)
+
+    @property
+    def banner(self) -> str:
+        """What stands over everything."""
+        if not self.simulated:
+            return ""
+        if self.simulated == len(self.summaries):
+            return "SIMULATED experiments: no camera has seen any of this"
+        return f"{self.simulated} of {len(self.summaries)} experiments are SIMULATED"
+
+    @cached_property
+    def conditions(self) -> dict[str, list[str | float]]:
+        """Values of each condition that differs among the experiments."""
+        found: dict[str, set[str | float]] = {}
+        for summary in self.summaries:
+            for name, value in summary.conditions.items():
+                if not name.startswith("truth_"):
+                    found.setdefault(name, set()).add(value)
+        return {name: sorted(v, key=_in_order) for name, v in sorted(found.items()) if len(v) > 1}
+
+
+def data_of(store: Store, ids: Sequence[int]) -> Data:
+    """What the project knows of experiments."""
+    listed = store.experiments(Query(flagged=True, replaced=True)).summaries
+    wanted = set(ids)
+    clean = store.experiments(Query())
+    return Data([s for s in listed if s.id in wanted], store.flags(), clean.left_out)
+
+
+def data_section(data: Data) -> Section:
+    """What was measured."""
+    summaries = data.summaries
+    frames = np.array([s.n_frame for s in summaries])
+    lasted = np.array([s.duration_s for s in summaries])
+    start = np.array([(s.start_x_m, s.start_y_m, s.start_theta_rad) for s in summaries])
+    end = np.array([(s.end_x_m, s.end_y_m, s.end_theta_rad) for s in summaries])
+    moved = 1e3 * np.hypot(*(end - start)[:, :2].T)
+    turned = np.degrees(np.abs(end - start)[:, 2])
+    rows = (
+        ("frames of an experiment", *_spread(frames)),
+        ("duration [s]", *_spread(lasted)),
+        ("object moved [mm]", *_spread(moved)),
+        ("object turned [deg]", *_spread(turned)),
+    )
+    tables = [
+        TextTable(title="Experiments", head=("", "least", "median", "most"), rows=rows),
+    ]
+    if data.conditions:
+        tables.append(_conditions(data))
+    if data.flags:
+        flagged = tuple((name, str(n)) for name, n in sorted(data.flags.items()))
+        tables.append(
+            TextTable(
+                title="Flags on the data of this project",
+                head=("flag", "experiments"),
+                rows=flagged,
+            )
+        )
+    return Section(
+        title="What was measured",
+        anchor="data",
+        lead=(_counted(data),),
+        tables=tuple(tables),
+        commands=("fixel list",),
+    )
+
+
+def data_warnings(data: Data) -> list[str]:
+    """What is wrong with them."""
+    found = []
+    n = len(data.summaries)
+    if data.simulated:
+        found.append(
+            f"{'All' if data.simulated == n else data.simulated} of the experiments are simulated."
+            " They say that the method works, nothing about a real table."
+        )
+    if n < FEW:
+        found.append(
+            f"Only {n} experiment{'s' * (n != 1)}: expect other configurations to differ by more"
+            " than is seen here."
+        )
+    if data.left_out:
+        found.append(
+            f"{data.left_out} experiments of the project are left out for faults in their data;"
+            " fixel list --all shows them."
+        )
+    return found
+
+
+def _counted(data: Data) -> str:
+    sets = Counter(summary.dataset for summary in data.summaries)
+    listed = ", ".join(f"{n} of {name}" for name, n in sorted(sets.items()))
+    kind = "real" if not data.simulated else "simulated" if not _real(data) else "real or simulated"
+    n = len(data.summaries)
+    return f"{n} {kind} experiment{'s' * (n != 1)}: {listed}."
+
+
+def _real(data: Data) -> int:
+    return len(data.summaries) - data.simulated
+
+
+def _spread(values: np.ndarray) -> tuple[str, str, str]:
+    return f"{values.min():.4g}", f"{np.median(values):.4g}", f"{values.max():.4g}"
+
+
+def _conditions(data: Data) -> TextTable:
+    rows = []
+    for name, values in data.conditions.items():
+        shown = [_plain(value) for value in values]
+        if len(shown) > MOST_VALUES:
+            shown = [*shown[: MOST_VALUES // 2], "...", *shown[-MOST_VALUES // 2 :]]
+        rows.append((name, str(len(values)), ", ".join(shown)))
+    return TextTable(
+        title="Conditions that differ", head=("condition", "values", "which"), rows=tuple(rows)
+    )
+
+
+def _in_order(value: str | float) -> tuple[bool, float, str]:
+    """Numbers by size, then words by letters."""
+    words = isinstance(value, str)
+    return words, 0.0 if isinstance(value, str) else value, str(value)
+
+
+def _plain(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"

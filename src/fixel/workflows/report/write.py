@@ -1,0 +1,165 @@
+"""A report as one HTML file that needs nothing else, beside its figures and a bibliography."""
+
+from __future__ import annotations
+
+import base64
+import io
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final, final
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.exchange.atomic import written_whole
+from fixel.workflows.pictures import make_folder
+from fixel.workflows.report.bibliography import bibtex, line, works
+from fixel.workflows.report.content import Content
+from fixel.workflows.report.gather import gather
+
+PAGE: Final = "report.html"
+FIGURES: Final = "figures"
+BIBLIOGRAPHY: Final = "cite.bib"
+LARGEST: Final = 10_000_000  # of the page [byte]
+PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
+WIDEST: Final = 1500  # of a picture on the page [pixel]; its PDF is beside it
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """A report that was written.
+
+    Attributes
+    ----------
+    page, bibliography : Path
+    figures : list of Path
+        PDFs.
+    content : Content
+    size : int
+        Of the page [byte].
+    """
+
+    page: Path
+    bibliography: Path
+    figures: list[Path]
+    content: Content
+    size: int
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values, for `--json`."""
+        return {
+            "report": str(self.page),
+            "bibliography": str(self.bibliography),
+            "figures": [str(path) for path in self.figures],
+            "bytes": self.size,
+            "title": self.content.title,
+            "warnings": list(self.content.warnings),
+            "findings": list(self.content.findings),
+        }
+
+
+def write_report(
+    project: Project,
+    folder: Path,
+    *,
+    number: int | None = None,
+    title: str = "",
+    command: str = "",
+    say: Callable[[str], None] | None = None,
+) -> Report:
+    """Write the report of a calibration and of what was made of it.
+
+    Parameters
+    ----------
+    project : Project
+    folder : Path
+        Made where there is none; files of the same names are replaced.
+    number : int, optional
+        Id of the calibration.
+    title, command : str
+    say : callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        Nothing to report on, or a folder that cannot be written to.
+    """
+    template = _template()
+    make_folder(folder / FIGURES)
+    content = gather(project, number, folder / FIGURES, title, say)
+    cited = works(content.references)
+    html = template.render(
+        content=content,
+        style=_own("report.css"),
+        picture=_embedded,
+        cited=[line(work) for work in cited.values()],
+        bibtex=bibtex(cited),
+        commands=[*content.commands, *([command] if command else [])],
+        pdf=FIGURES,
+    )
+    data = html.encode()
+    if len(data) > LARGEST:
+        raise InvalidInput(
+            str(folder / PAGE),
+            found=f"{len(data) / 1e6:.1f} MB",
+            expected=f"at most {LARGEST / 1e6:.0f} MB",
+            hint="report fewer analyses: remove some from the project's folder analyses",
+        )
+    with written_whole(folder / BIBLIOGRAPHY) as path:
+        path.write_text(bibtex(cited), encoding="utf-8")
+    with written_whole(folder / PAGE) as path:
+        path.write_bytes(data)
+    shown = [figure for section in content.sections for figure in section.figures]
+    return Report(
+        page=folder / PAGE,
+        bibliography=folder / BIBLIOGRAPHY,
+        figures=[figure.png.with_suffix(".pdf") for figure in shown],
+        content=content,
+        size=len(data),
+    )
+
+
+def next_command(report: Report) -> str:
+    """What to type to read it."""
+    return f"xdg-open {shlex.quote(str(report.page))}"
+
+
+def _template() -> Any:
+    try:
+        import jinja2
+    except ImportError:
+        raise InvalidInput(
+            "report",
+            found="no package jinja2",
+            expected="it to be installed",
+            hint='pip install "fixel[report]"',
+        ) from None
+    # Names of experiments are anybody's text: everything is escaped.
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(_own("report.html.j2"))
+
+
+def _own(name: str) -> str:
+    return (files("fixel.workflows.report") / name).read_text(encoding="utf-8")
+
+
+def _embedded(path: Path) -> dict[str, Any]:
+    """A picture as a `data:` address, no larger than a screen shows, in few colours; and its width
+    on the page [pixel]."""
+    from PIL import Image
+
+    with Image.open(path) as original:
+        inches = original.width / original.info.get("dpi", (300.0, 300.0))[0]
+        image = original.convert("RGB")
+    if image.width > WIDEST:
+        height = round(image.height * WIDEST / image.width)
+        image = image.resize((WIDEST, height), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    image.quantize(128, dither=Image.Dither.NONE).save(out, format="PNG", optimize=True)
+    data = base64.b64encode(out.getvalue()).decode()
+    return {"source": f"data:image/png;base64,{data}", "width": round(inches * PER_INCH)}
