@@ -8,6 +8,12 @@ from tests.jobs.helpers import PATIENCE_S, kill, names_in, processes, start
 KINDS = ("worker", "scheduler", "coordinator")
 
 
+def storm_at_random(folder, n):
+    """A storm of so many kills of random kinds; all of them are found a victim."""
+    generator = random.Random(n)
+    assert storm(folder, [generator.choice(KINDS) for _ in range(n)], seed=n) == n
+
+
 def storm(folder, kinds, seed, between_s=(0.0, 1.0)):
     """Run a job to its end while its processes are killed in this order; how many were.
 
