@@ -1,8 +1,7 @@
-"""Toy jobs, and ways to look at and kill their processes."""
+"""Ways to look at jobs and kill their processes."""
 
 import os
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -10,38 +9,9 @@ from pathlib import Path
 
 from fixel.exchange.journal import MAGIC, read_journal
 from fixel.jobs import folder as files
-from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Run
-from fixel.jobs.work import block_name
-from fixel.testing.toy_work import MAKER, make_toy_work
-from fixel.workflows.jobs import prepare_job
 
 PATIENCE_S = 90.0
-
-
-def toy_job(folder, run=None, **options):
-    """A prepared job of toy work."""
-    prepare_job(folder, maker=MAKER, inputs={"offset": b"0.31"}, options=options)
-    if run is not None:
-        files.write_run(folder, run)
-    return folder
-
-
-def undisturbed(inputs, **options):
-    """What a toy job returns when nothing happens, and the names of its blocks."""
-    quick = options | {"sleep_s": 0.0, "compute_s": 0.0}
-    names = []
-    with LocalEngine() as engine:
-        work, asked = make_toy_work(inputs, options), make_toy_work(inputs, quick)
-        turn, question = next(work), next(asked)
-        while True:
-            names += [block_name(turn.function, chunk) for chunk in turn.chunks]
-            batches = engine.results(question.function, inputs, question.chunks)
-            answers = dict(pair for batch in batches for pair in batch)
-            try:
-                turn, question = work.send(answers), asked.send(answers)
-            except StopIteration as end:
-                return end.value, names
 
 
 def start(folder):
@@ -93,6 +63,19 @@ def await_true(condition, what, patience_s=PATIENCE_S):
     return held
 
 
+def await_while_running(coordinator, folder, condition, what):
+    """Wait until something holds; if the coordinator ends before, say its words."""
+
+    def held():
+        # Asked before the condition, which may come true with the coordinator's last act.
+        ended = coordinator.poll() is not None
+        found = condition()
+        assert found or not ended, f"no {what}:\n" + (folder / files.LOG).read_text()
+        return found
+
+    return await_true(held, what)
+
+
 def names_in(folder):
     """Names of the blocks of a job's journal."""
     path = folder / files.JOURNAL
@@ -104,20 +87,6 @@ def blocks_written(folder):
     data = (folder / files.JOURNAL).read_bytes()
     mark = data[len(MAGIC) : len(MAGIC) + 8]
     return data.count(mark) - 1
-
-
-def best(result):
-    """What toy work returned: where the minimum is, and its value."""
-    return struct.unpack("<dd", result)
-
-
-def assert_as_undisturbed(folder, **options):
-    """The same bits as without any trouble; every answer kept, and kept once."""
-    expected, names = undisturbed(folder / "inputs", **options)
-    assert files.read_status(folder).state == "done"
-    assert (folder / files.RESULT).read_bytes() == expected
-    assert sorted(names_in(folder)) == sorted(names)
-    assert blocks_written(folder) == len(names)
 
 
 LOCAL_2 = Run(workers=2)

@@ -1,22 +1,20 @@
 """A job from its folder: undisturbed, killed, stopped, refused."""
 
 import json
-import random
 import signal
 
 import pytest
-from tests.jobs.chaos import KINDS, storm
+from tests.jobs.chaos import KINDS, storm, storm_at_random
 from tests.jobs.helpers import (
     LOCAL_2,
-    assert_as_undisturbed,
     await_true,
     blocks_written,
     kill,
     names_in,
     processes,
     start,
-    toy_job,
 )
+from tests.jobs.kinds import THESIS, assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import folder as files
@@ -61,10 +59,16 @@ def test_a_hundred_kills_among_processes_of_this_machine(tmp_path):
     pytest.importorskip("distributed")
     options = {"rounds": 4, "chunks": 150, "sleep_s": 0.2}
     folder = toy_job(tmp_path / "job", LOCAL_2, **options)
-    generator = random.Random(1)
-    kills = [generator.choice(KINDS) for _ in range(100)]
-    assert storm(folder, kills, seed=1) == 100
+    storm_at_random(folder, 100)
     assert_as_undisturbed(folder, **options)
+
+
+@pytest.mark.soak
+def test_a_hundred_kills_of_a_calibration_among_processes_of_this_machine(tmp_path):
+    pytest.importorskip("distributed")
+    folder = THESIS.prepare(tmp_path / "lab", LOCAL_2)
+    storm_at_random(folder, 100)
+    THESIS.assert_as_undisturbed(folder)
 
 
 def test_everything_killed_at_once(tmp_path):

@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import ssl
+import subprocess
 import sys
 import time
 
@@ -13,7 +14,7 @@ from tests.jobs.helpers import await_true, kill, processes
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
 from fixel.jobs.engine import LocalEngine
-from fixel.jobs.pool import LocalPool
+from fixel.jobs.pool import LocalPool, worker_command
 from fixel.jobs.remote import OTHER_VERSION, run_chunk
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Chunk, Failure, unframed
@@ -208,6 +209,21 @@ def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
         assert processes(folder, "worker") == before
     assert len(found) == 12
     assert any("the scheduler has ended with code -9" in sentence for sentence in said)
+
+
+def test_a_worker_that_is_refused_asks_again_until_its_patience_ends(folder):
+    """As after a lost connection that the scheduler still takes for a good one."""
+    with workers(folder, size=1) as engine:
+        answers(engine, folder, chunks(1))
+        (name,) = (path.stem for path in (folder / "workers").glob("*.json"))
+        twin = worker_command(folder, name, link.LOOPBACK, 1)
+        done = subprocess.run(
+            [sys.executable, *twin, "--patience-s", "2"], capture_output=True, timeout=60.0
+        )
+        assert answers(engine, folder, chunks(2)).keys() == {"c0", "c1"}
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.count(b"no connection to") >= 2
+    assert b"no scheduler; ending" in done.stdout
 
 
 def test_a_scheduler_that_hangs_is_replaced(folder, monkeypatch):

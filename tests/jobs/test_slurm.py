@@ -1,19 +1,13 @@
 """A campaign on a real SLURM on this machine, and on one whose processes are killed."""
 
-import random
 import subprocess
 import time
+from contextlib import contextmanager
 
 import pytest
-from tests.jobs.chaos import KINDS, storm
-from tests.jobs.helpers import (
-    assert_as_undisturbed,
-    await_true,
-    names_in,
-    processes,
-    start,
-    toy_job,
-)
+from tests.jobs.chaos import KINDS, storm, storm_at_random
+from tests.jobs.helpers import await_true, await_while_running, names_in, processes, start
+from tests.jobs.kinds import QUICK, THESIS, Toy, assert_as_undisturbed
 
 from fixel.jobs import folder as files
 from fixel.jobs.folder import Run
@@ -34,15 +28,26 @@ SITE = Site(
     skip_directives=["--mem"],  # memory is not divided among the nodes of the test
 )
 OPTIONS = {"rounds": 3, "chunks": 12, "sleep_s": 0.1}
+# So long that it still runs when a busy machine gets round to looking at it.
+LONGER = Toy(**OPTIONS | {"sleep_s": 0.5})
 # Under the load of other tests a heartbeat may be late.
 RUN = Run(workers=2, site=SITE, lease_s=60.0)
 
 
 @pytest.fixture
 def folder(slurm, tmp_path):
-    folder = toy_job(tmp_path / "job", RUN, **OPTIONS)
-    yield folder
-    cancel(label(folder))
+    with prepared(Toy(**OPTIONS), tmp_path / "job") as folder:
+        yield folder
+
+
+@contextmanager
+def prepared(kind, path, run=RUN):
+    """A job of a kind, none of whose workers is left in the queue afterwards."""
+    folder = kind.prepare(path, run)
+    try:
+        yield folder
+    finally:
+        cancel(label(folder))
 
 
 def label(folder):
@@ -50,10 +55,20 @@ def label(folder):
 
 
 def on_slurm(folder):
-    return sorted(job.id for job in listed(label(folder)) if job.active)
+    return sorted(int(job.id) for job in listed(label(folder)) if job.active)
 
 
-def test_a_campaign(folder):
+def two_at_work(folder, coordinator):
+    """Numbers of two workers that wait or run, once there is an answer."""
+
+    def found():
+        return bool(names_in(folder)) and len(on_slurm(folder)) == 2
+
+    await_while_running(coordinator, folder, found, "two workers at work")
+    return on_slurm(folder)
+
+
+def test_a_job(folder):
     seen = []
     status = jobs.run_here(folder, seen.append)
     assert status.state == "done"
@@ -62,32 +77,35 @@ def test_a_campaign(folder):
     await_true(lambda: not on_slurm(folder), "SLURM to end the workers")
 
 
-def test_one_kill_of_each_kind(folder):
-    assert storm(folder, KINDS, seed=3, between_s=(0.0, 0.1)) == 3
-    assert_as_undisturbed(folder, **OPTIONS)
+def test_a_calibration_with_one_kill_of_each_kind(slurm, tmp_path):
+    """Known answer T15, small."""
+    with prepared(QUICK, tmp_path / "lab") as folder:
+        assert storm(folder, KINDS, seed=3, between_s=(0.0, 0.1)) == 3
+        QUICK.assert_as_undisturbed(folder)
 
 
-def test_workers_outlive_the_coordinator_and_are_taken_over(folder):
-    coordinator = start(folder)
-    await_true(lambda: len(on_slurm(folder)) == 2 and names_in(folder), "two workers at work")
-    before = on_slurm(folder)
-    coordinator.kill()
-    coordinator.wait()
-    status = jobs.status_of(folder)
-    assert (status.state, status.kept) == ("lost", len(names_in(folder)))
-    time.sleep(1.0)
-    assert on_slurm(folder) == before
-    assert jobs.run_here(folder).state == "done"
-    assert max(map(int, (job.id for job in listed(label(folder))))) == int(before[-1])
-    assert_as_undisturbed(folder, **OPTIONS)
+def test_workers_outlive_the_coordinator_and_are_taken_over(slurm, tmp_path):
+    with prepared(LONGER, tmp_path / "job") as folder:
+        coordinator = start(folder)
+        before = two_at_work(folder, coordinator)
+        coordinator.kill()
+        coordinator.wait()
+        status = jobs.status_of(folder)
+        assert (status.state, status.kept) == ("lost", len(names_in(folder)))
+        time.sleep(1.0)
+        assert on_slurm(folder) == before
+        assert jobs.run_here(folder).state == "done"
+        assert sorted(int(job.id) for job in listed(label(folder))) == before
+        LONGER.assert_as_undisturbed(folder)
 
 
-def test_a_worker_cancelled_from_outside_is_replaced(folder):
-    coordinator = start(folder)
-    await_true(lambda: len(on_slurm(folder)) == 2 and names_in(folder), "two workers at work")
-    subprocess.run(["scancel", on_slurm(folder)[0]], check=True)
-    assert coordinator.wait(120) == 0
-    assert_as_undisturbed(folder, **OPTIONS)
+def test_a_worker_cancelled_from_outside_is_replaced(slurm, tmp_path):
+    with prepared(LONGER, tmp_path / "job") as folder:
+        coordinator = start(folder)
+        subprocess.run(["scancel", str(two_at_work(folder, coordinator)[0])], check=True)
+        assert coordinator.wait(120) == 0
+        assert len(listed(label(folder))) == 3
+        LONGER.assert_as_undisturbed(folder)
 
 
 def test_the_coordinator_as_a_job_and_cancelled(folder):
@@ -104,32 +122,27 @@ def test_the_coordinator_as_a_job_and_cancelled(folder):
 
 @pytest.mark.slow
 def test_workers_end_before_their_walltime_and_are_replaced(slurm, tmp_path):
-    options = OPTIONS | {"chunks": 40, "sleep_s": 0.4}
+    toy = Toy(**OPTIONS | {"chunks": 40, "sleep_s": 0.4})
     run = RUN.model_copy(update={"site": SITE.model_copy(update={"walltime": "00:00:10"})})
-    folder = toy_job(tmp_path / "job", run, **options)
-    assert jobs.run_here(folder).state == "done"
-    log = (folder / "log.txt").read_text()
-    assert log.count("has ended: completed") >= 2
-    assert "died with" not in log
-    assert_as_undisturbed(folder, **options)
+    with prepared(toy, tmp_path / "job", run) as folder:
+        assert jobs.run_here(folder).state == "done"
+        log = (folder / "log.txt").read_text()
+        assert log.count("has ended: completed") >= 2
+        assert "died with" not in log
+        toy.assert_as_undisturbed(folder)
 
 
 @pytest.mark.slow
 def test_twenty_kills(slurm, tmp_path):
-    kill_at_random(tmp_path / "job", 20, {"rounds": 3, "chunks": 60, "sleep_s": 0.2})
+    toy = Toy(rounds=3, chunks=60, sleep_s=0.2)
+    with prepared(toy, tmp_path / "job") as folder:
+        storm_at_random(folder, 20)
+        toy.assert_as_undisturbed(folder)
 
 
 @pytest.mark.soak
-def test_a_hundred_kills(slurm, tmp_path):
+def test_a_calibration_with_a_hundred_kills(slurm, tmp_path):
     """Known answer T15: nothing lost, nothing twice, the same bits."""
-    kill_at_random(tmp_path / "job", 100, {"rounds": 4, "chunks": 200, "sleep_s": 0.2})
-
-
-def kill_at_random(path, n, options):
-    folder = toy_job(path, RUN, **options)
-    generator = random.Random(n)
-    try:
-        assert storm(folder, [generator.choice(KINDS) for _ in range(n)], seed=n) == n
-        assert_as_undisturbed(folder, **options)
-    finally:
-        cancel(label(folder))
+    with prepared(THESIS, tmp_path / "lab") as folder:
+        storm_at_random(folder, 100)
+        THESIS.assert_as_undisturbed(folder)

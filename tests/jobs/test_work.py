@@ -1,7 +1,7 @@
 """The loop that gets rounds answered: once, from the journal or by the engine."""
 
 import pytest
-from tests.jobs.helpers import undisturbed
+from tests.jobs.kinds import toy_undisturbed
 
 from fixel.errors import InvalidInput
 from fixel.exchange.journal import Journal
@@ -33,7 +33,7 @@ def calls(inputs):
 
 
 def test_every_chunk_is_computed_once_and_the_result_is_the_works(inputs):
-    expected, names = undisturbed(inputs, **OPTIONS)
+    expected, names = toy_undisturbed(inputs, **OPTIONS)
     (inputs.parent / "calls").write_text("")
     assert run(inputs) == expected
     assert len(calls(inputs)) == len(names) == 15
@@ -41,7 +41,7 @@ def test_every_chunk_is_computed_once_and_the_result_is_the_works(inputs):
 
 @pytest.mark.parametrize("n_before", range(0, 15, 3))
 def test_stopped_anywhere_it_goes_on_to_the_same_bits(inputs, n_before):
-    expected, _ = undisturbed(inputs, **OPTIONS)
+    expected, _ = toy_undisturbed(inputs, **OPTIONS)
     (inputs.parent / "calls").write_text("")
     with pytest.raises(Stopped):
         run(inputs, stop=lambda: len(calls(inputs)) >= n_before)

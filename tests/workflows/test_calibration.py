@@ -19,6 +19,7 @@ from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
 from fixel.workflows.calibration.request import Choice, Request, entry_of
 from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
+from fixel.workflows.jobs import run_here, status_of
 
 PLANNED = thesis_plan().experiments
 QUICK = Choice(name="pattern-search", options={"threshold_delta": 0.05})
@@ -124,6 +125,18 @@ def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, 
         assert (a.trace is None) == (b.trace is None)
         if a.trace is not None:
             assert (a.trace.points == b.trace.points).all()
+
+
+def test_verdicts_are_not_found_again_because_the_search_took_another_time(project, chosen):
+    """Run once more, a job that has all its answers asks for no other."""
+    few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])
+    request = _request(few, mode="joint", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    done = _done(project, few, request)
+    kept = status_of(done.folder).kept
+    assert run_here(done.folder).kept == kept
+    (one,) = done.outcome.together
+    assert one.estimates
+    assert one.seconds > 0.0
 
 
 def test_experiments_travel_bit_by_bit(chosen, tmp_path):

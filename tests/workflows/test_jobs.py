@@ -5,13 +5,12 @@ import zipfile
 
 import pytest
 from tests.jobs.helpers import (
-    assert_as_undisturbed,
     await_true,
     names_in,
     processes,
     start,
-    toy_job,
 )
+from tests.jobs.kinds import assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import folder as files

@@ -88,7 +88,9 @@ async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple
     timer = loop.call_later(max(0.0, until - time.monotonic()), asked.set)
     try:
         await asyncio.wait_for(worker, 2 * CONNECT_S)
-    except (OSError, TimeoutError, asyncio.CancelledError) as problem:
+    # RuntimeError is Dask's for a refusal: of a name, say, whose lost connection the scheduler
+    # still holds open.
+    except (OSError, TimeoutError, RuntimeError, asyncio.CancelledError) as problem:
         print(f"no connection to {address}: {problem!r}", flush=True)
         return False, asked.is_set()
     finally:

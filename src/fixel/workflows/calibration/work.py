@@ -388,14 +388,18 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
 def _judged(comparer: Comparer, found: list[Found]) -> Rounds[list[Found]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
     wanted = [k for k, one in enumerate(found) if one.how == DIRECT]
-    chunks = [Chunk(f"verdicts/{k}", bytes_of(**found_arrays([found[k]]))) for k in wanted]
+    # Without the time that the search took here: it is another after every interruption, and a
+    # chunk of another payload would be judged once more.
+    timeless = {k: dataclasses.replace(found[k], seconds=0.0) for k in wanted}
+    chunks = [Chunk(f"verdicts/{k}", bytes_of(**found_arrays([timeless[k]]))) for k in wanted]
     answers = yield Round(f"{HERE}:judge", chunks, note="verdicts")
     for k, chunk in zip(wanted, chunks, strict=True):
         answer = answers[chunk.name]
         if isinstance(answer, Failure):
             found[k] = dataclasses.replace(found[k], note=f"no verdicts: {answer.reason}")
         else:
-            found[k] = found_of(arrays_of(answer))[0]
+            judged = found_of(arrays_of(answer))[0]
+            found[k] = dataclasses.replace(judged, seconds=found[k].seconds)
     return found
 
 
