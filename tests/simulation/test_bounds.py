@@ -81,7 +81,8 @@ def test_both_loops_end_alike(stepper):
     variation = Variation(values, SQUEEZED[None, None], HEAD[None])
     packed = pack_with(grasp("seated"), motion, stepper, variation, 1, 1 / 30)
     method = method_of(motion, stepper, solver, 4096)
-    plain = roll_plainly(packed, motion, stepper, solver, method, np.array([1 / 30]))
+    times = np.array([0.0, 1 / 30])
+    plain = roll_plainly(packed, motion, stepper, solver, method, times)
     compiled = squeezed(stepper)
     assert plain.status[0] == compiled.status[0]
     assert plain.count[0, 2] == compiled.steps[0]
