@@ -254,8 +254,8 @@ class RunningFilter:
         )
         assert isinstance(result, BatchResult)
         pose = result.final[:, 0]
-        # The engine ends a rollout that throws a body by more than its size. What noise has squeezed
-        # between head and fixel may still come out a good way off, which no push explains.
+        # The engine ends a rollout that throws a body by more than its size. What noise has
+        # squeezed between head and fixel may still come out a good way off, unexplained by a push.
         farthest = FARTHEST * (way + 6.0 * self.options.position_noise) + self._stride
         away = np.hypot(*(pose - start)[:, :2].T)
         return pose, ~result.converged | (away > farthest), result.stalled[:, 0]
