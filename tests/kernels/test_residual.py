@@ -74,6 +74,15 @@ def test_no_number_is_infinitely_wrong(where, value):
     assert judged(problem, work) == math.inf
 
 
+@pytest.mark.parametrize("sides", [0, 16])
+def test_a_speed_without_a_square_is_no_answer(sides):
+    problem, work = step_problem((0.0, 0.0, 0.0), limit=0.25)
+    problem.inertia[:] = 0.0  # as in quasi-static motion: friction alone speaks against it
+    problem.element_sides[0] = sides
+    problem.velocity[0] = 1e200
+    assert judged(problem, work) > 0.2
+
+
 @pytest.mark.parametrize("sides", [0, 4, 16])
 def test_a_support_impulse_beyond_its_limit(sides):
     problem, work = solved()

@@ -131,6 +131,8 @@ def test_methods_that_do_not_fit_are_refused():
         (Adaptive, {"tolerance": 0.0}),
         (Adaptive, {"tolerance": float("nan")}),
         (Adaptive, {"largest_step": 0.0}),
+        (Adaptive, {"max_steps": 0}),
+        (Adaptive, {"max_steps": 1.5}),
         (GaussSeidel, {"max_sweeps": 0}),
         (Lemke, {"max_pivots": 0}),
     ],

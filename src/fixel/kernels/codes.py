@@ -10,6 +10,7 @@ NON_FINITE: Final = 3
 CONTACT_OVERFLOW: Final = 4
 STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
+THROWN: Final = 7
 
 STATUS_NAMES: Final = (
     "converged",
@@ -19,6 +20,7 @@ STATUS_NAMES: Final = (
     "contact_overflow",
     "step_too_small",
     "max_steps",
+    "thrown",
 )
 
 STATUS_ADVICE: Final = (
@@ -32,6 +34,8 @@ STATUS_ADVICE: Final = (
     "The stepper could not meet its tolerance at the smallest step. "
     "Loosen the tolerance, or use a fixed step.",
     "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
+    "A body was squeezed out and carried further in one step than the step can tell. "
+    "Look for a deep overlap at the start, or make the step smaller.",
 )
 
 # A motion model or solver of somebody else's, which only the plain Python loop can run.

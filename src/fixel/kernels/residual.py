@@ -81,6 +81,8 @@ def _off_ball(
 ) -> float:
     """Largest coordinate of p minus the projection of (x, y, z) on the ball of radius `limit`."""
     length = math.sqrt(x * x + y * y + z * z)
+    if not math.isfinite(length):
+        return math.inf  # the squares overflowed; shrunk to nothing, no impulse would fit
     shrink = limit / length if length > limit else 1.0
     return max(abs(p_x - shrink * x), abs(p_y - shrink * y), abs(p_z - shrink * z))
 

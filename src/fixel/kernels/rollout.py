@@ -20,7 +20,7 @@ from fixel.kernels.contacts import place_bodies
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
 from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE, locked, solve
-from fixel.kernels.step import move, prepare_step
+from fixel.kernels.step import RECOVERY, move, prepare_step
 
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
@@ -37,6 +37,8 @@ INSIST = 3  # one of so many unsolved trials of a step is not given up early
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
+FAR = 1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
+SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for; see step._margin
 SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
 
 
@@ -212,6 +214,14 @@ def _run(
                 else:
                     status = codes.MAX_ITERATIONS
                 break
+            if is_thrown(model, state, time, trial, problem):
+                if method.adaptive == 1 and trial > pace.smallest:
+                    trial *= 0.25
+                    guessed = PREDICTED
+                    predicting = True
+                    continue
+                status = codes.THROWN
+                break
             if method.adaptive == 0:
                 break
             if (
@@ -384,6 +394,38 @@ def largest_speed(problem: Problem) -> float:
     for o in range(problem.size[3], problem.size[0]):
         largest = max(largest, abs(v[o]))
     return largest
+
+
+@kernel
+def is_thrown(model: Model, state: State, time: float, step: float, problem: Problem) -> bool:
+    """Whether a body would be moved further than the step's rows hold, by nothing in sight.
+
+    Where surfaces almost oppose each other, a body that is squeezed between them finds room only
+    by turning about a lever of no length: a million times as fast as it was asked to.
+    """
+    fastest = largest_speed(problem)
+    return step * fastest > FAR and fastest > SUDDEN * fastest_in_sight(
+        model, state, time, step, problem
+    )
+
+
+@large_kernel
+def fastest_in_sight(
+    model: Model, state: State, time: float, step: float, problem: Problem
+) -> float:
+    """Largest speed that bodies had, that forces give them over the step, that pushers prescribe,
+    or at which overlaps are taken back."""
+    fastest = RECOVERY
+    for i in range(problem.size[3]):
+        own = abs(state.velocity[i])
+        inertia = problem.inertia[i, i % 3]
+        if inertia > 0.0:
+            own = max(own, abs(problem.momentum[i]) / inertia)
+        fastest = max(fastest, own)
+    for d in range(model.force_limit.size):
+        own_time = time if model.drive_dof[d] < 0 else state.path_time[d]
+        fastest = max(fastest, path_direction(model.path_start, model.path, d, own_time, step)[3])
+    return fastest
 
 
 @kernel

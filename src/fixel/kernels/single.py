@@ -164,6 +164,12 @@ def largest_speed(problem: Problem) -> float:
 
 
 @entry
+def is_thrown(model: Model, state: State, time: float, step: float, problem: Problem) -> bool:
+    """See `rollout.is_thrown`."""
+    return _rollout.is_thrown(model, state, time, step, problem)
+
+
+@entry
 def untouched_change(problem: Problem, guess: FloatArray) -> float:
     """See `rollout.untouched_change`."""
     return _rollout.untouched_change(problem, guess)

@@ -84,6 +84,8 @@ class _Loop:
         self.fallbacks += fell_back
         solved = residual <= TOLERANCE
         self.last_step = step if solved else 0.0
+        if solved and single.is_thrown(model, state, self.time, step, problem):
+            return Attempt(codes.THROWN, residual)
         bounces = single.bounces(model, state, kind, self.time, step, problem)
         return Attempt(codes.CONVERGED if solved else codes.MAX_ITERATIONS, residual, bounces)
 

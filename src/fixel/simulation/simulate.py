@@ -25,7 +25,7 @@ from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import composed, inverted
 
-MAX_STEPS = 1_000_000
+MAX_STEPS = 1_000_000  # of a stepper that sets no limit of its own
 MAX_SAMPLES = 200_000
 CONTACTS_PER_BODY = 8  # rows a sample is given in the contact table, per moving body
 
@@ -156,7 +156,7 @@ def method_of(
         solver=solver.kind,
         adaptive=int(stepper.adaptive),
         lead=float(stepper.lead),
-        max_steps=MAX_STEPS,
+        max_steps=stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS,
         max_contacts=max_contacts,
         effort=effort,
     )

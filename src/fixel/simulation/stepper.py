@@ -30,7 +30,7 @@ from fixel.kernels.solve import TOLERANCE
 class Attempt(NamedTuple):
     """What came of one try at a step."""
 
-    status: int  # codes.CONVERGED, CONTACT_OVERFLOW or MAX_ITERATIONS
+    status: int  # codes.CONVERGED, CONTACT_OVERFLOW, MAX_ITERATIONS or THROWN
     residual: float
     bounces: bool = False  # whether a contact gives back speed
     closing: float = math.inf  # when a gap closes inside the step, which was then not solved
@@ -183,6 +183,9 @@ class Adaptive(AbstractStepper):
         of the scene's characteristic length.
     largest_step : float
         In the time in which the fastest body moves by one characteristic length.
+    max_steps : int
+        After so many the rollout ends with the status ``max_steps``, so that no rollout holds up a
+        batch. A grasp takes about a hundred; a measured path one or two for each of its samples.
     """
 
     name: ClassVar[str] = "adaptive"
@@ -191,6 +194,7 @@ class Adaptive(AbstractStepper):
     order: ClassVar[int] = 2
     tolerance: float | None = None
     largest_step: float = 0.2
+    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
         if self.tolerance is not None and not 0.0 < self.tolerance < math.inf:
@@ -200,6 +204,10 @@ class Adaptive(AbstractStepper):
         if not 0.0 < self.largest_step <= 10.0:
             raise InvalidInput(
                 "Adaptive.largest_step", found=self.largest_step, expected="a number from 0 to 10"
+            )
+        if isinstance(self.max_steps, bool) or not 1 <= int(self.max_steps) == self.max_steps:
+            raise InvalidInput(
+                "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
             )
 
     @property
@@ -238,6 +246,11 @@ class Adaptive(AbstractStepper):
                     trial, guessed, predicting = 0.25 * trial, PREDICTED, True
                     continue
                 return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
+            if status == codes.THROWN:
+                if trial > limits.smallest:
+                    trial, guessed, predicting = 0.25 * trial, PREDICTED, True
+                    continue
+                return Advance(status, trial, trial, residual)
             if bounces and trial > limits.smallest:
                 resumed = max(resumed, trial)
                 trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
