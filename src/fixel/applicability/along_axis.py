@@ -115,6 +115,11 @@ class AxisStudy:
         return _against(self.error, self.own, np.subtract)
 
     @property
+    def average_excess(self) -> FloatArray:
+        """(n_step,) mean of these over the layouts."""
+        return _mean(self.excess)
+
+    @property
     def ratio(self) -> FloatArray:
         """(n_step,) average error over average own best."""
         return _against(self.average, self.own_average, np.divide)
@@ -129,7 +134,7 @@ class AxisStudy:
 
     def relative_edges(self, threshold: float) -> Edges:
         """Of the average excess."""
-        return edges(self.steps, _mean(self.excess), threshold)
+        return edges(self.steps, self.average_excess, threshold)
 
 
 def _against(error: FloatArray, own: FloatArray, how: np.ufunc) -> FloatArray:

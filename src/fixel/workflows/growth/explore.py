@@ -1,4 +1,4 @@
-"""Grow the domains of a project, study its axes, and keep the sets of parameters made on the way."""
+"""Grow the domains of a project, study its axes, and keep the sets of parameters made for it."""
 
 from __future__ import annotations
 
