@@ -5,7 +5,7 @@ Source: RPI thesis (2011), appendix C.6 and figures 6.1 to 6.13.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -21,7 +21,6 @@ from fixel.drawing.chart import (
     Value,
     clean,
     column,
-    legend_below,
     log_scale,
     plain,
     positive,
@@ -30,7 +29,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
-from fixel.kernels.arrays import FloatArray
+from fixel.kernels.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +44,7 @@ OPTIMAL: Final[Style] = {
 }  # fmt: skip
 THRESHOLD: Final[Style] = {"color": palette.FORCE, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 BAND: Final[Style] = {"color": palette.TOUCHED, "alpha": 0.16, "linewidth": 0.0, "zorder": 0}
+PER_STEP: Final = 24  # points of a line between two experiments
 SYMBOLS: Final = {"theta": "θ"}
 
 
@@ -90,7 +90,7 @@ class GrowthMatrix(AbstractChart):
         axes.set_facecolor(palette.FAINT)
         for row, column_ in np.ndindex(n, m):
             value = self.errors[row, column_]
-            dark = np.isfinite(value) and norm(max(value, low)) > 0.55
+            dark = np.isfinite(value) and float(norm(max(float(value), low))) > 0.55
             text = f"{value:.3g}" if np.isfinite(value) else "none"
             axes.text(column_, row, text, ha="center", va="center",
                       color="white" if dark else palette.INK)  # fmt: skip
@@ -219,8 +219,8 @@ class AxisChart(AbstractChart):
         low, high = study.interval
         axes.axvspan(low, high, label="samples of the set", **BAND)
         for k, layout in enumerate(study.layouts):
-            axes.plot(study.steps, positive(study.error[k]), label=layout, **_line(k))
-        axes.plot(study.steps, positive(study.average), label="average", **AVERAGE)
+            _plot(axes, study.steps, study.error[k], {"label": layout, **_line(k)})
+        _plot(axes, study.steps, study.average, {"label": "average", **AVERAGE})
         axes.axhline(self.threshold, label=_level(self.threshold, self.unit), **THRESHOLD)
         found = study.edges(self.threshold)
         for edge, is_open in ((found.low, found.low_open), (found.high, found.high_open)):
@@ -236,7 +236,7 @@ class AxisChart(AbstractChart):
                         for x in (study.average, study.own_average))  # fmt: skip
         axes.fill_between(study.steps, own, average, color=palette.FAINT, linewidth=0.0, zorder=1)
         axes.plot(study.steps, average, **AVERAGE)
-        axes.plot(study.steps, own, label="average with each experiment's own set", **OPTIMAL)
+        axes.plot(study.steps, own, label="average of own best", **OPTIMAL)
 
     def table(self) -> Table:
         unit = column(self.unit)
@@ -254,17 +254,29 @@ class AxisChart(AbstractChart):
         return Table(head, rows)
 
 
+def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None:
+    """On a logarithmic axis, straight between experiments all the same: as the edges are read."""
+    fine = np.linspace(steps[0], steps[-1], PER_STEP * int(steps[-1] - steps[0]) + 1)
+    known = np.where(np.isfinite(errors), errors, np.nan)
+    at = np.searchsorted(fine, steps - 1e-9)
+    axes.plot(fine, positive(np.interp(fine, steps, known)), markevery=at.tolist(), **style)
+
+
 def _level(threshold: float, unit: str) -> str:
     return f"threshold {threshold:.3g} {written(unit)}"
 
 
-def _legend(figure: Figure, row: Sequence[Axes]) -> None:
-    """As `legend_below`, in rows that fit the width."""
-    legend_below(figure, row)
-    legend = figure.legends[0]
-    if len(legend.get_texts()) > 5:
-        handles = legend.legend_handles
-        labels = [text.get_text() for text in legend.get_texts()]
-        legend.remove()
-        figure.legend(handles, labels, frameon=False, ncols=5, loc="outside lower center",
-                      handlelength=2.6)  # fmt: skip
+def _legend(figure: Figure, row: Iterable[Axes]) -> None:
+    """One legend for all panels, in rows that fit the width; a label counts once."""
+    entries: dict[str, Any] = {}
+    for axes in row:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        frameon=False,
+        ncols=min(5, len(entries)),
+        loc="outside lower center",
+        handlelength=2.6,
+    )

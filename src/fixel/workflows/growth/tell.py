@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.pictures import Picture
-
-SYMBOLS: Final = {"x": "x", "y": "y", "theta": "theta"}
 
 
 def matrix_of(found: Exploration) -> FloatArray:
@@ -39,7 +37,7 @@ def _growth_sentences(found: Exploration) -> list[str]:
     sentences = []
     for shape in dict.fromkeys(group.shape for group in found.growth.groups):
         own = [k for k, group in enumerate(found.growth.groups) if group.shape == shape]
-        whole = np.isfinite(matrix[own]).all(axis=0)
+        whole = np.asarray(np.isfinite(matrix[own]).all(axis=0))
         last = int(np.flatnonzero(whole)[-1]) if whole[0] else 0
         rows = matrix[own]
         if not whole[0] or last == 0:
@@ -70,27 +68,28 @@ def _edge_sentence(found: Exploration, study: AxisStudy) -> str:
 
 
 def edges_text(edges: Edges, study: AxisStudy) -> str | None:
-    """`-2.0 to +2.5 steps`; a last experiment that is still within is followed by `or more`."""
+    """`-2.0 to +2.5 steps`; `beyond +5.0` where the last experiment tried is still within."""
     if edges.low is None or edges.high is None:
         return None
-    low = f"{edges.low:+.1f}" if edges.low else "0"
-    high = f"{edges.high:+.1f}" if edges.high else "0"
-    open_ends = []
-    if edges.low_open and study.steps[0] < 0:
-        open_ends.append("below")
-    if edges.high_open:
-        open_ends.append("above")
-    more = f" (and nothing beyond {' or '.join(open_ends)} was tried)" if open_ends else ""
-    return f"{low} to {high} steps{more}"
+    return f"{_ends(edges, study, 1.0, '+.1f')} steps"
+
+
+def _ends(edges: Edges, study: AxisStudy, factor: float, form: str) -> str:
+    ends = []
+    # Where nothing was tried below the nominal pose, the domain begins there.
+    opens = (edges.low_open and study.steps[0] < 0, edges.high_open)
+    for end, is_open in zip((edges.low, edges.high), opens, strict=True):
+        value = format(factor * end, form) if end else "0"
+        ends.append(f"beyond {value}" if is_open else value)
+    return " to ".join(ends)
 
 
 def _in_units(study: AxisStudy, length: float | None, threshold: float) -> str:
-    edges = study.edges(threshold)
-    if length is None or edges.low is None or edges.high is None:
+    if length is None:
         return ""
     unit = readable("rad" if study.axis == "theta" else "m")
-    low, high = (unit.factor * length * x for x in (edges.low, edges.high))
-    return f", which is {low:.3g} to {high:.3g} {unit.name}"
+    ends = _ends(study.edges(threshold), study, unit.factor * length, ".3g")
+    return f", which is {ends} {unit.name}"
 
 
 def methods(found: Exploration) -> list[str]:
