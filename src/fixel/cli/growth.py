@@ -61,6 +61,7 @@ def growth(
     simulates them all, and the largest error counts.
     """
     from fixel.applicability.places import INDEXES
+    from fixel.cli.screen import say
     from fixel.database.project import Project
     from fixel.workflows.growth.run import Asked, copy_pictures, run_growth
 
@@ -81,7 +82,13 @@ def growth(
         make_folder(plot)
     where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
     command = "fixel " + shlex.join(sys.argv[1:])
-    found, kept = run_growth(Project.open(folder), asked, command=command, where=where)
+    found, kept = run_growth(
+        Project.open(folder),
+        asked,
+        command=command,
+        where=where,
+        say=say if sys.stderr.isatty() else None,
+    )
     copied = [] if plot is None else copy_pictures(kept, plot)
     if as_json:
         typer.echo(json.dumps(_plain(kept, copied), allow_nan=False))

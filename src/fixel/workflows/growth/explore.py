@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Final, final
@@ -21,6 +21,7 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.workflows.calibration.outcome import GROWTH
+from fixel.workflows.engine import get_ready
 from fixel.workflows.growth.samples import Samples, read_samples
 from fixel.workflows.growth.singles import Stored, best_singles
 
@@ -79,6 +80,7 @@ def explore(
     command: str = "",
     project: str = "",
     threads: int | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Exploration:
     """The thesis's exploration of the domain of applicability.
 
@@ -99,7 +101,11 @@ def explore(
     command, project : str
         What was typed; ` --project FOLDER` for hints.
     threads : int, optional
+    say : callable, optional
+        Told what takes a while.
     """
+    tell = say or _silent
+    tell("Reading the experiments and their calibrations.")
     samples = read_samples(store, shape, dataset)
     summaries = store.calibration_summaries()
     stored = best_singles(summaries, samples, motion, error, project)
@@ -109,6 +115,8 @@ def explore(
     wanted = Wanted()
     grower.ask(wanted)
     studies.ask(wanted)
+    get_ready(samples.targets[0].case.scene, say)
+    tell(f"Simulating {len(wanted)} times.")
     comparer = Comparer(
         samples.targets,
         _space(stored),
@@ -135,6 +143,10 @@ def explore(
             *_failed(answer),
         ],
     )
+
+
+def _silent(_: str) -> None:
+    pass
 
 
 def threshold_in(text: str | None, unit: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -39,6 +39,7 @@ def run_growth(
     command: str = "",
     where: str = "",
     threads: int | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> tuple[Exploration, Kept]:
     """Explore, and keep what comes out.
 
@@ -53,6 +54,8 @@ def run_growth(
         ` --project FOLDER`, for commands in hints.
     threads : int, optional
         Of the simulations; all cores where left out.
+    say : callable, optional
+        Told what takes a while.
     """
     asked, begun = asked or Asked(), time.perf_counter()
     sizes = {**SIZES, **(asked.sizes or {})}
@@ -69,6 +72,7 @@ def run_growth(
             command=command,
             project=where,
             threads=threads,
+            say=say,
         )
     analysis = Analysis(
         kind="growth",
@@ -94,6 +98,8 @@ def run_growth(
         seconds=time.perf_counter() - begun,
     )
     shown = list(tell.pictures(found))
+    if say is not None:
+        say(f"Drawing {len(shown)} pictures.")
     kept = keep(project, analysis, shown, {"largest_error": tell.matrix_of(found)})
     return found, kept
 
