@@ -196,13 +196,13 @@ class AxisChart(AbstractChart):
                                height_ratios=(1.25, 1.0))  # fmt: skip
         every = [positive(study.error).ravel() for study in self.studies]
         log_scale(grid[0, 0], "y", np.append(np.concatenate(every), self.threshold))
+        averages = [x for study in self.studies for x in (study.average, study.own_average)]
+        log_scale(grid[1, 0], "y", np.concatenate(averages))
         for above, below, study in zip(grid[0], grid[1], self.studies, strict=True):
             self._draw_absolute(above, study)
             self._draw_relative(below, study)
             below.set_xlabel(self._label(axis))
             whole_numbers(below)
-        low, high = grid[1, 0].get_ylim()
-        grid[1, 0].set_ylim(min(0.0, low), high)
         grid[0, 0].set_ylabel(f"error [{written(self.unit)}]")
         grid[1, 0].set_ylabel(f"average error [{written(self.unit)}]")
         figure.align_ylabels(grid[:, 0])
@@ -219,7 +219,7 @@ class AxisChart(AbstractChart):
         low, high = study.interval
         axes.axvspan(low, high, label="samples of the set", **BAND)
         for k, layout in enumerate(study.layouts):
-            _plot(axes, study.steps, study.error[k], {"label": layout, **_line(k)})
+            axes.plot(study.steps, positive(study.error[k]), label=layout, **_line(k))
         _plot(axes, study.steps, study.average, {"label": "average", **AVERAGE})
         axes.axhline(self.threshold, label=_level(self.threshold, self.unit), **THRESHOLD)
         found = study.edges(self.threshold)
@@ -232,8 +232,7 @@ class AxisChart(AbstractChart):
     def _draw_relative(self, axes: Axes, study: AxisStudy) -> None:
         clean(axes)
         axes.axvspan(*study.interval, **BAND)
-        average, own = (np.where(np.isfinite(x), x, np.nan)
-                        for x in (study.average, study.own_average))  # fmt: skip
+        average, own = positive(study.average), positive(study.own_average)
         axes.fill_between(study.steps, own, average, color=palette.FAINT, linewidth=0.0, zorder=1)
         axes.plot(study.steps, average, **AVERAGE)
         axes.plot(study.steps, own, label="average of own best", **OPTIMAL)

@@ -62,9 +62,23 @@ def _edge_sentence(found: Exploration, study: AxisStudy) -> str:
         k = int(np.flatnonzero(study.steps == 0)[0])
         value = study.average[k]
         beyond = f"{value:.3g} {written(found.unit)}" if math.isfinite(value) else "not to be had"
-        return f"{about}: no domain {at}; at the nominal pose the average error is {beyond}."
+        return (
+            f"{about}: no domain {at}; at the nominal pose the average error is"
+            f" {beyond}{_without_worst(study, k)}."
+        )
     length = found.samples.lengths.get(study.axis)
     return f"{about}: {text} {at}{_in_units(study, length, found.threshold)}."
+
+
+def _without_worst(study: AxisStudy, k: int) -> str:
+    """The thesis looks at its averages without an outlier too (6.2.2, 6.4.1)."""
+    errors = study.error[:, k]
+    known = np.flatnonzero(np.isfinite(errors))
+    if len(known) < 3:
+        return ""
+    worst = int(known[errors[known].argmax()])
+    rest = errors[known[known != worst]].mean()
+    return f", without {study.layouts[worst]}, the worst, {rest:.3g}"
 
 
 def edges_text(edges: Edges, study: AxisStudy) -> str | None:
