@@ -261,7 +261,7 @@ def test_simulations_calibrations_and_filters(store):
     assert same_but_for_time(calibration, found)
     summaries = store.calibration_summaries()
     assert list(summaries) == [number]
-    assert same_but_for_time(replace(calibration, evaluations=None), summaries[number])
+    assert same_but_for_time(dataclasses.replace(calibration, evaluations=None), summaries[number])
     assert (found.mean_error_mm2, found.sum_error_mm2, found.max_error_mm2) == (2.0, 4.0, 3.0)
 
     settings = FilterParameters(

@@ -148,6 +148,22 @@ def test_stored_errors_that_are_not_met_again_are_told(tmp_path, experiments, po
     assert any("not met when simulated again" in sentence for sentence in warnings)
 
 
+def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors, comparer):
+    # Two experiments with one set; the first has a poor one of its own, the second its neighbour's.
+    at = _place(experiments)
+    stuck, good = at["x1"], at["nominal"]
+    own = points.copy()
+    own[[stuck, good]] = [0.9, 0.02], [0.2, 0.04]
+    less = comparer.errors(np.arange(21), own).error
+    less[good] = 1e-9  # it rules every mean
+    project, _ = project_with(tmp_path / "lab", experiments, own, less)
+    with project.store() as store:
+        (told,) = (w for w in explore(store).warnings if "--mode campaign" in w)
+    under = comparer.errors(np.array([stuck]), np.array([[0.2, 0.04]])).error[0]
+    assert under < 0.5 * less[stuck]
+    assert "experiments have less than half" in told
+
+
 def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
     project, _ = lab
     found, done = run_growth(project, Asked(threshold="2.0", sizes={"y": (3,)}))

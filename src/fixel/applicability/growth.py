@@ -125,10 +125,14 @@ class Wanted:
             self._points.append(point)
         return self._place[key]
 
+    @property
+    def which(self) -> IntArray:
+        """(n,) experiment of each rollout."""
+        return np.array([sample for sample, _ in self._place], np.int64)
+
     def run(self, evaluate: Evaluate) -> Evaluated:
         """The answers."""
-        which = np.array([sample for sample, _ in self._place], np.int64)
-        return evaluate(which, np.array(self._points))
+        return evaluate(self.which, np.array(self._points))
 
 
 # --- growth -------------------------------------------------------------------------------------

@@ -32,6 +32,9 @@ THRESHOLD: Final = 5.0
 # another simulator.
 SAME: Final = 0.01
 
+# Of an experiment's own best error: what another set does better than this, its search missed.
+STUCK: Final = 0.5
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,6 +142,7 @@ def explore(
             *samples.warnings,
             *stored.warnings,
             *_changed(growth, stored.singles),
+            *_beaten(wanted, answer, stored.singles, samples),
             *_empty(growth),
             *_failed(answer),
         ],
@@ -272,6 +276,23 @@ def _changed(growth: Growth, singles: Singles) -> list[str]:
         + ", ".join(changed[:3]) + more
         + ". The calibrations are of another version or of other data; calibrate again."
     ]  # fmt: skip
+
+
+def _beaten(wanted: Wanted, answer: Evaluated, singles: Singles, samples: Samples) -> list[str]:
+    """Experiments that a domain's set meets far better than their own: their searches got stuck."""
+    least = singles.errors.copy()
+    np.minimum.at(least, wanted.which, answer.error)
+    stuck = np.flatnonzero(least < STUCK * singles.errors)
+    if len(stuck) == 0:
+        return []
+    with np.errstate(divide="ignore"):
+        worst = int(stuck[(singles.errors[stuck] / least[stuck]).argmax()])
+    return [
+        f"{len(stuck)} of {len(least)} experiments have less than half their own best error under"
+        f" a set of some domain, such as {samples.keys[worst]} ({least[worst]:.3g} for"
+        f" {singles.errors[worst]:.3g}): the searches for their own sets ended early. Calibrate"
+        " with --mode campaign or --starts 8."
+    ]
 
 
 def _empty(growth: Growth) -> list[str]:
