@@ -259,6 +259,9 @@ def test_simulations_calibrations_and_filters(store):
     assert store.calibrations() == [number]
     found = store.calibration(number)
     assert same_but_for_time(calibration, found)
+    summaries = store.calibration_summaries()
+    assert list(summaries) == [number]
+    assert same_but_for_time(dataclasses.replace(calibration, evaluations=None), summaries[number])
     assert (found.mean_error_mm2, found.sum_error_mm2, found.max_error_mm2) == (2.0, 4.0, 3.0)
 
     settings = FilterParameters(

@@ -59,6 +59,13 @@ def test_the_newest_for_several_experiments_counts(store):
     assert calibrated(store, alone).id == alone
 
 
+def test_means_that_a_growing_domain_made_count_only_by_their_id(store):
+    alone = store.add_calibration(_record([2], method={"how": "alone"}))
+    mean = store.add_calibration(_record([1, 2], method={"how": "domain growth"}))
+    assert calibrated(store).id == alone
+    assert calibrated(store, mean).id == mean
+
+
 def test_without_any_the_next_command_is_named(store):
     with pytest.raises(InvalidInput, match="fixel calibrate"):
         calibrated(store)

@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 from fixel.model.records import CalibrationRecord
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
-from fixel.workflows.calibration.outcome import ALONE, NEIGHBOUR
+from fixel.workflows.calibration.outcome import ALONE, GROWTH, NEIGHBOUR
 
 _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
@@ -88,7 +88,8 @@ def calibrated(
     ----------
     store : Store
     number : int, optional
-        Its id; where left out, the newest for several experiments, else the newest of all.
+        Its id; where left out, the newest for several experiments, else the newest of all. Means
+        that the growth of a domain made on its way count only by their id.
     experiment : int, optional
         Id of one that has to be among its members, where no number is given.
     """
@@ -97,9 +98,10 @@ def calibrated(
     newest: Calibrated | None = None
     for own in reversed(store.calibrations()):
         one = Calibrated(own, store.calibration(own))
-        if experiment is not None and experiment not in one.members:
+        how = one.record.method.get("how")
+        if how == GROWTH or (experiment is not None and experiment not in one.members):
             continue
-        if len(one.members) > 1 and one.record.method.get("how") not in (ALONE, NEIGHBOUR):
+        if len(one.members) > 1 and how not in (ALONE, NEIGHBOUR):
             return one
         newest = newest or one
     if newest is None:

@@ -20,6 +20,7 @@ WEIGHTED: Final = "weighted mean"
 SUBSET: Final = "weighted mean of a subset"
 DIRECT: Final = "direct minimisation"
 STORED: Final = "best of those stored"
+GROWTH: Final = "domain growth"  # a weighted mean that `workflows/growth` made on its way
 
 
 @final

@@ -1,0 +1,1 @@
+"""The thesis's exploration of where one set of parameters serves, from stored calibrations."""

@@ -1,0 +1,312 @@
+"""Grow the domains of a project, study its axes, and keep the sets of parameters made for it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Final, final
+
+import numpy as np
+
+from fixel.applicability.along_axis import SIZES, AxisStudies, AxisStudy
+from fixel.applicability.growth import AVERAGED, Grower, Growth, Singles, Step, Wanted, weights
+from fixel.applicability.places import Index
+from fixel.calibration.objective import Comparer, Evaluated
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Member
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.workflows.calibration.outcome import GROWTH
+from fixel.workflows.engine import get_ready
+from fixel.workflows.growth.samples import Samples, read_samples
+from fixel.workflows.growth.singles import Stored, best_singles
+
+# The thesis's, read off figure 6.5 (section 6.3.1) [mm^2].
+THRESHOLD: Final = 5.0
+
+# A stored error that simulating again misses by more than this share tells of other data or of
+# another simulator.
+SAME: Final = 0.01
+
+# Of an experiment's own best error: what another set does better than this, its search missed.
+STUCK: Final = 0.5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exploration:
+    """A finished exploration.
+
+    Attributes
+    ----------
+    samples : Samples
+    stored : Stored
+    growth : Growth
+    studies : list of AxisStudy
+    threshold : float
+        In the unit of the error.
+    rollouts : int
+    added : list of int
+        Ids of the calibrations that were stored.
+    warnings : list of str
+    """
+
+    samples: Samples
+    stored: Stored
+    growth: Growth
+    studies: list[AxisStudy]
+    threshold: float
+    rollouts: int
+    added: list[int]
+    warnings: list[str]
+
+    @property
+    def unit(self) -> str:
+        """Of the errors."""
+        return self.stored.method.unit
+
+
+def explore(
+    store: Store,
+    *,
+    shape: str | None = None,
+    dataset: str | None = None,
+    index: Index = "corrected",
+    sizes: Mapping[str, Sequence[int]] = SIZES,
+    threshold: str | None = None,
+    motion: str | None = None,
+    error: str | None = None,
+    command: str = "",
+    project: str = "",
+    threads: int | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Exploration:
+    """The thesis's exploration of the domain of applicability.
+
+    Parameters
+    ----------
+    store : Store
+        With single calibrations. Means that are new are added.
+    shape, dataset : str, optional
+        Only these.
+    index : str
+        `"printed"` for the rows of the thesis's code as printed.
+    sizes : mapping from axis to sizes
+        Samples of the intervals along each axis.
+    threshold : str, optional
+        As for `threshold_in`.
+    motion, error : str, optional
+        Only calibrations made with these.
+    command, project : str
+        What was typed; ` --project FOLDER` for hints.
+    threads : int, optional
+    say : callable, optional
+        Told what takes a while.
+    """
+    tell = say or _silent
+    tell("Reading the experiments and their calibrations.")
+    samples = read_samples(store, shape, dataset)
+    summaries = store.calibration_summaries()
+    stored = best_singles(summaries, samples, motion, error, project)
+    limit = threshold_in(threshold, stored.method.unit)
+    grower = Grower(samples.groups, stored.singles, index)
+    studies = AxisStudies(samples.groups, stored.singles, sizes)
+    wanted = Wanted()
+    grower.ask(wanted)
+    studies.ask(wanted)
+    get_ready(samples.targets[0].case.scene, say)
+    tell(f"Simulating {len(wanted)} times.")
+    comparer = Comparer(
+        samples.targets,
+        _space(stored),
+        stored.calibrated.error,
+        stored.calibrated.motion,
+        threads=threads,
+    )
+    answer = wanted.run(comparer.errors)
+    growth = grower.read(answer)
+    added = _keep(store, summaries, growth, samples, stored, command)
+    return Exploration(
+        samples=samples,
+        stored=stored,
+        growth=growth,
+        studies=studies.read(answer),
+        threshold=limit,
+        rollouts=len(wanted),
+        added=added,
+        warnings=[
+            *samples.warnings,
+            *stored.warnings,
+            *_changed(growth, stored.singles),
+            *_beaten(wanted, answer, stored.singles, samples),
+            *_empty(growth),
+            *_failed(answer),
+        ],
+    )
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+def threshold_in(text: str | None, unit: str) -> float:
+    """A threshold in the unit of the error.
+
+    Parameters
+    ----------
+    text : str, optional
+        A number in that unit, or a root mean square distance with `mm` behind it: `"2.2mm"` is 4.84
+        of an error in mm^2. The thesis's 5 mm^2 where left out.
+    unit : str
+        `"mm^2"` or `"mm"`.
+    """
+    if text is None:
+        return THRESHOLD if unit == "mm^2" else math.sqrt(THRESHOLD)
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm\^?2|mm)?\s*", text)
+    try:
+        value = float(match[1]) if match else math.nan
+    except ValueError:
+        value = math.nan
+    if match is None or not 0.0 < value < math.inf:
+        raise InvalidInput(
+            "--threshold", found=repr(text), expected=f"a number [{unit}], or a distance like 2.2mm"
+        )
+    given = unit if match[2] is None else match[2].replace("mm2", "mm^2")
+    if given == unit:
+        return value
+    return value**2 if unit == "mm^2" else math.sqrt(value)
+
+
+def _space(stored: Stored) -> ParameterSpace:
+    """Columns for the comparer; nothing is searched, so its bounds only have to hold the points."""
+    points = [stored.singles.points, *(j.point[None] for j in stored.singles.joint.values())]
+    every = np.concatenate(points)
+    low, high = every.min(axis=0).tolist(), every.max(axis=0).tolist()
+    return ParameterSpace(
+        unknowns=tuple(
+            Unknown(name=name, low=a, high=b if b > a else a + 1.0, nominal=a)
+            for name, a, b in zip(stored.method.names, low, high, strict=True)
+        )
+    )
+
+
+# --- what is kept -------------------------------------------------------------------------------
+
+
+def _keep(
+    store: Store,
+    summaries: Mapping[int, CalibrationRecord],
+    growth: Growth,
+    samples: Samples,
+    stored: Stored,
+    command: str,
+) -> list[int]:
+    """Add a calibration for every set newly averaged, unless it is there already."""
+    known = {_content(record) for record in summaries.values()}
+    added = []
+    for row in growth.steps:
+        for step in row:
+            if step.used.source != AVERAGED or step.reason:
+                continue
+            record = _record(step, growth, samples, stored, command)
+            if _content(record) not in known:
+                added.append(store.add_calibration(record))
+    return added
+
+
+def _content(record: CalibrationRecord) -> tuple[object, ...]:
+    """What makes two averaged sets the same."""
+    method = {k: v for k, v in record.method.items() if k not in ("step", "index")}
+    return (
+        record.members,
+        tuple(sorted(record.parameters.items())),
+        tuple(sorted(method.items(), key=str)),
+    )
+
+
+def _record(
+    step: Step, growth: Growth, samples: Samples, stored: Stored, command: str
+) -> CalibrationRecord:
+    members, point, method = step.used.members, step.used.point, stored.method
+    assert point is not None  # it was averaged
+    shares = weights(members, stored.singles)
+    return CalibrationRecord(
+        name=f"{GROWTH}: {step.group.name}, step {step.step}, {len(members)} experiments",
+        parameters=Parameters(dict(zip(method.names, point.tolist(), strict=True))),
+        members=tuple(
+            Member(samples.ids[m], share, error)
+            for m, share, error in zip(members, shares.tolist(), step.errors.tolist(), strict=True)
+        ),
+        provenance=Provenance(version=version("fixel"), command=command),
+        method={
+            "how": GROWTH,
+            "mode": "growth",
+            "index": growth.index,
+            "step": float(step.step),
+            "weights": "inverse errors",
+            "error": method.error,
+            "error_unit": method.unit,
+            "motion": method.motion,
+            **dict(method.options),
+        },
+    )
+
+
+# --- what a reader must know --------------------------------------------------------------------
+
+
+def _changed(growth: Growth, singles: Singles) -> list[str]:
+    """Where the nominal experiment's own error is not the stored one any more."""
+    changed = []
+    for row in growth.steps:
+        first, errors = row[0], row[0].errors
+        if not first.reason:
+            stored = float(singles.errors[first.used.members[0]])
+            if not math.isclose(float(errors[0]), stored, rel_tol=SAME, abs_tol=1e-9):
+                changed.append(f"{first.group.name} ({stored:.4g}, now {errors[0]:.4g})")
+    if not changed:
+        return []
+    more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+    return [
+        "Stored errors of nominal experiments are not met when simulated again: "
+        + ", ".join(changed[:3]) + more
+        + ". The calibrations are of another version or of other data; calibrate again."
+    ]  # fmt: skip
+
+
+def _beaten(wanted: Wanted, answer: Evaluated, singles: Singles, samples: Samples) -> list[str]:
+    """Experiments that a domain's set meets far better than their own: their searches got stuck."""
+    least = singles.errors.copy()
+    np.minimum.at(least, wanted.which, answer.error)
+    stuck = np.flatnonzero(least < STUCK * singles.errors)
+    if len(stuck) == 0:
+        return []
+    with np.errstate(divide="ignore"):
+        worst = int(stuck[(singles.errors[stuck] / least[stuck]).argmax()])
+    return [
+        f"{len(stuck)} of {len(least)} experiments have less than half their own best error under"
+        f" a set of some domain, such as {samples.keys[worst]} ({least[worst]:.3g} for"
+        f" {singles.errors[worst]:.3g}): the searches for their own sets ended early. Calibrate"
+        " with --mode campaign or --starts 8."
+    ]
+
+
+def _empty(growth: Growth) -> list[str]:
+    lacking = [(row[0].group.name, step) for row in growth.steps for step in row if step.reason]
+    if not lacking:
+        return []
+    name, step = lacking[0]
+    return [
+        f"{len(lacking)} steps have no largest error; the first: {name}, step {step.step},"
+        f" {step.reason}."
+    ]
+
+
+def _failed(answer: Evaluated) -> list[str]:
+    n = int(np.isinf(answer.error).sum())
+    return [f"{n} of {len(answer.error)} simulations failed; they count as beyond any threshold."] \
+        if n else []  # fmt: skip

@@ -1,0 +1,125 @@
+"""The exploration of a project, kept as an analysis."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+from fixel.applicability.along_axis import SIZES
+from fixel.applicability.places import Index
+from fixel.database.project import Project
+from fixel.workflows.analysis import Analysis, Kept, keep
+from fixel.workflows.growth import tell
+from fixel.workflows.growth.explore import Exploration, explore
+
+THESIS: Final = "rpi2011"  # key of the bibliography
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What an exploration is about; the fields as for `explore`."""
+
+    shape: str | None = None
+    dataset: str | None = None
+    index: Index = "corrected"
+    sizes: Mapping[str, Sequence[int]] | None = None
+    threshold: str | None = None
+    motion: str | None = None
+    error: str | None = None
+
+
+def run_growth(
+    project: Project,
+    asked: Asked | None = None,
+    *,
+    command: str = "",
+    where: str = "",
+    threads: int | None = None,
+    say: Callable[[str], None] | None = None,
+) -> tuple[Exploration, Kept]:
+    """Explore, and keep what comes out.
+
+    Parameters
+    ----------
+    project : Project
+        With experiments of a plan and calibrations of each by itself.
+    asked : Asked, optional
+    command : str
+        What was typed.
+    where : str
+        ` --project FOLDER`, for commands in hints.
+    threads : int, optional
+        Of the simulations; all cores where left out.
+    say : callable, optional
+        Told what takes a while.
+    """
+    asked, begun = asked or Asked(), time.perf_counter()
+    sizes = {**SIZES, **(asked.sizes or {})}
+    with project.store() as store:
+        found = explore(
+            store,
+            shape=asked.shape,
+            dataset=asked.dataset,
+            index=asked.index,
+            sizes=sizes,
+            threshold=asked.threshold,
+            motion=asked.motion,
+            error=asked.error,
+            command=command,
+            project=where,
+            threads=threads,
+            say=say,
+        )
+    analysis = Analysis(
+        kind="growth",
+        title="The domain of applicability, as the thesis grew it",
+        question={
+            "shape": asked.shape,
+            "dataset": asked.dataset,
+            "index": asked.index,
+            "sizes": {axis: list(own) for axis, own in sizes.items()},
+            "threshold": found.threshold,
+            "motion": asked.motion,
+            "error": asked.error,
+        },
+        headline=tuple(tell.headline(found)),
+        warnings=tuple(_warnings(found)),
+        tables=(tell.matrix_table(found), tell.edges_table(found)),
+        methods=tuple(tell.methods(found)),
+        references=(THESIS,),
+        numbers=tell.numbers(found),
+        calibrations=tuple(sorted({one.id for one in found.stored.best})),
+        experiments=tuple(found.samples.ids),
+        command=command,
+        seconds=time.perf_counter() - begun,
+    )
+    shown = list(tell.pictures(found))
+    if say is not None:
+        say(f"Drawing {len(shown)} pictures.")
+    kept = keep(project, analysis, shown, {"largest_error": tell.matrix_of(found)})
+    return found, kept
+
+
+def _warnings(found: Exploration) -> list[str]:
+    banner = found.samples.banner
+    simulated = [f"{banner}: no camera has seen these experiments."] if banner else []
+    return [*simulated, *found.warnings]
+
+
+def copy_pictures(kept: Kept, folder: Path) -> list[Path]:
+    """The pictures once more, in a folder of one's own."""
+    import shutil
+
+    from fixel.workflows.pictures import ENDINGS, make_folder
+
+    make_folder(folder)
+    found = []
+    for shown in kept.analysis.pictures:
+        for ending in ENDINGS:
+            source = kept.picture(shown.name, ending)
+            found.append(Path(shutil.copyfile(source, folder / source.name)))
+    return found

@@ -1,0 +1,190 @@
+"""Which stored experiments stand where about the nominal ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, final
+
+from fixel.applicability.places import AXES, NOMINAL, Group, Place
+from fixel.calibration.target import Target, target_of
+from fixel.database.query import Query, Summary
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+
+OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
+
+
+class _Seat(NamedTuple):
+    """Where an experiment stands."""
+
+    shape: str
+    layout: str
+    place: Place
+
+    @property
+    def name(self) -> str:
+        return f"{self.shape} {self.layout} {self.place.name}"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """Experiments of an exploration.
+
+    Attributes
+    ----------
+    ids : list of int
+    targets : list of Target
+    groups : list of Group
+        Their numbers count within `ids`.
+    lengths : dict from axis to float
+        Of a step [m or rad], where all groups agree.
+    makers : list of str
+        What simulated each experiment; empty for real ones.
+    warnings : list of str
+    """
+
+    ids: list[int]
+    targets: list[Target]
+    groups: list[Group]
+    lengths: dict[str, float] = field(default_factory=dict)
+    makers: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def keys(self) -> list[str]:
+        """Dataset and name of each."""
+        return [target.key for target in self.targets]
+
+    @property
+    def banner(self) -> str:
+        """What stands over pictures of them; nothing where all are real."""
+        some = [f"SIMULATED by {maker}" for maker in self.makers if maker]
+        if len(some) in (0, len(self.ids)):
+            return " and ".join(dict.fromkeys(some))
+        return f"{len(some)} of {len(self.ids)} experiments SIMULATED"
+
+
+def read_samples(store: Store, shape: str | None = None, dataset: str | None = None) -> Samples:
+    """Experiments of a plan with steps along axes, such as the thesis's, one a place.
+
+    Of repetitions the first is taken, as the thesis had one experiment a place: a mean of two would
+    hide a set of parameters that meets neither.
+
+    Raises
+    ------
+    InvalidInput
+        No such experiments, a group without its nominal one, or two data sets at one place.
+    """
+    conditions: dict[str, str | float] = {} if shape is None else {"shape": shape}
+    listing = store.experiments(Query(dataset=dataset, conditions=conditions))
+    seated: dict[_Seat, list[Summary]] = {}
+    for summary in listing.summaries:
+        seat = _seat_of(summary)
+        if seat is not None:
+            seated.setdefault(seat, []).append(summary)
+    _refuse_none(seated, shape)
+    _refuse_datasets(seated)
+    warnings = []
+    if listing.left_out:
+        warnings.append(f"{listing.left_out} experiments left out for flags on their data.")
+    repeated = sum(len(found) - 1 for found in seated.values())
+    if repeated:
+        warnings.append(f"{repeated} repetitions left out: the first at each place counts.")
+    first = {seat: min(found, key=_repetition) for seat, found in seated.items()}
+    return _read(store, first, warnings)
+
+
+def _seat_of(summary: Summary) -> _Seat | None:
+    """None for an experiment that stands on no axis."""
+    own = summary.conditions
+    axis, step = own.get("axis"), own.get("step", 0.0)
+    if not all(isinstance(own.get(name), str) for name in ("shape", "layout", "axis")):
+        return None
+    if not isinstance(step, int | float) or not math.isclose(step, round(step), abs_tol=1e-9):
+        return None
+    if axis == NOMINAL.axis:
+        return _Seat(str(own["shape"]), str(own["layout"]), NOMINAL)
+    if axis not in AXES or round(step) == 0:
+        return None
+    return _Seat(str(own["shape"]), str(own["layout"]), Place(str(axis), round(step)))
+
+
+def _repetition(summary: Summary) -> tuple[float, int]:
+    return float(summary.conditions.get("repetition", 1.0)), summary.id
+
+
+def _refuse_none(seated: dict[_Seat, list[Summary]], shape: str | None) -> None:
+    if not seated:
+        raise InvalidInput(
+            "experiments",
+            found="none" + ("" if shape is None else f" of shape {shape}")
+            + " with a shape, a layout and steps along x, y or theta among their conditions",
+            expected="experiments of a plan such as the thesis's",
+            hint="see what there is: fixel list; make some: fixel testbed run",
+        )  # fmt: skip
+
+
+def _refuse_datasets(seated: dict[_Seat, list[Summary]]) -> None:
+    for seat, found in seated.items():
+        names = sorted({summary.dataset for summary in found})
+        if len(names) > 1:
+            raise InvalidInput(
+                "experiments",
+                found=f"{' and '.join(names)} at {seat.name}",
+                expected="one data set",
+                hint=f"choose one: --dataset {names[0]}",
+            )
+
+
+def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> Samples:
+    ids: list[int] = []
+    targets: list[Target] = []
+    makers: list[str] = []
+    at: dict[tuple[str, str], dict[Place, int]] = {}
+    unusable: list[str] = []
+    for seat, summary in sorted(first.items(), key=lambda entry: entry[1].id):
+        experiment = store.experiment(summary.id)
+        try:
+            target = target_of(experiment)
+        except InvalidInput:
+            if seat.place == NOMINAL:
+                raise
+            unusable.append(summary.key)
+            continue
+        at.setdefault((seat.shape, seat.layout), {})[seat.place] = len(ids)
+        ids.append(summary.id)
+        targets.append(target)
+        makers.append("" if experiment.real else experiment.simulated_by or "an unknown program")
+    if unusable:
+        warnings.append(f"{len(unusable)} experiments left out that cannot be compared with a"
+                        f" simulation: {_some(unusable)}.")  # fmt: skip
+    return Samples(
+        ids=ids,
+        targets=targets,
+        groups=[Group(shape=s, layout=layout, at=own) for (s, layout), own in at.items()],
+        lengths=_lengths(first),
+        makers=makers,
+        warnings=warnings,
+    )
+
+
+def _lengths(first: dict[_Seat, Summary]) -> dict[str, float]:
+    """Length of a step on each axis, where all experiments agree to a thousandth."""
+    found: dict[str, list[float]] = {}
+    for seat, summary in first.items():
+        offset = summary.conditions.get(OFFSETS.get(seat.place.axis, ""))
+        if isinstance(offset, int | float):
+            found.setdefault(seat.place.axis, []).append(offset / seat.place.step)
+    return {
+        axis: own[0]
+        for axis, own in found.items()
+        if own[0] > 0.0 and all(math.isclose(x, own[0], rel_tol=1e-3) for x in own)
+    }
+
+
+def _some(keys: Sequence[str], most: int = 3) -> str:
+    more = f" and {len(keys) - most} more" if len(keys) > most else ""
+    return ", ".join(keys[:most]) + more

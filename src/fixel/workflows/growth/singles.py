@@ -1,0 +1,208 @@
+"""Stored calibrations of single experiments as what a domain grows from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
+
+import numpy as np
+
+from fixel.applicability.growth import Joint, Singles
+from fixel.errors import InvalidInput
+from fixel.model.records import CalibrationRecord
+from fixel.workflows.calibrated import Calibrated
+from fixel.workflows.calibration.outcome import GROWTH
+from fixel.workflows.growth.samples import Samples
+
+ANGLE_SCALE = "error.angle_scale"
+
+
+class Method(NamedTuple):
+    """What sets of parameters must have in common for their errors to be comparable."""
+
+    motion: str
+    error: str
+    unit: str
+    options: tuple[tuple[str, str | float], ...]  # of the error
+    names: tuple[str, ...]  # of the parameters
+
+    def __str__(self) -> str:
+        scale = dict(self.options).get(ANGLE_SCALE)
+        at = f", {1e3 * scale:g} mm/rad" if isinstance(scale, float) else ""
+        return f"{self.motion}, {self.error} [{self.unit}{at}] of {', '.join(self.names)}"
+
+
+class One(NamedTuple):
+    """A stored set of parameters."""
+
+    id: int
+    record: CalibrationRecord
+    values: dict[str, float]
+
+    @property
+    def error(self) -> float:
+        """Of its only member."""
+        return self.record.members[0].error_mm2
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """Sets of parameters of one method.
+
+    Attributes
+    ----------
+    method : Method
+    best : list of One
+        The best of each experiment.
+    singles : Singles
+        The same for the growth; parameters in the order of `method.names`.
+    calibrated : Calibrated
+        One of them, for motion model and error.
+    warnings : list of str
+    """
+
+    method: Method
+    best: list[One]
+    singles: Singles
+    calibrated: Calibrated
+    warnings: list[str] = field(default_factory=list)
+
+
+def best_singles(
+    summaries: Mapping[int, CalibrationRecord],
+    samples: Samples,
+    motion: str | None = None,
+    error: str | None = None,
+    project: str = "",
+) -> Stored:
+    """The best stored calibration of every experiment by itself, all of one method.
+
+    Parameters
+    ----------
+    summaries : mapping from int to CalibrationRecord
+        As of `Store.calibration_summaries`.
+    samples : Samples
+    motion, error : str, optional
+        Only calibrations made with these.
+    project : str
+        For commands in hints: ` --project FOLDER`.
+
+    Raises
+    ------
+    InvalidInput
+        Experiments without one, or of several methods.
+    """
+    place = {number: k for k, number in enumerate(samples.ids)}
+    by_method: dict[Method, dict[int, One]] = {}
+    for number, record in summaries.items():
+        if len(record.members) != 1 or record.members[0].experiment_id not in place:
+            continue
+        if motion not in (None, record.method.get("motion")):
+            continue
+        if error not in (None, record.method.get("error")):
+            continue
+        k = place[record.members[0].experiment_id]
+        one = One(number, record, Calibrated(number, record).values(samples.targets[k].conditions))
+        best = by_method.setdefault(_method(one), {})
+        # The newest of equals.
+        if k not in best or not one.error > best[k].error:
+            best[k] = one
+    method, warnings = _chosen(by_method, samples, project)
+    found = [by_method[method][k] for k in range(len(samples.ids))]
+    points = np.array([[one.values[name] for name in method.names] for one in found])
+    errors = np.array([one.error for one in found])
+    return Stored(
+        method=method,
+        best=found,
+        singles=Singles(
+            points=points, errors=errors, joint=_joint(summaries, method, place, samples)
+        ),
+        calibrated=Calibrated(found[0].id, found[0].record),
+        warnings=warnings,
+    )
+
+
+def _method(one: One) -> Method:
+    own = one.record.method
+    return Method(
+        motion=str(own.get("motion", "")),
+        error=str(own.get("error", "")),
+        unit=str(own.get("error_unit", "")),
+        options=tuple((k, v) for k, v in sorted(own.items()) if k.startswith("error.")),
+        names=tuple(sorted(one.values)),
+    )
+
+
+def _chosen(
+    by_method: dict[Method, dict[int, One]], samples: Samples, project: str
+) -> tuple[Method, list[str]]:
+    """The method under which every experiment has a set; of several the one last used."""
+    n = len(samples.ids)
+    whole = [method for method, best in by_method.items() if len(best) == n]
+    if not whole:
+        _refuse(by_method, samples, project)
+    whole.sort(key=lambda method: max(one.id for one in by_method[method].values()))
+    if len(whole) == 1:
+        return whole[0], []
+    others = "; ".join(str(method) for method in whole[:-1])
+    return whole[-1], [
+        f"Calibrations of {len(whole)} methods are stored; used are the newest, {whole[-1]}. Not"
+        f" used: {others}. Choose with --motion and --error."
+    ]
+
+
+def _refuse(by_method: dict[Method, dict[int, One]], samples: Samples, project: str) -> None:
+    n = len(samples.ids)
+    anywhere = {k for best in by_method.values() for k in best}
+    lacking = [samples.keys[k] for k in range(n) if k not in anywhere]
+    if lacking:
+        few = lacking[:3]
+        raise InvalidInput(
+            "calibrations",
+            found=f"none by itself for {len(lacking)} of {n} experiments: {', '.join(few)}"
+            + (" and others" if len(lacking) > len(few) else ""),
+            expected="one of every experiment",
+            hint=f"fixel calibrate --mode each --no-verdicts{project}",
+        )
+    parts = []
+    for method, best in sorted(by_method.items(), key=lambda entry: -len(entry[1])):
+        first = samples.keys[min(best)]
+        parts.append(f"{len(best)} of {n} experiments, such as {first}, under {method}")
+    raise InvalidInput(
+        "calibrations",
+        found="; ".join(parts),
+        expected="the same motion model, error, unit and parameters for all",
+        hint=f"calibrate all in one way: fixel calibrate --mode each --no-verdicts{project}",
+    )
+
+
+def _joint(
+    summaries: Mapping[int, CalibrationRecord],
+    method: Method,
+    place: Mapping[int, int],
+    samples: Samples,
+) -> dict[tuple[int, ...], Joint]:
+    """Stored sets for several experiments by these; of equals the one with the least largest error,
+    then the newest. Means that an exploration made are made anew: members may do better by now."""
+    least: dict[tuple[int, ...], float] = {}
+    found: dict[tuple[int, ...], Joint] = {}
+    for number, record in summaries.items():
+        if len(record.members) < 2 or record.method.get("how") == GROWTH:
+            continue
+        rows = [place.get(member.experiment_id, -1) for member in record.members]
+        if min(rows) < 0:
+            continue
+        model = Calibrated(number, record)
+        sets = [model.values(samples.targets[k].conditions) for k in rows]
+        one = One(number, record, sets[0])
+        if _method(one) != method or any(values != sets[0] for values in sets):
+            continue
+        members, largest = tuple(sorted(rows)), record.max_error_mm2
+        if not math.isfinite(largest) or largest > least.get(members, math.inf):
+            continue
+        least[members] = largest
+        found[members] = Joint(number, np.array([sets[0][name] for name in method.names]))
+    return found

@@ -1,0 +1,86 @@
+"""`fixel domain growth`, as called from a shell."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from tests.workflows.growing import (
+    comparer_of,
+    made_up_points,
+    performed,
+    planned,
+    project_with,
+)
+from typer.testing import CliRunner
+
+from fixel.cli.growth import growth
+from fixel.errors import InvalidInput
+
+app = typer.Typer()
+app.command("growth")(growth)
+
+
+@app.callback()
+def domain():
+    """So that the command has a name."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("projects") / "my lab"
+    experiments, points = performed(planned()), made_up_points(21)
+    errors = comparer_of(experiments).errors(np.arange(21), points).error
+    project_with(place, experiments, points, errors)
+    return place
+
+
+def call(folder, *arguments):
+    return CliRunner().invoke(app, ["growth", "-p", str(folder), *map(str, arguments)])
+
+
+def test_the_answer_for_people(folder, tmp_path):
+    result = call(folder, "--threshold", "1.5mm", "--plot", tmp_path / "drawn")
+    assert result.exit_code == 0, result.output
+    for words in (
+        "Largest error in the domain [mm²]",
+        "square collinear-tight",
+        "step 5",
+        "Domain along each axis at 2.25 mm²",
+        "set of 3 samples:",
+        "at E = 2.25 mm²",
+        "Warning: SIMULATED by",
+        f"Next: fixel report --project '{folder}'",
+    ):
+        assert words in result.stdout
+    names = {path.name for path in (tmp_path / "drawn").iterdir()}
+    assert {"growth_matrix.png", "growth_matrix.pdf", "axis_square_y.csv"} <= names
+
+
+def test_the_answer_for_programs(folder):
+    result = call(folder, "--json", "--index", "printed", "--sizes", "2", "--sizes", "y=3,4")
+    answer = json.loads(result.stdout)
+    assert answer["index"] == "printed"
+    assert len(answer["groups"][0]["largest_error"]) == 6
+    assert [(a["axis"], a["size"]) for a in answer["axes"]] == [
+        ("x", 2), ("y", 3), ("y", 4), ("theta", 2),
+    ]  # fmt: skip
+    assert answer["step_length"]["y"] == pytest.approx(8e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--index", "other"), "corrected or printed"),
+        (("--sizes", "z=3"), "--sizes"),
+        (("--sizes", "y=many"), "--sizes"),
+        (("--sizes", "y=7"), "2 to 5"),
+        (("--threshold", "0"), "--threshold"),
+        (("--shape", "disc"), "of shape disc"),
+        (("--motion", "dynamic"), "21 of 21"),
+    ],
+)
+def test_what_cannot_be_is_refused(folder, arguments, words):
+    result = call(folder, *arguments)
+    assert isinstance(result.exception, InvalidInput)
+    assert words in str(result.exception)

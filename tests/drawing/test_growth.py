@@ -1,0 +1,85 @@
+"""Pictures of domains that grow: what is drawn where, and the numbers behind it."""
+
+import numpy as np
+import pytest
+
+from fixel.applicability.along_axis import AxisStudy
+from fixel.drawing.chart import draw_chart
+from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
+
+STEPS = np.arange(-5, 6)
+
+
+def _study(size=3):
+    error = np.vstack((np.abs(STEPS) + 1.0, 2.0 * np.abs(STEPS) + 1.0))
+    error[1, 0] = np.nan
+    return AxisStudy(
+        shape="square",
+        axis="y",
+        size=size,
+        interval=(-1, 1),
+        steps=STEPS,
+        layouts=("a", "b"),
+        sets=(),
+        error=error,
+        own=np.full((2, 11), 0.5),
+    )
+
+
+def _errors():
+    errors = np.linspace(0.5, 30.0, 12).reshape(2, 6)
+    errors[1, 4:] = np.nan
+    return errors
+
+
+def test_every_cell_of_the_matrix_has_its_number():
+    chart = GrowthMatrix(groups=("square a", "square b"), errors=_errors(), unit="mm^2")
+    texts = [text.get_text() for text in chart.figure().axes[0].texts]
+    assert texts.count("none") == 2
+    assert texts[0] == "0.5"
+    assert len(texts) == 12
+    assert chart.table().columns[1] == "step_0_mm2"
+    assert chart.table().rows[1][-1] is None
+
+
+def test_steps_have_a_line_a_layout_and_the_average():
+    chart = GrowthSteps(
+        shapes=("square", "pentagon"), layouts=("a", "a"), errors=_errors(), threshold=5.0,
+        unit="mm^2",
+    )  # fmt: skip
+    figure = chart.figure()
+    assert [axes.get_title() for axes in figure.axes] == ["square", "pentagon"]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["a", "average", "threshold 5 mm²"]
+    assert ("pentagon", "a", 5, None) in chart.table().rows
+
+
+def test_edges_lie_on_the_drawn_average():
+    chart = AxisChart(studies=[_study()], threshold=4.0, unit="mm^2", length=0.008)
+    above = chart.figure().axes[0]
+    lines = {line.get_label(): line for line in above.get_lines()}
+    x, y = lines["average"].get_data()
+    edges = [line for line in above.get_lines() if line.get_marker() == "D"]
+    assert len(edges) == 2
+    for edge in edges:
+        (place,), (level,) = edge.get_data()
+        assert np.interp(place, x, y) == pytest.approx(level, rel=1e-3)
+    assert lines["average"].get_markevery()[:2] == [0, 24]
+    assert above.patches[0].get_x() == -1
+    assert above.patches[0].get_width() == 2
+
+
+def test_the_table_has_layouts_and_averages():
+    table = AxisChart(studies=[_study()], threshold=4.0, unit="mm^2").table()
+    assert len(table.rows) == 33
+    b = next(row for row in table.rows if row[5:7] == ("b", -5))
+    assert b[7:] == (None, 0.5, None)
+    average = next(row for row in table.rows if row[5:7] == ("average", 2))
+    assert average[7:] == (4.0, 0.5, 3.5)
+
+
+def test_files_are_the_same_twice(tmp_path):
+    chart = AxisChart(studies=[_study(), _study(5)], threshold=4.0, unit="mm^2", length=0.008)
+    for name in ("one.png", "two.png"):
+        draw_chart(chart, tmp_path / name, banner="SIMULATED by a test")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
