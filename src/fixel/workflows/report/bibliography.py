@@ -18,6 +18,19 @@ class Work(NamedTuple):
 
 
 WORKS: Final = {
+    # The texts we have of these two bear no title page; the titles here describe them.
+    "rpi2011": Work(
+        "misc",
+        "{Rensselaer Polytechnic Institute}",
+        "[Thesis on the domain of applicability of the planar simulator dVC2d]",
+        "2011",
+    ),
+    "asme2006": Work(
+        "misc",
+        "{ASME}",
+        "[Paper on the uncertainty of planar pushing at the meso-scale]",
+        "2006",
+    ),
     "stewart1996": Work(
         "article",
         "Stewart, D. E. and Trinkle, J. C.",
@@ -171,4 +184,5 @@ def line(work: Work) -> str:
     authors = work.author.replace("{", "").replace("}", "").replace('\\"u', "ü")
     authors = authors.replace(" and ", ", ")
     rest = [value.replace("--", "-") for name, value in work.where if name != "number"]
-    return ". ".join([f"{authors} ({work.year})", work.title, ", ".join(rest)]) + "."
+    parts = [f"{authors} ({work.year})", work.title, ", ".join(rest)]
+    return ". ".join(part for part in parts if part) + "."
