@@ -134,7 +134,35 @@ def fan_of(
     InvalidInput
         A scene with several free bodies or pushers, or parameters it does not have.
     """
-    drawn = error.samples(n, seed)
+    return fan_at(
+        scene,
+        error,
+        error.samples(n, seed),
+        values=values,
+        times=times,
+        motion=motion,
+        stepper=stepper,
+        seed=seed,
+        threads=threads,
+        progress=progress,
+    )
+
+
+def fan_at(
+    scene: Scene,
+    error: StartError,
+    drawn: FloatArray,
+    *,
+    values: Mapping[str, ArrayLike] | None = None,
+    times: ArrayLike | None = None,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Fan:
+    """As `fan_of`, with errors (n, 3) of the start [m, m, rad] that were drawn elsewhere."""
+    n = len(drawn)
     instants = _instants(scene, times)
     # The last rollout has no error: the nominal one.
     errors = np.vstack((drawn, np.zeros(3)))

@@ -25,11 +25,10 @@ MOST_OUTCOMES: Final = 8
 LOCAL: Final = 0.25
 NEIGHBOURS: Final = 4
 
-# From where a push counts as sensitive: an error grows threefold.
-SENSITIVE: Final = 3.0
-# A hidden bifurcation: somewhere neighbours are torn apart this much, and this much more than
-# neighbours usually are.
-TORN: Final = 5.0
+# From where a push counts as sensitive: an error doubles.
+SENSITIVE: Final = 2.0
+# A near bifurcation: neighbours are torn apart farther than the whole start error is wide, and so
+# many times more than neighbours usually are.
 TORN_MORE: Final = 5.0
 
 FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "calm")
@@ -82,6 +81,9 @@ class Sensitivity:
         Of each outcome.
     modes : dict of str to float
         Share of each final contact mode.
+    torn : bool
+        Whether the outcomes of neighbouring starts lie farther apart than the start error is wide,
+        for 1 % of the starts: more than the roughness of the simulation.
     apart : float
         Largest distance between the means of two outcomes or contact modes, turns counted [m].
     failed : dict of str to int
@@ -101,6 +103,7 @@ class Sensitivity:
     share: tuple[float, ...]
     modes: dict[str, float]
     apart: float
+    torn: bool
     bifurcates: bool
     failed: dict[str, int]
 
@@ -109,7 +112,7 @@ class Sensitivity:
         """One of `FLAGS`, the worst that holds."""
         if self.bifurcates:
             return FLAGS[0]
-        if self.largest_tear >= TORN and self.largest_tear >= TORN_MORE * self.usual_tear:
+        if self.torn and self.largest_tear >= TORN_MORE * self.usual_tear:
             return FLAGS[1]
         return FLAGS[2] if max(self.gain, self.amplification) >= SENSITIVE else FLAGS[3]
 
@@ -153,7 +156,7 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
     start, after = fan.drawn[fan.ended] * weight, (end - end.mean(axis=0)) * weight
     size_in, size_out = _rms(start), _rms(after)
     gain, worst = _gain(start, (end - fan.nominal[-1]) * weight)
-    usual, largest = _tears(start, after)
+    usual, largest, distance = _tears(start, after)
     outcome = parted(after, floor=size_in)
     mode = fan.mode[fan.ended]
     shares = np.bincount(outcome) / len(outcome)
@@ -173,6 +176,7 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
         share=tuple(shares.tolist()),
         modes=_named(mode),
         apart=apart,
+        torn=distance > size_in,
         bifurcates=several and apart > size_in,
         failed=_failed(fan),
     )
@@ -203,7 +207,8 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
     least = max(5, math.ceil(RARE * len(cloud)))
     while waiting:
         own = waiting.pop()
-        low = _gap(cloud[own], floor, least) if len(done) + len(waiting) + 1 < MOST_OUTCOMES else None
+        full = len(done) + len(waiting) + 1 >= MOST_OUTCOMES
+        low = None if full else _gap(cloud[own], floor, least)
         if low is None:
             done.append(own)
         else:
@@ -265,14 +270,16 @@ def _curved(start: FloatArray, end: FloatArray) -> float:
     return float(np.sum((end - table @ found) ** 2)) / whole if whole > 0.0 else 0.0
 
 
-def _tears(start: FloatArray, end: FloatArray) -> tuple[float, float]:
+def _tears(start: FloatArray, end: FloatArray) -> tuple[float, float, float]:
+    """Growth of the distance to neighbours, median and 99 %, and 99 % of the distances after."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(start)
     distance, which = tree.query(start, k=min(NEIGHBOURS, len(start) - 1) + 1)
     apart = np.linalg.norm(end[which[:, 1:]] - end[:, None], axis=2)
     growth = np.sum(apart, axis=1) / np.maximum(np.sum(distance[:, 1:], axis=1), 1e-30)
-    return float(np.median(growth)), float(np.quantile(growth, 0.99))
+    middle, most = np.quantile(growth, (0.5, 0.99))
+    return float(middle), float(most), float(np.quantile(apart.mean(axis=1), 0.99))
 
 
 def _apart(cloud: FloatArray, label: IntArray) -> float:
