@@ -12,6 +12,7 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape, placed
+from fixel.simulation.vary import composed, inverted
 
 ROUNDS: Final = 8  # of moving out of one neighbour, perhaps into another
 ROUNDING: Final = 1e-9  # of the size of a body, that still counts as touching
@@ -30,6 +31,7 @@ class Neighbour(NamedTuple):
     name: str
     shape: Shape
     pose: FloatArray  # (3,)
+    moved: FloatArray | None = None  # (n, 3) motion of the world that takes it to where it is
 
 
 def set_apart(
@@ -63,7 +65,7 @@ def set_apart(
         inside[:] = -1
         way = np.zeros((len(poses), 2))
         for k, other in enumerate(neighbours):
-            found = overlaps(shape, moved, other.shape, other.pose)
+            found = _overlaps(shape, moved, other)
             worse = found.depth > deepest
             deepest[worse], way[worse], inside[worse] = found.depth[worse], found.way[worse], k
         hit = inside >= 0
@@ -75,6 +77,15 @@ def set_apart(
         name = neighbours[inside[k]].name if inside[k] >= 0 else "a neighbour"
         reasons[k] = f"starts inside {name}, and has no room beside it"
     return moved, reasons
+
+
+def _overlaps(shape: Shape, poses: FloatArray, other: Neighbour) -> Overlap:
+    if other.moved is None:
+        return overlaps(shape, poses, other.shape, other.pose)
+    seen = composed(inverted(other.moved), poses)
+    found = overlaps(shape, seen, other.shape, other.pose)
+    c, s = np.cos(other.moved[:, 2]), np.sin(other.moved[:, 2])
+    return Overlap(found.depth, _turned(found.way, c, s))
 
 
 def overlaps(a: Shape, poses: FloatArray, b: Shape, pose: FloatArray) -> Overlap:

@@ -18,7 +18,7 @@ from fixel.model.trajectory import wrapped
 from fixel.simulation.ensemble import Case, Ensemble
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.simulation.vary import composed, grown_by, varied_start
+from fixel.simulation.vary import grown_by, moves, varied_start
 from fixel.uncertainty.apart import Neighbour, overlaps, set_apart
 from fixel.uncertainty.starts import StartError
 
@@ -245,14 +245,16 @@ def _placed(scene: Scene, values: Values) -> tuple[Shape, FloatArray, list[Neigh
 
 
 def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
-    """Where the pusher stands at the start; the mean, where its place is uncertain itself."""
-    names = [f"registration_{axis}" for axis in ("x", "y", "theta")]
-    moved = np.array([float(np.mean(values.get(name, np.zeros(1)))) for name in names])
-    shape = pusher.shape
-    grown = grown_by(scene, values)
+    """The pusher as large and where it stands at the start of each rollout."""
+    shape, grown = pusher.shape, grown_by(scene, values)
     if grown is not None and isinstance(shape, Disk):
         shape = Disk(shape.radius + float(grown.mean()))
-    return Neighbour(pusher.name, shape, composed(moved, pusher.pose))
+    moved = None
+    if moves(values):
+        zero = np.zeros(len(values["start_x"]))
+        axes = ("registration_x", "registration_y", "registration_theta")
+        moved = np.column_stack([values.get(name, zero) for name in axes])
+    return Neighbour(pusher.name, shape, pusher.pose, moved)
 
 
 def _set_apart(
@@ -265,7 +267,8 @@ def _set_apart(
     near = [
         other
         for other in neighbours
-        if np.hypot(*(other.pose[:2] - middle)) < radius + _radius(other.shape) + wander
+        if other.moved is not None
+        or np.hypot(*(other.pose[:2] - middle)) < radius + _radius(other.shape) + wander
     ]
     return set_apart(shape, poses, near, most)
 
