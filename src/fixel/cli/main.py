@@ -28,6 +28,7 @@ from fixel.cli import (
     project,
     replay,
     sample,
+    sensitivity,
     show,
     simulate,
 )
@@ -55,6 +56,7 @@ app.command("show")(show.show)
 app.command("compare")(show.compare)
 app.command("filter")(filter.filter_)
 app.command("calibrate")(calibrate.calibrate)
+app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")

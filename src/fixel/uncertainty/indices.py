@@ -246,7 +246,9 @@ def scalars(fan: Fan) -> FloatArray:
     way = fan.nominal[-1, :2] - fan.scene.bodies[0].pose[:2]
     length = float(np.hypot(*way))
     c, s = way / length if length > 0.0 else (1.0, 0.0)
-    found = np.column_stack((c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2]))
+    found = np.column_stack(
+        (c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2])
+    )
     found[~fan.ended] = math.nan
     return found
 
@@ -262,7 +264,9 @@ def _ranged(name: str, low: float, high: float) -> Factor:
         )
     if name in START:
         raise InvalidInput(
-            f"vary.{name}", found="an error of the start", expected="a parameter",
+            f"vary.{name}",
+            found="an error of the start",
+            expected="a parameter",
             hint="the start error has it",
         )
     return Factor(name, low, high)

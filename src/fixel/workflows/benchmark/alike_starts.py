@@ -22,8 +22,8 @@ HEAD: Final = np.array([[-14.3, -14.3], [14.3, -14.3], [14.3, 14.3], [-14.3, 14.
 SPEED: Final = 9.24e-3
 MASS: Final = 0.2564
 
-# Where the head may push along the side of the square: its corner stays on it [m].
-HEAD_PLACE: Final = (-39e-3, 39e-3)
+# Where the middle of the head may be along the side of the square: a millimetre of it stays on [m].
+HEAD_PLACE: Final = (-66e-3, 66e-3)
 FRICTION: Final = {
     "mu_pusher": (0.15, 0.6),
     "tripod_radius": (25e-3, 50e-3),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -54,23 +54,15 @@ class _Push(NamedTuple):
     path: FloatArray
 
 
-def read_groups(folder: Path) -> tuple[list[Group], FloatArray]:
-    """Groups of at least three runs, and the tracker's noise (3,) [m, m, rad].
-
-    The noise is how far the object seems to move while the fingers go round it.
-    """
+def read_groups(folder: Path) -> list[Group]:
+    """Groups of at least three runs whose start and end were seen."""
     runs: dict[str, list[list[_Push | None]]] = {}
     objects: dict[str, str] = {}
-    still: list[FloatArray] = []
     for experiment in CmuTwoPoint().read(folder).experiments():
         pushes = list(_pushes(experiment))
         start_pose = str(experiment.conditions["start_pose"])
         runs.setdefault(start_pose, []).append(pushes)
         objects[start_pose] = str(experiment.conditions["object"])
-        still += [
-            _off(b.start, a.end) for a, b in zip(pushes, pushes[1:], strict=False) if a and b
-        ]
-    noise = np.sqrt(np.mean(np.square(still), axis=0) / 2.0)
     groups = []
     for start_pose, own in runs.items():
         for k in range(min(map(len, own))):
@@ -78,7 +70,23 @@ def read_groups(folder: Path) -> tuple[list[Group], FloatArray]:
             good = [push for push in found if push is not None]
             if len(good) >= 3:
                 groups.append(_group(start_pose, objects[start_pose], k, good))
-    return groups, noise
+    return groups
+
+
+def rig_noise(groups: Sequence[Group]) -> FloatArray:
+    """(2,) standard deviations of a measured end that no block can have [m], [rad].
+
+    Two fingers against an edge leave a block no freedom to turn, or to be nearer or farther: what
+    varies there from run to run is the tracker, and the camera's place over the robot.
+    """
+    square, freedom = np.zeros(2), 0
+    for group in groups:
+        off = group.end - group.end.mean(axis=0)
+        heading = group.path[-1, 3]
+        across = off[:, 0] * np.cos(heading) + off[:, 1] * np.sin(heading)
+        square += ((across**2).sum(), (off[:, 2] ** 2).sum())
+        freedom += len(off) - 1
+    return np.asarray(np.sqrt(square / freedom))
 
 
 def _group(start_pose: str, kind: str, k: int, pushes: list[_Push]) -> Group:
@@ -162,7 +170,9 @@ def outline_of(kind: str) -> Polygon:
     if kind == "tri":
         a, b = 58e-3 / 3.0, 27.5e-3 / 3.0
         return Polygon(np.array([[a, -b], [a, 2.0 * b], [-2.0 * a, -b]]))
-    return Polygon(np.array([[-25e-3, -17.5e-3], [25e-3, -17.5e-3], [25e-3, 17.5e-3], [-25e-3, 17.5e-3]]))
+    return Polygon(
+        np.array([[-25e-3, -17.5e-3], [25e-3, -17.5e-3], [25e-3, 17.5e-3], [-25e-3, 17.5e-3]])
+    )
 
 
 def _fingers() -> FloatArray:
