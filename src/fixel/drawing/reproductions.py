@@ -93,7 +93,7 @@ def draw(picture: Picture, file: str | Path) -> None:
     save_filled(lambda figure: _fill(figure, picture), file)
 
 
-def _fill(figure: Figure, picture: Picture) -> None:
+def _fill(figure: Figure, picture: SupportPicture | PathPicture | ClusterPicture) -> None:
     if isinstance(picture, SupportPicture):
         _supports(figure, picture)
     elif isinstance(picture, PathPicture):

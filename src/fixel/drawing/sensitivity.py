@@ -14,6 +14,7 @@ from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
     Table,
+    Value,
     clean,
     legend_below,
     readable,
@@ -96,7 +97,7 @@ class FanChart(AbstractChart):
             "start_error_x_m", "start_error_y_m", "start_error_theta_rad",
             "end_x_m", "end_y_m", "end_theta_rad", "outcome",
         )  # fmt: skip
-        rows = [
+        rows: list[tuple[Value, ...]] = [
             (*map(float, drawn), *map(float, end), int(k) + 1)
             for drawn, end, k in zip(self.drawn, self.end, self.outcome, strict=True)
         ]
@@ -140,17 +141,16 @@ def _scene(axes: Axes, chart: FanChart) -> None:
 
 
 def _angles(axes: Axes, chart: FanChart) -> None:
-    angle = np.degrees(chart.end[:, 2])
+    angle = np.degrees(chart.end[:, 2] - chart.nominal[2])
     low, high = float(angle.min()), float(angle.max())
     if high - low < 1e-3:
         low, high = low - 5e-4, high + 5e-4
     edges = np.linspace(low, high, BINS + 1)
     for k in range(len(chart.share)):
-        axes.hist(angle[chart.outcome == k], bins=edges, color=_colour(k), alpha=0.7)
-    axes.axvline(math.degrees(chart.nominal[2]), color=palette.INK, linewidth=1.0)
-    axes.ticklabel_format(useOffset=False)
+        axes.hist(angle[chart.outcome == k], bins=edges.tolist(), color=_colour(k), alpha=0.7)
+    axes.axvline(0.0, color=palette.INK, linewidth=1.0)
     axes.locator_params(axis="x", nbins=5)
-    axes.set(xlabel="end angle [deg]", ylabel="starts")
+    axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):.1f} [deg]", ylabel="starts")
     clean(axes)
 
 
@@ -209,9 +209,13 @@ class IndicesChart(AbstractChart):
 
     def table(self) -> Table:
         columns = ("outcome", "input", "first", "first_error", "total", "total_error")
-        rows = [
-            (b.outcome, name, *(float(v[k]) for v in (b.first, b.first_error, b.total, b.total_error)))
+        rows: list[tuple[Value, ...]] = [
+            (
+                b.outcome,
+                name,
+                *(float(v[k]) for v in (b.first, b.first_error, b.total, b.total_error)),
+            )
             for b in self.bars
             for k, name in enumerate(self.names)
-        ]  # fmt: skip
+        ]
         return Table(columns, rows)

@@ -73,7 +73,7 @@ def set_apart(
             break
         moved[hit, :2] += deepest[hit, None] * way[hit]
     far = np.hypot(*(moved - poses)[:, :2].T) > most
-    for k in np.flatnonzero(far | (inside >= 0)):
+    for k in np.flatnonzero(far | (inside >= 0)).tolist():
         name = neighbours[inside[k]].name if inside[k] >= 0 else "a neighbour"
         reasons[k] = f"starts inside {name}, and has no room beside it"
     return moved, reasons

@@ -83,7 +83,7 @@ class Fan:
     @property
     def end(self) -> FloatArray:
         """(k, 3) end poses of those that ended [m, m, rad]."""
-        return self.pose[self.ended, -1]
+        return np.asarray(self.pose[self.ended, -1])
 
     @property
     def moved_apart(self) -> float:

@@ -187,8 +187,8 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
 
     Points are projected on their principal axes. Between neighbours there, distances of a cloud
     without a gap vary like an exponential about the local mean, so the widest of n exceeds r times
-    the mean of its k neighbours' with a chance below ``n (1 + r / k)^-k``. What exceeds the r of a
-    chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on each side,
+    the mean of its k = sqrt(n) neighbours' with a chance below ``n (1 + r / k)^-k``. What exceeds
+    the r of a chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on each side,
     parts the cloud; then its parts are looked at in the same way.
 
     Parameters
@@ -203,7 +203,8 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
         Number of each point's group, the largest group first.
     """
     label = np.zeros(len(cloud), np.int64)
-    waiting, done = [np.arange(len(cloud))], []
+    waiting: list[IntArray] = [np.arange(len(cloud))]
+    done: list[IntArray] = []
     least = max(5, math.ceil(RARE * len(cloud)))
     while waiting:
         own = waiting.pop()
@@ -230,7 +231,7 @@ def _gap(cloud: FloatArray, floor: float, least: int) -> NDArray[np.bool_] | Non
         along = cloud @ axis
         order = np.sort(along)
         width = np.diff(order)
-        k = max(5, min(round(math.sqrt(n)), least))
+        k = max(5, round(math.sqrt(n)))
         limit = k * ((n / FALSE_ALARM) ** (1.0 / k) - 1.0)
         where = np.arange(least - 1, n - least)  # last point below the gap
         below = (order[where] - order[np.maximum(where - k, 0)]) / np.minimum(k, where)

@@ -381,7 +381,8 @@ def _largest_share(finding: Finding) -> list[str]:
     j = int(np.argmax(own.total[k]))
     return [
         f"{finding.subject.key}: most of the spread {own.outcomes[k]} comes from"
-        f" {own.factors[j].name} (total index {own.total[k, j]:.2f} +- {own.total_error[k, j]:.2f})."
+        f" {own.factors[j].name} (total index {own.total[k, j]:.2f} +-"
+        f" {own.total_error[k, j]:.2f})."
     ]
 
 
@@ -454,8 +455,8 @@ def _index_table(key: str, own: Indices) -> TextTable:
 def _methods(one: Finding, request: SensitivityRequest) -> list[str]:
     said = [
         f"The outcome of each push was simulated ({one.fan.motion}) for {request.samples} starts"
-        f" {request.error.written()}, drawn as a scrambled Sobol sequence; starts that would overlap"
-        " a neighbour were moved out the shortest way.",
+        f" {request.error.written()}, drawn as a scrambled Sobol sequence; starts that would"
+        " overlap a neighbour were moved out the shortest way.",
         "Amplification is the root mean square spread of end poses over that of starts, turns"
         " counted at the body's radius of gyration; outcomes are groups of end poses with a gap"
         " between them that a cloud without one shows with a chance of 0.1 %.",
