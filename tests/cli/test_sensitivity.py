@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
-from fixel.exchange import save_scene
+from fixel.exchange import SceneFile, save_scene
 from fixel.model import Flag
 from fixel.workflows.analysis import kept
 
@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     place = tmp_path_factory.mktemp("scenes") / "fork.yaml"
-    save_scene(fork(), place, motion="quasistatic")
+    save_scene(SceneFile(scene=fork(), motion="quasistatic"), place)
     return place
 
 

@@ -165,7 +165,7 @@ def sobol_indices(
                 calc_second_order=False,
                 num_resamples=RESAMPLES,
                 conf_level=CONFIDENCE,
-                seed=seed,
+                seed=seed + 1,  # SALib takes a seed of zero for none
             )
         tables[:, k] = [answer[name] for name in ("S1", "ST", "S1_conf", "ST_conf")]
     return Indices(
