@@ -77,6 +77,7 @@ def test_groups_of_the_real_logs(data_root):
         assert angle < math.radians(5.0)
 
 
+@pytest.mark.slow
 def test_nine_of_ten_real_groups_end_no_farther_apart_than_predicted(data_root, tmp_path):
     """Few rigs; the page has 300 of them."""
     found = reproduce("repeats", data_root, out=tmp_path, quick=True)

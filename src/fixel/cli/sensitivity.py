@@ -2,7 +2,6 @@
 
 import json
 import math
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -86,6 +85,7 @@ def sensitivity(
     from fixel.database.project import Project
     from fixel.workflows.engine import get_ready
     from fixel.workflows.pictures import make_folder, write_picture
+    from fixel.workflows.project import typed
     from fixel.workflows.sensitivity import SensitivityRequest, analyse_sensitivity
 
     request = SensitivityRequest(
@@ -106,7 +106,7 @@ def sensitivity(
         things or (),
         request,
         lambda: Project.open(project),
-        command="fixel " + shlex.join(sys.argv[1:]),
+        command=typed(),
         progress=progress_bar,
         ready=lambda scene: get_ready(scene, speaks),
     )

@@ -87,6 +87,7 @@ class FanChart(AbstractChart):
                 own = cloud[::every][self.outcome[::every] == k] * unit.per_metre
                 axes.plot(own[:, 0], own[:, 1], ".", color=_colour(k), markersize=1.6)
             axes.set(xlabel=f"{label}, x [{unit.name}]", ylabel=f"y [{unit.name}]")
+            _no_narrower(axes, float(np.ptp(cloud[:, :2], axis=0).max()) * unit.per_metre)
             clean(axes)
         _angles(panels["angles"], self)
         legend_below(figure, [panels["scene"]])
@@ -146,12 +147,21 @@ def _angles(axes: Axes, chart: FanChart) -> None:
     if high - low < 1e-3:
         low, high = low - 5e-4, high + 5e-4
     edges = np.linspace(low, high, BINS + 1)
-    for k in range(len(chart.share)):
-        axes.hist(angle[chart.outcome == k], bins=edges.tolist(), color=_colour(k), alpha=0.7)
+    groups = [angle[chart.outcome == k] for k in range(len(chart.share))]
+    colours = [_colour(k) for k in range(len(groups))]
+    axes.hist(groups, bins=edges.tolist(), color=colours, stacked=True)
     axes.axvline(0.0, color=palette.INK, linewidth=1.0)
     axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):.1f} [deg]", ylabel="starts")
     clean(axes)
+
+
+def _no_narrower(axes: Axes, size: float) -> None:
+    """Neither side of a panel less than a hundredth of a size: rounding is no spread."""
+    for limits, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
+        middle, half = 0.5 * sum(limits), 0.5 * (limits[1] - limits[0])
+        if half < 0.005 * size:
+            set_limits(middle - 0.005 * size, middle + 0.005 * size)
 
 
 class Bars(NamedTuple):

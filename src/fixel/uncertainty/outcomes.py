@@ -188,8 +188,8 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
     Points are projected on their principal axes. Between neighbours there, distances of a cloud
     without a gap vary like an exponential about the local mean, so the widest of n exceeds r times
     the mean of its k = sqrt(n) neighbours' with a chance below ``n (1 + r / k)^-k``. What exceeds
-    the r of a chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on each side,
-    parts the cloud; then its parts are looked at in the same way.
+    the r of a chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on
+    each side, parts the cloud; then its parts are looked at in the same way.
 
     Parameters
     ----------
