@@ -19,7 +19,8 @@ FEWEST_ROWS: Final = 30  # of a push
 JUMP: Final = 4e-3  # [m], from the last pose of the push before to the first of a push
 WAYPOINTS: Final = 40
 READINGS: Final = 3  # of the tracker that make one pose
-OLD: Final = 0.5  # [s], a reading this far from when it is wanted is none
+# [s], a reading this far from when it is wanted is none: blocks move meanwhile.
+OLD: Final = 0.15
 MOST_APART: Final = 6e-3  # [m], how far the frame of the fingers may be off
 
 MASS: Final = 0.1  # [kg]; without inertia it does not matter
@@ -49,28 +50,55 @@ class Group(NamedTuple):
 
 
 class _Push(NamedTuple):
-    start: FloatArray
-    end: FloatArray
+    start: FloatArray | None  # None where nobody saw it
+    end: FloatArray | None
     path: FloatArray
 
 
 def read_groups(folder: Path) -> list[Group]:
     """Groups of at least three runs whose start and end were seen."""
-    runs: dict[str, list[list[_Push | None]]] = {}
+    runs: dict[str, list[list[_Push]]] = {}
     objects: dict[str, str] = {}
     for experiment in CmuTwoPoint().read(folder).experiments():
-        pushes = list(_pushes(experiment))
         start_pose = str(experiment.conditions["start_pose"])
-        runs.setdefault(start_pose, []).append(pushes)
+        runs.setdefault(start_pose, []).append(_at_rest(list(_pushes(experiment))))
         objects[start_pose] = str(experiment.conditions["object"])
     groups = []
     for start_pose, own in runs.items():
         for k in range(min(map(len, own))):
-            found = [pushes[k] for pushes in own]
-            good = [push for push in found if push is not None]
-            if len(good) >= 3:
-                groups.append(_group(start_pose, objects[start_pose], k, good))
+            ways = [
+                (push.start, push.end, push.path)
+                for push in (pushes[k] for pushes in own)
+                if push.start is not None and push.end is not None
+            ]
+            if len(ways) >= 3:
+                groups.append(_group(start_pose, objects[start_pose], k, ways))
     return groups
+
+
+def _at_rest(pushes: list[_Push]) -> list[_Push]:
+    """Nothing moves a block between pushes: where one end was not seen, the next start was."""
+    full = list(pushes)
+    for k in range(len(full) - 1):
+        before, after = full[k], full[k + 1]
+        if before.end is None:
+            full[k] = before._replace(end=after.start)
+        elif after.start is None:
+            full[k + 1] = after._replace(start=before.end)
+    return full
+
+
+def _group(
+    start_pose: str, kind: str, k: int, ways: list[tuple[FloatArray, FloatArray, FloatArray]]
+) -> Group:
+    first, last, path = ways[0]
+    start = np.array([first + _off(way[0], first) for way in ways])
+    end = np.array([last + _off(way[1], last) for way in ways])
+    return Group(f"{start_pose} #{k + 1}", start_pose, kind, k == 0, start, end, path)
+
+
+def _off(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.append(a[:2] - b[:2], wrapped(a[2] - b[2]))
 
 
 def rig_noise(groups: Sequence[Group]) -> FloatArray:
@@ -89,19 +117,8 @@ def rig_noise(groups: Sequence[Group]) -> FloatArray:
     return np.asarray(np.sqrt(square / freedom))
 
 
-def _group(start_pose: str, kind: str, k: int, pushes: list[_Push]) -> Group:
-    first = pushes[0].start
-    start = np.array([first + _off(push.start, first) for push in pushes])
-    end = np.array([pushes[0].end + _off(push.end, pushes[0].end) for push in pushes])
-    return Group(f"{start_pose} #{k + 1}", start_pose, kind, k == 0, start, end, pushes[0].path)
-
-
-def _off(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.append(a[:2] - b[:2], wrapped(a[2] - b[2]))
-
-
-def _pushes(experiment: Experiment) -> Iterator[_Push | None]:
-    """The pushes of a run; none for one whose start or end nobody saw."""
+def _pushes(experiment: Experiment) -> Iterator[_Push]:
+    """The pushes of a run."""
     channel, pusher = experiment.channel("action"), experiment.pusher
     assert channel is not None
     assert pusher is not None
@@ -119,7 +136,7 @@ def _pushes(experiment: Experiment) -> Iterator[_Push | None]:
         start, end = _seen(experiment, time[0], 1.0), _seen(experiment, time[-1], -1.0)
         thin = np.unique(np.linspace(0, len(time) - 1, WAYPOINTS).round().astype(int))
         path = np.column_stack((time[thin] - time[0], pose[thin]))
-        yield None if start is None or end is None else _Push(start, end, path)
+        yield _Push(start, end, path)
 
 
 def _seen(experiment: Experiment, instant: float, way: float) -> FloatArray | None:
