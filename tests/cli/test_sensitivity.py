@@ -12,7 +12,8 @@ from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.exchange import SceneFile, save_scene
-from fixel.model import Flag
+from fixel.model import Flag, Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.analysis import kept
 
 
@@ -80,6 +81,28 @@ def test_one_experiment_as_json_with_indices(folder):
     assert told["start_error"]["x_m"] == pytest.approx(3e-4)
     again = json.loads(good(*words, "--vary", "mu_pusher=0.2:0.5", "--set", "mu_fixel=0.3"))
     assert again["pushes"] == told["pushes"]
+
+
+def test_a_calibration_gives_values_ranges_and_motion(folder):
+    pytest.importorskip("SALib")
+    project = Project.open(folder)
+    record = CalibrationRecord(
+        name="one",
+        parameters=Parameters(mu_pusher=0.3),
+        members=(Member(1, 1.0, 0.1),),
+        provenance=Provenance(version="0"),
+        method={"motion": "quasistatic"},
+        estimates=(Estimate(label="mu_pusher", unit="-", value=0.3, low=0.25, high=0.4),),
+    )
+    with project.store() as store:
+        number = store.add_calibration(record)
+    words = ("testbed/push", "-p", folder, "--calibration", number, "--indices", "--base", "2")
+    told = json.loads(good(*words, "--samples", "60", "--json"))
+    (found,) = told["pushes"]
+    assert found["values"] == {"mu_pusher": 0.3}
+    assert "mu_pusher" in found["indices"]["outcomes"]["angle"]["indices"]
+    (own,) = (k.analysis for k in kept(project) if k.analysis.calibrations == (number,))
+    assert "(quasistatic)" in own.methods[0]
 
 
 def test_presets_and_sizes(file):
