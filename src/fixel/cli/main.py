@@ -29,6 +29,7 @@ from fixel.cli import (
     replay,
     report,
     sample,
+    sensitivity,
     show,
     simulate,
 )
@@ -57,6 +58,7 @@ app.command("compare")(show.compare)
 app.command("filter")(filter.filter_)
 app.command("calibrate")(calibrate.calibrate)
 app.command("report")(report.report)
+app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.chart import AbstractChart, draw_chart
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
@@ -73,7 +74,7 @@ class ClusterPicture(NamedTuple):
     clusters: Sequence[TriangleCluster]
 
 
-Picture = SupportPicture | PathPicture | ClusterPicture
+Picture = SupportPicture | PathPicture | ClusterPicture | AbstractChart
 
 
 def draw(picture: Picture, file: str | Path) -> None:
@@ -81,15 +82,18 @@ def draw(picture: Picture, file: str | Path) -> None:
 
     Parameters
     ----------
-    picture : SupportPicture, PathPicture or ClusterPicture
+    picture : SupportPicture, PathPicture, ClusterPicture or AbstractChart
     file : str or Path
         Ends with .pdf, .png or .svg.
     """
+    if isinstance(picture, AbstractChart):
+        draw_chart(picture, file)
+        return
     refuse_ending(file, PICTURE_ENDINGS, "picture")
     save_filled(lambda figure: _fill(figure, picture), file)
 
 
-def _fill(figure: Figure, picture: Picture) -> None:
+def _fill(figure: Figure, picture: SupportPicture | PathPicture | ClusterPicture) -> None:
     if isinstance(picture, SupportPicture):
         _supports(figure, picture)
     elif isinstance(picture, PathPicture):

@@ -1,0 +1,231 @@
+"""Fans of outcomes over a scene, and bars of Sobol indices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Table,
+    Value,
+    clean,
+    legend_below,
+    readable,
+    sheet,
+    shortened,
+)
+from fixel.drawing.picture import tint
+from fixel.drawing.view import unit_for
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import Scene, placed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS: Final = (
+    palette.BODY, palette.FORCE, palette.TOUCHED, palette.CONE, palette.PUSHER, palette.TRAIL,
+    palette.FIXEL, palette.INK,
+)  # fmt: skip
+
+OUTLINES: Final = 60  # of end poses that are drawn
+DOTS: Final = 2000
+BINS: Final = 40
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FanChart(AbstractChart):
+    """Where a body ends, over the scene; errors of the start, end positions and end angles.
+
+    Parameters
+    ----------
+    title : str
+    scene : Scene
+    drawn : (n, 3) float64
+        Errors of the start [m, m, rad].
+    end : (n, 3) float64
+        End poses [m, m, rad].
+    nominal : (3,) float64
+        End pose without an error.
+    outcome : (n,) int64
+        Which outcome each belongs to, from 0.
+    share : sequence of float
+        Of each outcome.
+    """
+
+    title: str
+    scene: Scene
+    drawn: FloatArray
+    end: FloatArray
+    nominal: FloatArray
+    outcome: IntArray
+    share: Sequence[float]
+
+    def figure(self) -> Figure:
+        figure = sheet(WIDE, 4.3, self.title)
+        panels = figure.subplot_mosaic(
+            [["scene", "starts"], ["scene", "ends"], ["scene", "angles"]],
+            width_ratios=(1.9, 1.0),
+        )
+        _scene(panels["scene"], self)
+        every = max(1, len(self.end) // DOTS)
+        for name, cloud, label in (
+            ("starts", self.drawn, "start error"),
+            ("ends", self.end - self.nominal, "end, from the nominal"),
+        ):
+            unit = unit_for(float(np.abs(cloud[:, :2]).max()))
+            axes = panels[name]
+            for k in range(len(self.share)):
+                own = cloud[::every][self.outcome[::every] == k] * unit.per_metre
+                axes.plot(own[:, 0], own[:, 1], ".", color=_colour(k), markersize=1.6)
+            axes.set(xlabel=f"{label}, x [{unit.name}]", ylabel=f"y [{unit.name}]")
+            _no_narrower(axes, float(np.ptp(cloud[:, :2], axis=0).max()) * unit.per_metre)
+            clean(axes)
+        _angles(panels["angles"], self)
+        legend_below(figure, [panels["scene"]])
+        return figure
+
+    def table(self) -> Table:
+        columns = (
+            "start_error_x_m", "start_error_y_m", "start_error_theta_rad",
+            "end_x_m", "end_y_m", "end_theta_rad", "outcome",
+        )  # fmt: skip
+        rows: list[tuple[Value, ...]] = [
+            (*map(float, drawn), *map(float, end), int(k) + 1)
+            for drawn, end, k in zip(self.drawn, self.end, self.outcome, strict=True)
+        ]
+        return Table(columns, rows)
+
+
+def _colour(k: int) -> str:
+    return COLOURS[k % len(COLOURS)]
+
+
+def _scene(axes: Axes, chart: FanChart) -> None:
+    scene = chart.scene
+    body = scene.bodies[0]
+    corners = body.shape.outline
+    unit = unit_for(float(np.ptp(placed(corners, body.pose), axis=0).max()))
+
+    def closed(pose: FloatArray, outline: FloatArray) -> FloatArray:
+        found = placed(outline, pose) * unit.per_metre
+        return np.vstack((found, found[:1])).T
+
+    for fixel in scene.fixels:
+        axes.fill(*closed(fixel.pose, fixel.shape.outline), color=palette.FIXEL)
+    for pusher in scene.pushers:
+        outline = closed(pusher.pose, pusher.shape.outline)
+        axes.fill(*outline, color=tint(palette.PUSHER, 0.5), label="pusher, at the start")
+    axes.plot(*closed(body.pose, corners), "--", color=palette.INK, linewidth=0.8, label="start")
+    chosen = np.unique(np.linspace(0, len(chart.end) - 1, OUTLINES).round().astype(int))
+    for k in range(len(chart.share)):
+        name = "ends" if len(chart.share) == 1 else f"outcome {k + 1}: {chart.share[k]:.0%}"
+        # A rare outcome is drawn too.
+        own = [j for j in chosen if chart.outcome[j] == k] or [int(np.argmax(chart.outcome == k))]
+        for j in own:
+            outline = closed(chart.end[j], corners)
+            axes.plot(*outline, color=_colour(k), linewidth=0.5, alpha=0.35)
+        axes.plot([], [], color=_colour(k), linewidth=1.2, label=name)
+    axes.plot(*closed(chart.nominal, corners), color=palette.INK, linewidth=1.4, label="nominal")
+    axes.set_aspect("equal")
+    axes.margins(0.05)
+    axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _angles(axes: Axes, chart: FanChart) -> None:
+    angle = np.degrees(chart.end[:, 2] - chart.nominal[2])
+    low, high = float(angle.min()), float(angle.max())
+    if high - low < 1e-3:
+        low, high = low - 5e-4, high + 5e-4
+    edges = np.linspace(low, high, BINS + 1)
+    groups = [angle[chart.outcome == k] for k in range(len(chart.share))]
+    colours = [_colour(k) for k in range(len(groups))]
+    axes.hist(groups, bins=edges.tolist(), color=colours, stacked=True)
+    axes.axvline(0.0, color=palette.INK, linewidth=1.0)
+    axes.locator_params(axis="x", nbins=5)
+    axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):.1f} [deg]", ylabel="starts")
+    clean(axes)
+
+
+def _no_narrower(axes: Axes, size: float) -> None:
+    """Neither side of a panel less than a hundredth of a size: rounding is no spread."""
+    for limits, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
+        middle, half = 0.5 * sum(limits), 0.5 * (limits[1] - limits[0])
+        if half < 0.005 * size:
+            set_limits(middle - 0.005 * size, middle + 0.005 * size)
+
+
+class Bars(NamedTuple):
+    """Indices of one outcome."""
+
+    outcome: str
+    unit: str
+    deviation: float  # its standard deviation [unit]
+    first: FloatArray  # (k,)
+    first_error: FloatArray
+    total: FloatArray
+    total_error: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndicesChart(AbstractChart):
+    """First-order and total Sobol indices, one panel an outcome.
+
+    Parameters
+    ----------
+    title : str
+    names : sequence of str
+        Of the k uncertain inputs.
+    bars : sequence of Bars
+    """
+
+    title: str
+    names: Sequence[str]
+    bars: Sequence[Bars]
+
+    def figure(self) -> Figure:
+        figure = sheet(WIDE, 0.95 + 0.24 * len(self.names), self.title)
+        row = figure.subplots(1, len(self.bars), sharey=True, squeeze=False)[0]
+        place = np.arange(len(self.names))
+        for axes, bars in zip(row, self.bars, strict=True):
+            for shift, values, errors, colour, label in (
+                (-0.2, bars.first, bars.first_error, palette.BODY, "first order: alone"),
+                (0.2, bars.total, bars.total_error, palette.PUSHER, "total: with all others"),
+            ):
+                axes.barh(
+                    place + shift, values, 0.36, xerr=errors, color=colour, label=label,
+                    error_kw={"linewidth": 0.8, "ecolor": palette.INK},
+                )  # fmt: skip
+            unit = readable(bars.unit)
+            axes.set_title(f"{bars.outcome}: {unit.text(bars.deviation)} {unit.name}", loc="left")
+            axes.set_xlabel("share of the variance")
+            top = max(1.0, float(np.max(bars.total + bars.total_error)))
+            axes.set_xlim(min(0.0, float(np.min(bars.first - bars.first_error))), 1.02 * top)
+            clean(axes)
+        row[0].set_yticks(place, [shortened(name, 24) for name in self.names])
+        row[0].invert_yaxis()
+        legend_below(figure, row[:1])
+        return figure
+
+    def table(self) -> Table:
+        columns = ("outcome", "input", "first", "first_error", "total", "total_error")
+        rows: list[tuple[Value, ...]] = [
+            (
+                b.outcome,
+                name,
+                *(float(v[k]) for v in (b.first, b.first_error, b.total, b.total_error)),
+            )
+            for b in self.bars
+            for k, name in enumerate(self.names)
+        ]
+        return Table(columns, rows)

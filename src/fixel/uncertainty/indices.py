@@ -1,0 +1,310 @@
+"""Sobol indices: which uncertain input the spread of an outcome comes from."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Scene
+from fixel.model.parameters import info_of
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+from fixel.uncertainty.fan import START, Fan, Progress, fan_at
+from fixel.uncertainty.starts import Kind, StartError
+
+OUTCOMES: Final = ("along", "across", "angle")
+UNITS: Final = ("m", "m", "rad")
+
+RESAMPLES: Final = 200
+CONFIDENCE: Final = 0.95
+
+# Share of rollouts that may be without an outcome; the mean stands for theirs.
+MOST_FAILED: Final = 0.02
+# Spread of an outcome below which there is nothing to share out [m], [rad].
+NO_SPREAD: Final = 1e-9
+
+
+class Factor(NamedTuple):
+    """An uncertain input."""
+
+    name: str
+    low: float  # of a normal one, the mean less one standard deviation
+    high: float  # of a normal one, the mean and one standard deviation
+    kind: Kind = "uniform"
+
+    def at(self, share: FloatArray) -> FloatArray:
+        """Values at shares (n,) of the probability."""
+        from scipy.special import ndtri
+
+        if self.kind == "uniform":
+            return np.asarray(self.low + (self.high - self.low) * share)
+        middle, deviation = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        return np.asarray(middle + deviation * ndtri(np.clip(share, 1e-9, 1.0 - 1e-9)))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Indices:
+    """Shares of the variance of outcomes.
+
+    Attributes
+    ----------
+    factors : tuple of Factor
+    outcomes, units : tuple of str
+    first, total : (n_outcome, n_factor) float64
+        First order: the share that goes away on average once the factor is known. Total: the share
+        that stays while it alone is not. Where an outcome does not vary, zero.
+    first_error, total_error : (n_outcome, n_factor) float64
+        Half-widths of 95 % intervals, by bootstrap.
+    deviation : (n_outcome,) float64
+        Standard deviation of each outcome [its unit].
+    evaluations : int
+    failed : int
+        Rollouts without an outcome, counted as its mean.
+    """
+
+    factors: tuple[Factor, ...]
+    outcomes: tuple[str, ...]
+    units: tuple[str, ...]
+    first: FloatArray
+    total: FloatArray
+    first_error: FloatArray
+    total_error: FloatArray
+    deviation: FloatArray
+    evaluations: int
+    failed: int
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "evaluations": self.evaluations,
+            "failed": self.failed,
+            "outcomes": {
+                outcome: {
+                    "standard_deviation": float(self.deviation[k]),
+                    "unit": self.units[k],
+                    "indices": {
+                        factor.name: {
+                            "first": float(self.first[k, j]),
+                            "first_error": float(self.first_error[k, j]),
+                            "total": float(self.total[k, j]),
+                            "total_error": float(self.total_error[k, j]),
+                        }
+                        for j, factor in enumerate(self.factors)
+                    },
+                }
+                for k, outcome in enumerate(self.outcomes)
+            },
+        }
+
+
+def sobol_indices(
+    model: Callable[[FloatArray], FloatArray],
+    factors: Sequence[Factor],
+    outcomes: Sequence[str],
+    n: int = 512,
+    *,
+    units: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Indices:
+    """First-order and total Sobol indices of a model.
+
+    Parameters
+    ----------
+    model : callable
+        Of (m, n_factor) points gives (m, n_outcome) outcomes; NaN for none.
+    factors : sequence of Factor
+    outcomes : sequence of str
+        What the columns are.
+    n : int
+        Base samples, a power of two; the model is asked for ``n (n_factor + 2)`` points.
+    units : sequence of str, optional
+    seed : int
+
+    Raises
+    ------
+    InvalidInput
+        No factor, an `n` that is no power of two, more than 2 % of points without an outcome, or
+        SALib not installed.
+
+    Source
+    ------
+    Saltelli et al. (2010), Variance based sensitivity analysis of model output; computed by SALib.
+    """
+    _refuse(factors, n)
+    sample, analyse = _salib()
+    problem = {
+        "num_vars": len(factors),
+        "names": [factor.name for factor in factors],
+        "bounds": [[0.0, 1.0]] * len(factors),
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SALib warns of its own dependencies
+        shares = sample(problem, n, calc_second_order=False, seed=seed)
+    points = np.column_stack([f.at(shares[:, k]) for k, f in enumerate(factors)])
+    found = np.asarray(model(points), np.float64).reshape(len(points), len(outcomes))
+    found, failed = _filled(found)
+    tables = np.zeros((4, len(outcomes), len(factors)))
+    deviation = found.std(axis=0)
+    for k in range(len(outcomes)):
+        if deviation[k] <= NO_SPREAD * max(1.0, float(np.abs(found[:, k]).max())):
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            answer = analyse(
+                problem,
+                found[:, k],
+                calc_second_order=False,
+                num_resamples=RESAMPLES,
+                conf_level=CONFIDENCE,
+                seed=seed + 1,  # SALib takes a seed of zero for none
+            )
+        tables[:, k] = [answer[name] for name in ("S1", "ST", "S1_conf", "ST_conf")]
+    return Indices(
+        factors=tuple(factors),
+        outcomes=tuple(outcomes),
+        units=tuple(units or ["-"] * len(outcomes)),
+        first=tables[0],
+        total=tables[1],
+        first_error=tables[2],
+        total_error=tables[3],
+        deviation=deviation,
+        evaluations=len(points),
+        failed=failed,
+    )
+
+
+def indices_of(
+    scene: Scene,
+    error: StartError,
+    ranges: Mapping[str, tuple[float, float]],
+    n: int = 256,
+    *,
+    values: Mapping[str, ArrayLike] | None = None,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Indices:
+    """Sobol indices of where a push ends: to parameters, and to each error of the start.
+
+    Parameters
+    ----------
+    scene : Scene
+    error : StartError
+    ranges : mapping of name to (low, high)
+        Uncertain parameters, uniform.
+    n : int
+        Base samples, a power of two.
+    values : mapping of name to float, optional
+        Parameters that are certain.
+    motion, stepper, seed, threads, progress
+        As for `fan_of`.
+
+    Returns
+    -------
+    Indices
+        Of the end along and across the nominal way of the body [m], and of its angle [rad].
+    """
+    factors = [_ranged(name, *interval) for name, interval in ranges.items()]
+    sizes = zip(START, error.size.tolist(), strict=True)
+    factors += [Factor(name, -size, size, error.kind) for name, size in sizes if size > 0.0]
+    held = {name: value for name, value in (values or {}).items() if name not in ranges}
+
+    def ends(points: FloatArray) -> FloatArray:
+        own = {f.name: points[:, k] for k, f in enumerate(factors)}
+        drawn = np.column_stack([own.get(name, np.zeros(len(points))) for name in START])
+        fan = fan_at(
+            scene,
+            error,
+            drawn,
+            values=held | {name: own[name] for name in ranges},
+            times=[scene.duration],
+            motion=motion,
+            stepper=stepper,
+            threads=threads,
+            progress=progress,
+        )
+        return scalars(fan)
+
+    return sobol_indices(ends, factors, OUTCOMES, n, units=UNITS, seed=seed)
+
+
+def scalars(fan: Fan) -> FloatArray:
+    """(n, 3) how far ends are from the nominal one: along and across the nominal way, angle; NaN
+    for starts without an end."""
+    off = fan.pose[:, -1] - fan.nominal[-1]
+    way = fan.nominal[-1, :2] - fan.scene.bodies[0].pose[:2]
+    length = float(np.hypot(*way))
+    c, s = way / length if length > 0.0 else (1.0, 0.0)
+    found = np.column_stack(
+        (c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2])
+    )
+    found[~fan.ended] = math.nan
+    return found
+
+
+def _ranged(name: str, low: float, high: float) -> Factor:
+    info = info_of(name)
+    least = max(low, info.lowest)
+    if not math.isfinite(low) or not math.isfinite(high) or not low < high or least != low:
+        raise InvalidInput(
+            f"vary.{name}",
+            found=f"{low:g} to {high:g}",
+            expected=f"a range from {info.lowest:g} [{info.unit}] up, the lower end first",
+        )
+    if name in START:
+        raise InvalidInput(
+            f"vary.{name}",
+            found="an error of the start",
+            expected="a parameter",
+            hint="the start error has it",
+        )
+    return Factor(name, low, high)
+
+
+def _refuse(factors: Sequence[Factor], n: int) -> None:
+    if not factors:
+        raise InvalidInput("factors", found="none", expected="one at least")
+    if isinstance(n, bool) or n < 2 or n & (n - 1):
+        raise InvalidInput("n", found=n, expected="a power of two, from 2")
+
+
+def _filled(found: FloatArray) -> tuple[FloatArray, int]:
+    """Outcomes with the mean in place of what is missing, and how many were."""
+    missing = ~np.isfinite(found).all(axis=1)
+    if missing.mean() > MOST_FAILED:
+        raise InvalidInput(
+            "indices",
+            found=f"{missing.mean():.1%} of the rollouts without an outcome",
+            expected=f"at most {MOST_FAILED:.0%}",
+            hint="make the ranges or the start error smaller",
+        )
+    filled = np.array(found)
+    filled[missing] = found[~missing].mean(axis=0)
+    return filled, int(missing.sum())
+
+
+def _salib() -> tuple[Callable[..., Any], Callable[..., Any]]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from SALib.analyze import sobol as analysis
+            from SALib.sample import sobol as sampling
+    except ImportError:
+        raise InvalidInput(
+            "Sobol indices",
+            found="no SALib",
+            expected="the extra with it",
+            hint="pip install 'fixel[infer]', or leave the indices out",
+        ) from None
+    return sampling.sample, analysis.analyze

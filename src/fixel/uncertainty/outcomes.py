@@ -1,0 +1,334 @@
+"""What a fan of outcomes says: how much a start's error grows, and whether outcomes part ways."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.uncertainty.fan import Fan
+
+FEWEST: Final = 50  # outcomes below which a fan has no shape
+
+# Outcomes of less than this share do not make a push bifurcate.
+RARE: Final = 0.01
+# Chance that a gap as wide as one that counts opens in a fan without one.
+FALSE_ALARM: Final = 1e-3
+MOST_OUTCOMES: Final = 8
+
+# Share of the starts next to the nominal one that the local gain is fitted to.
+LOCAL: Final = 0.25
+NEIGHBOURS: Final = 4
+
+# From where a push counts as sensitive: an error doubles.
+SENSITIVE: Final = 2.0
+# A near bifurcation: neighbours are torn apart farther than the whole start error is wide, and so
+# many times more than neighbours usually are.
+TORN_MORE: Final = 5.0
+
+FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "calm")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spread:
+    """Size of a cloud of poses.
+
+    Attributes
+    ----------
+    position, angle : float
+        Root mean square distance from the mean [m], [rad].
+    low, high : (3,) float64
+        Ends of the middle 95 % of x, y [m] and angle [rad].
+    """
+
+    position: float
+    angle: float
+    low: FloatArray
+    high: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sensitivity:
+    """How one push takes errors of its start.
+
+    Attributes
+    ----------
+    before, after : Spread
+        Of the start's error, and of the end poses.
+    arm : float
+        What a turn is counted as [m/rad]: the body's radius of gyration.
+    amplification : float
+        Root mean square spread after over before, turns counted at `arm`.
+    gain : float
+        Largest growth of a small error: the first singular value of the map from start to end,
+        fitted to the quarter of the starts nearest to the nominal one.
+    worst : (3,) float64
+        The error that grows most, of length 1, turns counted at `arm`.
+    curved : float
+        Share of the spread after that no linear map of the start explains, 0 to 1.
+    usual_tear, largest_tear : float
+        Growth of the distance of neighbouring starts: median, and 99 % of them have less.
+    outcome : (k,) int64
+        Which outcome each end belongs to, the most frequent first.
+    share : tuple of float
+        Of each outcome.
+    modes : dict of str to float
+        Share of each final contact mode.
+    torn : bool
+        Whether the outcomes of neighbouring starts lie farther apart than the start error is wide,
+        for 1 % of the starts: more than the roughness of the simulation.
+    apart : float
+        Largest distance between the means of two outcomes or contact modes, turns counted [m].
+    failed : dict of str to int
+        How many starts have no outcome, by reason.
+    """
+
+    before: Spread
+    after: Spread
+    arm: float
+    amplification: float
+    gain: float
+    worst: FloatArray
+    curved: float
+    usual_tear: float
+    largest_tear: float
+    outcome: IntArray
+    share: tuple[float, ...]
+    modes: dict[str, float]
+    apart: float
+    torn: bool
+    bifurcates: bool
+    failed: dict[str, int]
+
+    @property
+    def flag(self) -> str:
+        """One of `FLAGS`, the worst that holds."""
+        if self.bifurcates:
+            return FLAGS[0]
+        if self.torn and self.largest_tear >= TORN_MORE * self.usual_tear:
+            return FLAGS[1]
+        return FLAGS[2] if max(self.gain, self.amplification) >= SENSITIVE else FLAGS[3]
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values in SI units."""
+        return {
+            "flag": self.flag,
+            "amplification": self.amplification,
+            "gain": self.gain,
+            "worst_direction": self.worst.tolist(),
+            "curved": self.curved,
+            "usual_tear": self.usual_tear,
+            "largest_tear": self.largest_tear,
+            "arm_m": self.arm,
+            "before": _plain(self.before),
+            "after": _plain(self.after),
+            "outcome_shares": list(self.share),
+            "contact_modes": dict(self.modes),
+            "apart_m": self.apart,
+            "failed": dict(self.failed),
+        }
+
+
+def sensitivity_of(fan: Fan) -> Sensitivity:
+    """Judge a fan.
+
+    Raises
+    ------
+    InvalidInput
+        Fewer than 50 starts with an outcome.
+    """
+    end, arm = fan.end, fan.arm
+    if len(end) < FEWEST:
+        why = next((reason for reason in fan.reasons if reason), "")
+        raise InvalidInput(
+            "samples",
+            found=f"{len(end)} starts with an outcome" + (f" ({why})" if why else ""),
+            expected=f"{FEWEST} at least",
+        )
+    weight = np.array([1.0, 1.0, arm])
+    start, after = fan.drawn[fan.ended] * weight, (end - end.mean(axis=0)) * weight
+    size_in, size_out = _rms(start), _rms(after)
+    gain, worst = _gain(start, (end - fan.nominal[-1]) * weight)
+    usual, largest, distance = _tears(start, after)
+    outcome = parted(after, floor=size_in)
+    mode = fan.mode[fan.ended]
+    shares = np.bincount(outcome) / len(outcome)
+    apart = max(_apart(after, outcome), _apart(after, _numbered(mode)))
+    several = len(shares) > 1 or int(np.sum(_shares(mode) >= RARE)) > 1
+    return Sensitivity(
+        before=_spread(fan.drawn[fan.ended]),
+        after=_spread(end),
+        arm=arm,
+        amplification=size_out / size_in,
+        gain=gain,
+        worst=worst,
+        curved=_curved(start, after),
+        usual_tear=usual,
+        largest_tear=largest,
+        outcome=outcome,
+        share=tuple(shares.tolist()),
+        modes=_named(mode),
+        apart=apart,
+        torn=distance > size_in,
+        bifurcates=several and apart > size_in,
+        failed=_failed(fan),
+    )
+
+
+def parted(cloud: FloatArray, floor: float) -> IntArray:
+    """Groups of points with gaps between them.
+
+    Points are projected on their principal axes. Between neighbours there, distances of a cloud
+    without a gap vary like an exponential about the local mean, so the widest of n exceeds r times
+    the mean of its k = sqrt(n) neighbours' with a chance below ``n (1 + r / k)^-k``. What exceeds
+    the r of a chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on
+    each side, parts the cloud; then its parts are looked at in the same way.
+
+    Parameters
+    ----------
+    cloud : (n, d) float64
+    floor : float
+        Gaps narrower than this do not count.
+
+    Returns
+    -------
+    (n,) int64
+        Number of each point's group, the largest group first.
+    """
+    label = np.zeros(len(cloud), np.int64)
+    waiting: list[IntArray] = [np.arange(len(cloud))]
+    done: list[IntArray] = []
+    least = max(5, math.ceil(RARE * len(cloud)))
+    while waiting:
+        own = waiting.pop()
+        full = len(done) + len(waiting) + 1 >= MOST_OUTCOMES
+        low = None if full else _gap(cloud[own], floor, least)
+        if low is None:
+            done.append(own)
+        else:
+            waiting += [own[low], own[~low]]
+    done.sort(key=lambda own: (-len(own), own[0]))
+    for k, own in enumerate(done):
+        label[own] = k
+    return label
+
+
+def _gap(cloud: FloatArray, floor: float, least: int) -> NDArray[np.bool_] | None:
+    """(n,) which points lie below the widest gap that counts; none without one."""
+    n = len(cloud)
+    if n < 2 * least:
+        return None
+    _, _, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
+    best, split = 1.0, None
+    for axis in axes:
+        along = cloud @ axis
+        order = np.sort(along)
+        width = np.diff(order)
+        k = max(5, round(math.sqrt(n)))
+        limit = k * ((n / FALSE_ALARM) ** (1.0 / k) - 1.0)
+        where = np.arange(least - 1, n - least)  # last point below the gap
+        below = (order[where] - order[np.maximum(where - k, 0)]) / np.minimum(k, where)
+        above = (order[np.minimum(where + 1 + k, n - 1)] - order[where + 1]) / np.minimum(
+            k, n - 2 - where
+        )
+        usual = np.maximum(np.maximum(below, above), 1e-3 * floor)
+        ratio = np.where(width[where] > floor, width[where] / (limit * usual), 0.0)
+        if len(ratio) and ratio.max() > best:
+            best, at = float(ratio.max()), int(where[ratio.argmax()])
+            split = along <= 0.5 * (order[at] + order[at + 1])
+    return split
+
+
+def _gain(start: FloatArray, end: FloatArray) -> tuple[float, FloatArray]:
+    """Largest singular value of the linear map near the nominal start, and its direction."""
+    scale = np.maximum(start.std(axis=0), 1e-30)
+    distance = np.linalg.norm(start / scale, axis=1)
+    n = max(FEWEST, math.ceil(LOCAL * len(start)))
+    near = np.argsort(distance, kind="stable")[:n]
+    free = start.std(axis=0) > 0.0
+    table = np.column_stack((start[near][:, free], np.ones(len(near))))
+    found, *_ = np.linalg.lstsq(table / np.append(scale[free], 1.0), end[near], rcond=None)
+    slope = (found[:-1].T / scale[free]).T
+    _, sizes, directions = np.linalg.svd(slope.T, full_matrices=False)
+    worst = np.zeros(3)
+    worst[free] = directions[0]
+    turn = worst[np.abs(worst).argmax()]
+    return float(sizes[0]), worst if turn >= 0.0 else -worst
+
+
+def _curved(start: FloatArray, end: FloatArray) -> float:
+    scale = np.maximum(start.std(axis=0), 1e-30)
+    table = np.column_stack((start / scale, np.ones(len(start))))
+    found, *_ = np.linalg.lstsq(table, end, rcond=None)
+    whole = float(np.sum(end**2))
+    return float(np.sum((end - table @ found) ** 2)) / whole if whole > 0.0 else 0.0
+
+
+def _tears(start: FloatArray, end: FloatArray) -> tuple[float, float, float]:
+    """Growth of the distance to neighbours, median and 99 %, and 99 % of the distances after."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(start)
+    distance, which = tree.query(start, k=min(NEIGHBOURS, len(start) - 1) + 1)
+    apart = np.linalg.norm(end[which[:, 1:]] - end[:, None], axis=2)
+    growth = np.sum(apart, axis=1) / np.maximum(np.sum(distance[:, 1:], axis=1), 1e-30)
+    middle, most = np.quantile(growth, (0.5, 0.99))
+    return float(middle), float(most), float(np.quantile(apart.mean(axis=1), 0.99))
+
+
+def _apart(cloud: FloatArray, label: IntArray) -> float:
+    """Largest distance between the means of groups that are not rare."""
+    shares = np.bincount(label) / len(label)
+    means = [cloud[label == k].mean(axis=0) for k in np.flatnonzero(shares >= RARE)]
+    return max((float(np.linalg.norm(a - b)) for a in means for b in means), default=0.0)
+
+
+def _numbered(mode: np.ndarray) -> IntArray:
+    return np.asarray(np.unique(mode, return_inverse=True)[1], np.int64)
+
+
+def _shares(mode: np.ndarray) -> FloatArray:
+    return np.asarray(np.unique(mode, return_counts=True)[1] / len(mode))
+
+
+def _named(mode: np.ndarray) -> dict[str, float]:
+    names, counts = np.unique(mode, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {str(names[k]): float(counts[k] / len(mode)) for k in order if names[k]}
+
+
+def _failed(fan: Fan) -> dict[str, int]:
+    """Instants differ from start to start: reasons are counted without them."""
+    why = [fan.reasons[k].partition(" at ")[0] for k in np.flatnonzero(~fan.ended)]
+    return {reason: why.count(reason) for reason in sorted(set(why))}
+
+
+def _spread(pose: FloatArray) -> Spread:
+    off = pose - pose.mean(axis=0)
+    low, high = np.quantile(pose, (0.025, 0.975), axis=0)
+    return Spread(
+        position=float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))),
+        angle=float(np.sqrt(np.mean(off[:, 2] ** 2))),
+        low=low,
+        high=high,
+    )
+
+
+def _rms(cloud: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(cloud**2, axis=1))))
+
+
+def _plain(spread: Spread) -> dict[str, Any]:
+    return {
+        "position_rms_m": spread.position,
+        "angle_rms_rad": spread.angle,
+        "low_m_m_rad": spread.low.tolist(),
+        "high_m_m_rad": spread.high.tolist(),
+    }

@@ -1,0 +1,127 @@
+"""Errors of where a body starts: how large they are, and samples of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import non_negative, settle
+
+Kind = Literal["uniform", "normal"]
+KINDS: Final = ("uniform", "normal")
+
+MOST_STARTS: Final = 1_000_000
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartError:
+    """How far a body may start from where it should.
+
+    Parameters
+    ----------
+    x, y : float
+        Along world axes [m].
+    theta : float
+        [rad].
+    kind : str
+        ``"uniform"``: the numbers are half-widths of a box, as in the ASME paper; ``"normal"``:
+        standard deviations.
+    """
+
+    x: float
+    y: float
+    theta: float
+    kind: Kind = "uniform"
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InvalidInput(
+                "start_error.kind", found=repr(self.kind), expected="one of " + ", ".join(KINDS)
+            )
+        settle(
+            self,
+            x=non_negative(self.x, "start_error.x", "m"),
+            y=non_negative(self.y, "start_error.y", "m"),
+            theta=non_negative(self.theta, "start_error.theta", "rad"),
+        )
+        if self.x == self.y == self.theta == 0.0:
+            raise InvalidInput(
+                "start_error", found="zero in all directions", expected="one above zero at least"
+            )
+
+    @property
+    def size(self) -> FloatArray:
+        """(3,) half-widths or standard deviations [m, m, rad]."""
+        return np.array([self.x, self.y, self.theta])
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(3,) standard deviations [m, m, rad]."""
+        return self.size / math.sqrt(3.0) if self.kind == "uniform" else self.size
+
+    @property
+    def reach(self) -> FloatArray:
+        """(3,) what an error hardly ever exceeds [m, m, rad]."""
+        return self.size if self.kind == "uniform" else 4.0 * self.size
+
+    def samples(self, n: int, seed: int = 0) -> FloatArray:
+        """(n, 3) errors [m, m, rad], spread evenly by a scrambled Sobol sequence.
+
+        Source: Owen (1998), scrambling Sobol and Niederreiter-Xing points; `scipy.stats.qmc`.
+        """
+        from scipy.special import ndtri
+
+        even = even_points(n, 3, seed)
+        if self.kind == "uniform":
+            return np.asarray(self.size * (2.0 * even - 1.0))
+        # A point on the border of the cube has no normal quantile.
+        return np.asarray(self.size * ndtri(np.clip(even, 1e-9, 1.0 - 1e-9)))
+
+    def written(self) -> str:
+        """As one reads it."""
+        what = "within" if self.kind == "uniform" else "with standard deviations of"
+        x, y = _length(self.x), _length(self.y)
+        place = x if self.x == self.y else f"{x} (x), {y} (y)"
+        sign = "+-" if self.kind == "uniform" else ""
+        return f"{what} {sign}{place} and {sign}{math.degrees(self.theta):.3g} deg"
+
+
+def _length(metres: float) -> str:
+    return f"{1e6 * metres:.3g} um" if metres < 1e-4 else f"{1e3 * metres:.3g} mm"
+
+
+# The ASME paper, experimental errors: one pixel either way, and 0.5 deg where its figure of the
+# same simulations is legible.
+ASME: Final = StartError(x=5e-6, y=5e-6, theta=math.radians(0.5))
+# Static noise of the stickers' poses in RPI's trials.
+RPI_CAMERA: Final = StartError(x=5e-5, y=5e-5, theta=2e-3, kind="normal")
+
+PRESETS: Final[Mapping[str, StartError]] = MappingProxyType(
+    {"asme": ASME, "rpi-camera": RPI_CAMERA}
+)
+
+
+def preset(name: str) -> StartError:
+    """A start error by name, or a refusal."""
+    if name not in PRESETS:
+        raise InvalidInput("preset", found=repr(name), expected="one of " + ", ".join(PRESETS))
+    return PRESETS[name]
+
+
+def even_points(n: int, dimensions: int, seed: int) -> FloatArray:
+    """(n, dimensions) points that fill the unit cube evenly: a scrambled Sobol sequence."""
+    from scipy.stats import qmc
+
+    if isinstance(n, bool) or not 1 <= n <= MOST_STARTS:
+        raise InvalidInput("samples", found=n, expected=f"a whole number from 1 to {MOST_STARTS}")
+    power = math.ceil(math.log2(n)) if n > 1 else 0
+    cube = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
+    return np.asarray(cube.random_base2(power)[:n], np.float64)

@@ -1,0 +1,62 @@
+"""Pictures of fans, indices and repetitions, and the numbers behind them."""
+
+import numpy as np
+import pytest
+from tests.uncertainty.forks import fork, grid
+
+from fixel.drawing.chart import draw_chart
+from fixel.drawing.repeats import RepeatPicture, RepeatPoint
+from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
+
+
+def fan_chart():
+    drawn = grid(50, 1e-4)
+    end = drawn + np.array([0.06, 0.0, 0.1])
+    end[40:, 1] += 0.02
+    return FanChart(
+        title="a fork",
+        scene=fork(),
+        drawn=drawn,
+        end=end,
+        nominal=end[0],
+        outcome=(np.arange(50) >= 40).astype(int),
+        share=(0.8, 0.2),
+    )
+
+
+def indices_chart():
+    table = np.array([0.6, 0.3])
+    bars = Bars("along", "m", 1e-3, table, 0.1 * table, 1.2 * table, 0.1 * table)
+    return IndicesChart(title="a push", names=["mu_pusher", "start_x"], bars=[bars, bars])
+
+
+def repeat_picture():
+    size = np.array([1e-3, 0.01])
+    return RepeatPicture(
+        [
+            RepeatPoint("inside #1", "two fingers", size, size, 0.5 * size, 2.0 * size),
+            RepeatPoint("outside #1", "two fingers", 3.0 * size, size, 0.5 * size, 2.0 * size),
+        ]
+    )
+
+
+@pytest.mark.parametrize("make", [fan_chart, indices_chart, repeat_picture])
+def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
+    chart, file = make(), tmp_path / "one.png"
+    draw_chart(chart, file, banner="SIMULATED by a test")
+    assert file.read_bytes().startswith(b"\x89PNG")
+    table = chart.table()
+    assert table.rows
+    assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_a_fan_names_its_outcomes_and_keeps_every_start():
+    chart = fan_chart()
+    labels = chart.figure().axes[0].get_legend_handles_labels()[1]
+    assert {"outcome 1: 80%", "outcome 2: 20%", "nominal"} <= set(labels)
+    assert [row[-1] for row in chart.table().rows] == [1] * 40 + [2] * 10
+
+
+def test_only_what_is_wider_than_predicted_is_marked():
+    labels = repeat_picture().figure().axes[0].get_legend_handles_labels()[1]
+    assert labels.count("measured, wider than predicted") == 1

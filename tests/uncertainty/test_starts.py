@@ -1,0 +1,58 @@
+"""Errors of the start and their samples."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.uncertainty.starts import ASME, StartError, even_points, preset
+
+
+def test_a_box_is_filled_evenly():
+    error = StartError(x=1e-3, y=2e-3, theta=0.01)
+    found = error.samples(1024, seed=1)
+    assert (np.abs(found) <= error.size).all()
+    np.testing.assert_allclose(found.mean(axis=0) / error.size, 0.0, atol=2e-3)
+    np.testing.assert_allclose(found.std(axis=0), error.deviation, rtol=2e-3)
+
+
+def test_normal_errors_have_their_deviations():
+    error = StartError(x=1e-3, y=0.0, theta=0.01, kind="normal")
+    found = error.samples(4096, seed=1)
+    np.testing.assert_allclose(found.std(axis=0), error.deviation, rtol=5e-3)
+    assert (found[:, 1] == 0.0).all()
+
+
+def test_same_seed_same_bits_and_more_samples_begin_alike():
+    one = ASME.samples(100, seed=3)
+    np.testing.assert_array_equal(one, ASME.samples(100, seed=3))
+    np.testing.assert_array_equal(one, ASME.samples(1000, seed=3)[:100])
+    assert (one != ASME.samples(100, seed=4)).any()
+
+
+def test_the_papers_error():
+    assert preset("asme") is ASME
+    np.testing.assert_allclose(ASME.size, [5e-6, 5e-6, math.radians(0.5)])
+    assert ASME.written() == "within +-5 um and +-0.5 deg"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"x": -1.0, "y": 0.0, "theta": 0.0},
+        {"x": 0.0, "y": 0.0, "theta": 0.0},
+        {"x": math.nan, "y": 0.0, "theta": 0.0},
+        {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
+    ],
+)
+def test_no_such_error(wrong):
+    with pytest.raises(InvalidInput):
+        StartError(**wrong)
+
+
+def test_no_such_preset_or_number():
+    with pytest.raises(InvalidInput, match="asme"):
+        preset("asmee")
+    with pytest.raises(InvalidInput, match="samples"):
+        even_points(0, 3, 0)
