@@ -127,10 +127,68 @@ class PromiseChart(AbstractChart):
         axes.plot([0.45, 1.0], [0.45, 1.0], color=palette.INK, linewidth=0.8)
         for what, (label, colour, marker) in NAMES.items():
             own = [row for row in self.curve if row["error"] == what]
-            axes.plot([row["level"] for row in own], [row["coverage"] for row in own], marker,
-                      linestyle="-", linewidth=0.8, color=colour, markersize=3.0, label=label)  # fmt: skip
+            x, y = [row["level"] for row in own], [row["coverage"] for row in own]
+            axes.plot(x, y, marker, linestyle="-", linewidth=0.8, color=colour, markersize=3.0,
+                      label=label)  # fmt: skip
         axes.set(xlabel="stated probability", ylabel="share of pushes within", xlim=(0.45, 1.0),
                  ylim=(0.45, 1.0))  # fmt: skip
         axes.set_aspect("equal", adjustable="box")
         clean(axes)
         axes.legend(frameon=False, loc="lower right")
+
+
+@final
+@dataclass(frozen=True)
+class RatesChart(AbstractChart):
+    """Errors as shares of the motion, and of angles, beside what a paper quotes.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        `dataset`, `simulator`, `rms_over_motion`, `median_over_motion`, `angle_deg_rms` and
+        `angle_deg_median`.
+    paper : float
+        RMS error over motion.
+    paper_angle : (float, float)
+        [deg]
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    paper: float
+    paper_angle: tuple[float, float]
+
+    def figure(self) -> Figure:
+        figure = sheet(WIDE, 1.1 + 0.28 * len(self.rows))
+        left, right = figure.subplots(1, 2, sharey=True)
+        place = np.arange(len(self.rows))[::-1]
+        for axes, rms, median, factor in (
+            (left, "rms_over_motion", "median_over_motion", 100.0),
+            (right, "angle_deg_rms", "angle_deg_median", 1.0),
+        ):
+            axes.plot([factor * row[rms] for row in self.rows], place, "D", color=palette.BODY,
+                      markersize=4.0, label="RMS")  # fmt: skip
+            axes.plot([factor * row[median] for row in self.rows], place, "o", markersize=4.0,
+                      color=palette.TRAIL, markerfacecolor="none", label="median")  # fmt: skip
+            axes.set_xlim(left=0.0)
+            clean(axes)
+        left.axvline(100.0 * self.paper, color=palette.FORCE, linewidth=1.0, linestyle=(0, (4, 2)),
+                     label="paper")  # fmt: skip
+        right.axvspan(*self.paper_angle, color=palette.FORCE, alpha=0.2, linewidth=0.0)
+        left.set_yticks(place, [_two_lines(row) for row in self.rows])
+        left.set_ylim(-0.6, len(self.rows) - 0.4)
+        left.set_xlabel("position error over motion of the object [%]")
+        right.set_xlabel("angle error [deg]")
+        figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=3,
+                      loc="outside lower center")  # fmt: skip
+        return figure
+
+    def table(self) -> Table:
+        columns = (
+            "dataset", "simulator", "rms_over_motion", "median_over_motion", "angle_deg_rms",
+            "angle_deg_median",
+        )  # fmt: skip
+        return Table(columns, [tuple(row[name] for name in columns) for row in self.rows])
+
+
+def _two_lines(row: Mapping[str, Any]) -> str:
+    return f"{row['dataset']}\n{row['simulator'].partition(' (')[0]}"

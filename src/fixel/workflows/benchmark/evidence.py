@@ -18,6 +18,7 @@ from fixel.applicability.features import (
 )
 from fixel.exchange.datasets.mit_push import PUSHER_RADIUS
 from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
 from fixel.model.fields import BoolArray
 from fixel.workflows.benchmark.fitting import FittedPushes
 from fixel.workflows.benchmark.leftover import in_object
@@ -26,7 +27,8 @@ from fixel.workflows.benchmark.splits import Split
 
 # Times at which simulated pushes are looked at.
 SAMPLES: Final = 10
-# What neighbours are near in: a side of an object is about as far as a quarter of a turn.
+# How much the way an object lies on the table counts among what makes neighbours, beside where it
+# is touched (in units of the spread of these places) and which way it is pushed.
 TABLE_TURN: Final = 0.5
 
 
@@ -37,7 +39,7 @@ class Evidence(NamedTuple):
     repeat: int
     split: Split
     features: Features  # of all members
-    errors: FloatArray  # (n, 3) of all members: position [m], angle [rad], both at 35 mm/rad [m]
+    errors: FloatArray  # (n, 3) of all members: position [m], angle [rad], both, at 35 mm/rad [m]
 
 
 def evidence_of(
@@ -53,9 +55,7 @@ def evidence_of(
     asked = _asked(group, given)
     track = group.tracks(SAMPLES)
 
-    def roll(
-        which: IntArray, changed: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, BoolArray]:
+    def roll(which: IntArray, changed: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
         values = {name: np.full(len(which), x) for name, x in given.items()}
         return track(which, values | dict(changed))
 
@@ -73,14 +73,8 @@ def evidence_of(
     features = features.with_more(near.names, near.table)
     off = scaled(residual)
     position, both = np.hypot(off[:, 0], off[:, 1]), np.linalg.norm(off, axis=1)
-    errors = np.column_stack((position, np.abs(residual_angle(residual)), both))
+    errors = np.column_stack((position, np.abs(wrapped(residual[:, 2])), both))
     return Evidence(group.key, repeat, split, features, np.where(good[:, None], errors, np.inf))
-
-
-def residual_angle(residual: FloatArray) -> FloatArray:
-    from fixel.model import wrapped
-
-    return np.asarray(wrapped(residual[:, 2]))
 
 
 def _asked(group: PushGroup, given: Mapping[str, float]) -> Configurations:

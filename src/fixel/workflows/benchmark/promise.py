@@ -136,9 +136,7 @@ def _feature_names(bench: Bench) -> tuple[str, ...]:
 # --- halves -------------------------------------------------------------------------------------
 
 
-def _both_ways(
-    table: Table, column: int, repeat: int, halving: int
-) -> tuple[str, list[Counted]]:
+def _both_ways(table: Table, column: int, repeat: int, halving: int) -> tuple[str, list[Counted]]:
     first, second = _halves(table, 100 * repeat + halving)
     answer = []
     for judging, counting in ((first, second), (second, first)):
@@ -268,9 +266,7 @@ def _by_group(what: str, counted: Sequence[Counted], names: Sequence[str]) -> li
     rows: list[Row] = []
     for g in np.unique(group).tolist():
         own = (group == g) & np.isfinite(bound)
-        single = [
-            np.mean((c.error <= c.bound[LEVELS.index(LEVEL)])[c.group == g]) for c in counted
-        ]
+        single = [np.mean((c.error <= c.bound[LEVELS.index(LEVEL)])[c.group == g]) for c in counted]
         rows.append(
             {
                 "error": what,

@@ -112,7 +112,9 @@ class PushGroup:
         cases = [case._replace(times=times) for case in self.cases]
         ensemble = Ensemble(cases, stepper=StewartTrinkle(step=STEP), threads=threads)
 
-        def track(which: IntArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
+        def track(
+            which: IntArray, values: Mapping[str, FloatArray]
+        ) -> tuple[FloatArray, BoolArray]:
             outcome = ensemble.simulate(which, self._given(which, values))
             return outcome.pose, outcome.converged
 

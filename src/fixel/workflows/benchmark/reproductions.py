@@ -11,14 +11,14 @@ from typing import Final, NamedTuple
 
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.atomic import written_whole
-from fixel.workflows.benchmark import asme_table_1, cmu_tripod, promise, rpi_141
+from fixel.workflows.benchmark import asme_table_1, cmu_tripod, promise, rates, rpi_141
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 
 
 class Part(NamedTuple):
     """One reproduction."""
 
-    folder: str | None  # of its dataset; None where it needs none
+    folder: str | None  # of its dataset; empty for the folder of all, None where it needs none
     run: Callable[..., Reproduction]  # (folder, progress, *, quick[, kept])
     keeps: bool = False  # whether it takes a folder of finished fits
 
@@ -29,6 +29,7 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "rpi-141": Part("rpi_2dgad", rpi_141.run),
         "asme-table-1": Part(None, asme_table_1.run),
         "promise": Part("mit_push_endpoints", promise.run, keeps=True),
+        "rates": Part("", rates.run, keeps=True),
     }
 )
 
@@ -98,10 +99,12 @@ def _write_table(file: Path, rows: list[Row]) -> None:
 
 
 def _folder(data: Path | None, name: str) -> Path:
+    if data is not None and not name:
+        return data
     for folder in () if data is None else (data / name, data):
         if folder.name == name and folder.is_dir():
             return folder
-    raise DatasetMissing(data or Path(name), name)
+    raise DatasetMissing(data or Path(name), name or "any dataset")
 
 
 def _silent(done: int, of: int, what: str) -> None:
