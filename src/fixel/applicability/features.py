@@ -262,7 +262,7 @@ def _corners(shape: Shape) -> FloatArray:
 def _headings(asked: Configurations) -> FloatArray:
     way = asked.tip_end - asked.tip_start
     length = np.hypot(*way.T)[:, None]
-    return np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
+    return np.asarray(np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
 
 
 def _into(angle: FloatArray, vector: FloatArray) -> FloatArray:

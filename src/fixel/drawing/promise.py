@@ -115,7 +115,9 @@ class PromiseChart(AbstractChart):
     def _histogram(self, axes: Axes) -> None:
         top = float(np.quantile(self.bound, 0.995))
         edges = np.linspace(0.0, max(top, 1.1 * self.constant), 45)
-        axes.hist(self.bound, edges, color=palette.BODY, alpha=0.8, label="promised bounds")
+        axes.hist(
+            self.bound, edges.tolist(), color=palette.BODY, alpha=0.8, label="promised bounds"
+        )
         axes.axvline(float(self.bound.mean()), color=palette.INK, linewidth=1.0, label="their mean")
         axes.axvline(self.constant, color=palette.FIXEL, linewidth=1.0, linestyle=(0, (4, 2)),
                      label="constant bound")  # fmt: skip

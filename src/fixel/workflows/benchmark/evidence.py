@@ -60,7 +60,7 @@ def evidence_of(
         return track(which, values | dict(changed))
 
     end = found.predict(group, everyone)
-    good = np.isfinite(end).all(axis=1)
+    good: BoolArray = np.asarray(np.isfinite(end).all(axis=1))
     residual = np.where(good[:, None], group.end - np.nan_to_num(end), 0.0)
     place = configuration_features(asked)
     simulated = simulated_features(asked, roll, given["mu_pusher"])

@@ -27,7 +27,7 @@ from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.protocols import Bench, Request, full_fit
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 from fixel.workflows.benchmark.rpi_141_hypotheses import hypotheses
-from fixel.workflows.benchmark.tripod_pushes import Push, comparer_of, read_pushes
+from fixel.workflows.benchmark.tripod_pushes import Push, comparer_of, read_pushes, support_of
 from fixel.workflows.replay import Choice, replay_dataset
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
@@ -164,9 +164,7 @@ def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors
 
 
 def _tripod(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
-    pushes = [
-        p for p in read_pushes(folder, 6 if quick else 1) if "3pts" in cmu_tripod.support_of(p)
-    ]
+    pushes = [p for p in read_pushes(folder, 6 if quick else 1) if "3pts" in support_of(p)]
     train, test = pushes[::2], pushes[1::2]
     nominal = cmu_tripod.shared_space().nominal
     options = LeastSquares(starts=1, most_iterations=5 if quick else 20)
