@@ -211,7 +211,7 @@ def transferred(pushes: Sequence[Push], support: str, options: LeastSquares) -> 
     others = [p for p in pushes if support_of(p) not in (support, "patch")]
     own = [p for p in pushes if support_of(p) == support]
     train, test = own[::2], own[1::2]
-    point = _fit_shared(others, options)
+    point = fit_shared(others, options)
     nominal = shared_space().nominal
     points = fitted_points(train, options, forces=True).points
     even = [_standing(p, UniformPressure(friction=0.3)) for p in test]
@@ -238,7 +238,7 @@ def transferred(pushes: Sequence[Push], support: str, options: LeastSquares) -> 
     ]
 
 
-def _fit_shared(pushes: Sequence[Push], options: LeastSquares) -> FloatArray:
+def fit_shared(pushes: Sequence[Push], options: LeastSquares) -> FloatArray:
     space = shared_space()
     comparer = comparer_of(pushes, space)
     n = len(pushes)

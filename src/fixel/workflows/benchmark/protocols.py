@@ -175,12 +175,13 @@ def _data_of(member: Member) -> list[Any]:
 def _calibrated(bench: Bench, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        found = _full_fit(bench, group, k, split)
+        found = full_fit(bench, group, k, split)
         yield _piece(bench, group, k, split.held_out, found)
         bench.tell(f"calibrated {' '.join(key)}")
 
 
-def _full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
+def full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
+    """The fit of the protocol `calibrated` to the training pushes of a split."""
     shift = gap_registration(group, split.train).shift
     beliefs = [
         *tip_beliefs(),
@@ -267,7 +268,7 @@ def _shifted(shift: FloatArray) -> dict[str, float]:
 def _learned(bench: Bench, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        found = _full_fit(bench, group, k, split)
+        found = full_fit(bench, group, k, split)
         physics = found.predict(group, np.arange(len(group)))
         speed = bench.data.speed[group.rows]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
@@ -42,6 +42,7 @@ PART_NAMES: Final = {"corner": "at_corners", "inside": "inside", "ring": "at_rim
 _ON_LOADS: Final = (*TABLE_NAMES, *PART_NAMES.values())
 
 Key = tuple[str, str]  # surface, shape
+Tracker = Callable[[IntArray, Mapping[str, FloatArray]], tuple[FloatArray, BoolArray]]
 
 
 class Simulated(NamedTuple):
@@ -101,11 +102,30 @@ class PushGroup:
         values : mapping of name to (n,) float64
             Parameters of the scene, and of `TABLE_NAMES` and `PART_NAMES`.
         """
+        outcome = self._net.simulate(which, self._given(which, values))
+        return Simulated(outcome.pose[:, -1], outcome.converged)
+
+    def tracks(self, samples: int, threads: int | None = None) -> Tracker:
+        """Simulates members as `simulate` does, but tells where the object is at `samples` equal
+        intervals: (n, samples, 3), and (n,) whether it came to its end."""
+        times = DURATION * np.arange(1, samples + 1) / samples
+        cases = [case._replace(times=times) for case in self.cases]
+        ensemble = Ensemble(cases, stepper=StewartTrinkle(step=STEP), threads=threads)
+
+        def track(
+            which: IntArray, values: Mapping[str, FloatArray]
+        ) -> tuple[FloatArray, BoolArray]:
+            outcome = ensemble.simulate(which, self._given(which, values))
+            return outcome.pose, outcome.converged
+
+        return track
+
+    def _given(self, which: IntArray, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Parameters of the scene alone."""
         given = {name: v for name, v in values.items() if name not in _ON_LOADS}
         if any(name in values for name in _ON_LOADS):
             given |= self._loads(which, values)
-        outcome = self._net.simulate(which, given)
-        return Simulated(outcome.pose[:, -1], outcome.converged)
+        return given
 
     def _loads(self, which: IntArray, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         away = self.points - self.shape.centroid

@@ -11,15 +11,23 @@ from typing import Final, NamedTuple
 
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.atomic import written_whole
-from fixel.workflows.benchmark import asme_table_1, cmu_tripod, repeats, rpi_141
+from fixel.workflows.benchmark import (
+    asme_table_1,
+    cmu_tripod,
+    promise,
+    rates,
+    repeats,
+    rpi_141,
+)
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 
 
 class Part(NamedTuple):
     """One reproduction."""
 
-    folder: str | None  # of its dataset; None where it needs none
-    run: Callable[..., Reproduction]  # (folder, progress, *, quick)
+    folder: str | None  # of its dataset; empty for the folder of all, None where it needs none
+    run: Callable[..., Reproduction]  # (folder, progress, *, quick[, kept])
+    keeps: bool = False  # whether it takes a folder of finished fits
 
 
 REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
@@ -28,6 +36,8 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "rpi-141": Part("rpi_2dgad", rpi_141.run),
         "asme-table-1": Part(None, asme_table_1.run),
         "repeats": Part("cmu_two_point_push", repeats.run),
+        "promise": Part("mit_push_endpoints", promise.run, keeps=True),
+        "rates": Part("", rates.run, keeps=True),
     }
 )
 
@@ -49,7 +59,8 @@ def reproduce(
     data : Path, optional
         Folder of the datasets, or of the one.
     out : Path, optional
-        Receives `<name>.json`, a table of each kind as `<name>_<table>.csv`, and `<name>.png`.
+        Receives `<name>.json`, a table of each kind as `<name>_<table>.csv`, and `<name>.png`;
+        finished fits in `fits`, where there are any.
     progress : callable, optional
     quick : bool
         A look, not figures.
@@ -60,7 +71,8 @@ def reproduce(
         )
     part = REPRODUCTIONS[name]
     folder = None if part.folder is None else _folder(data, part.folder)
-    answer = part.run(folder, progress or _silent, quick=quick)
+    more = {"kept": None if out is None else out / "fits"} if part.keeps else {}
+    answer = part.run(folder, progress or _silent, quick=quick, **more)
     if out is not None:
         write(answer, out)
     return answer
@@ -68,6 +80,7 @@ def reproduce(
 
 def write(answer: Reproduction, out: Path) -> None:
     """Leave tables and picture in a folder, which is made."""
+    from fixel.drawing.chart import AbstractChart, draw_chart
     from fixel.drawing.reproductions import draw
 
     out.mkdir(parents=True, exist_ok=True)
@@ -75,7 +88,11 @@ def write(answer: Reproduction, out: Path) -> None:
         beside.write_text(json.dumps(answer.summary(), indent=1), encoding="utf-8")
     for name, rows in answer.tables.items():
         _write_table(out / f"{answer.name}_{name}.csv", rows)
-    draw(answer.picture, out / f"{answer.name}.png")
+    picture = out / f"{answer.name}.png"
+    if isinstance(answer.picture, AbstractChart):
+        draw_chart(answer.picture, picture)
+    else:
+        draw(answer.picture, picture)
 
 
 def _write_table(file: Path, rows: list[Row]) -> None:
@@ -90,10 +107,12 @@ def _write_table(file: Path, rows: list[Row]) -> None:
 
 
 def _folder(data: Path | None, name: str) -> Path:
+    if data is not None and not name:
+        return data
     for folder in () if data is None else (data / name, data):
         if folder.name == name and folder.is_dir():
             return folder
-    raise DatasetMissing(data or Path(name), name)
+    raise DatasetMissing(data or Path(name), name or "any dataset")
 
 
 def _silent(done: int, of: int, what: str) -> None:

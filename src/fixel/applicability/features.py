@@ -1,0 +1,272 @@
+"""What is known of a configuration before it is tried: from where things are, and from cheap
+simulations of it.
+
+None of it reads a measurement of the configuration itself, so any of it may be used to promise how
+far the simulator will be off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.objective import ANGLE_SCALE
+from fixel.calibration.registration import gaps_and_normals
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import Disk, Shape, wrapped
+from fixel.model.fields import BoolArray
+
+# How far a configuration may be from what was asked for: what trackers and tables leave open.
+SIDEWAYS: Final = 0.7e-3  # of the object, across the push [m]
+TURN: Final = float(np.radians(1.0))  # of the object [rad]
+FRICTION: Final = 1.25  # factor on the friction at the pusher
+CENTRE: Final = 2.0e-3  # of the centre of friction, along the axes of the body [m]
+
+# A pusher farther away than this has let go [m].
+PARTED: Final = 0.3e-3
+# Nearer to a corner than this, a contact is on it [m].
+AT_CORNER: Final = 2.0e-3
+# Below this, a contact stays where it is [m].
+STUCK: Final = 0.5e-3
+# Turns of an outline by less than this are no corners [rad].
+CORNER_TURN: Final = float(np.radians(20.0))
+
+Tracks = tuple[FloatArray, BoolArray]  # (m, k, 3) poses after the start, and (m,) whether it ended
+# Simulates configurations `which` (m,) with parameters by name (m,) in place of the calibrated.
+Roll = Callable[[IntArray, Mapping[str, FloatArray]], Tracks]
+
+
+class Configurations(NamedTuple):
+    """Straight pushes of one object by a round pusher, as they are asked for."""
+
+    shape: Shape
+    radius: float  # of the pusher [m]
+    start: FloatArray  # (n, 3) pose of the object [m, m, rad]
+    tip_start: FloatArray  # (n, 2) centre of the pusher [m]
+    tip_end: FloatArray  # (n, 2)
+
+
+class Features(NamedTuple):
+    """A table with names for its columns."""
+
+    names: tuple[str, ...]
+    table: FloatArray  # (n, n_name), finite
+
+    def with_more(self, names: tuple[str, ...], table: FloatArray) -> Features:
+        """With columns appended."""
+        return Features((*self.names, *names), np.column_stack((self.table, table)))
+
+    def columns(self, names: tuple[str, ...]) -> FloatArray:
+        """(n, len(names)) by name."""
+        return self.table[:, [self.names.index(name) for name in names]]
+
+
+PLACE: Final = ("tip_x", "tip_y", "along_x", "along_y", "object_cos", "object_sin")
+
+
+def configuration_features(asked: Configurations) -> Features:
+    """From geometry alone: where the pusher stands beside the object and which way it goes (axes of
+    the object), how and where the object lies on the table, angle to the normal, lever arm."""
+    angle = asked.start[:, 2]
+    heading = _headings(asked)
+    tip = _into(angle, asked.tip_start - asked.start[:, :2])
+    along = _into(angle, heading)
+    _, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
+    cosine = np.clip(-(normal * heading).sum(axis=1), -1.0, 1.0)
+    sine = normal[:, 0] * heading[:, 1] - normal[:, 1] * heading[:, 0]
+    centre = np.asarray(asked.shape.centroid)
+    arm = (tip[:, 0] - centre[0]) * along[:, 1] - (tip[:, 1] - centre[1]) * along[:, 0]
+    names = (*PLACE, "table_x", "table_y", "incidence", "incidence_abs", "arm", "arm_abs", "corner")
+    incidence = np.arctan2(sine, cosine)
+    table = np.column_stack(
+        (tip, along, np.cos(angle), np.sin(angle), asked.start[:, :2], incidence,
+         np.abs(incidence), arm, np.abs(arm), corner_distance(asked.shape, tip, asked.radius))
+    )  # fmt: skip
+    return Features(names, table)
+
+
+def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features:
+    """From eleven rollouts a configuration: how it goes, what the contact does, and how the end
+    answers to a slightly different start, friction at the pusher and centre of friction.
+
+    Parameters
+    ----------
+    asked : Configurations
+    roll : callable
+        Of the calibrated simulator, at equal intervals up to the end of the push.
+    mu : float
+        Calibrated friction at the pusher.
+
+    Returns
+    -------
+    Features
+        Lengths in metres, angles in radians at 35 mm. A disturbed rollout that did not finish
+        counts as undisturbed; `lost` is the share of these. Where the undisturbed one did not
+        finish, `lost` is 1 and the rest as far as it came.
+    """
+    n = len(asked.start)
+    pose, good = roll(np.arange(n), {})
+    names, columns = _way(asked, pose)
+    spread, bent, lost = _answers(asked, roll, mu, pose[:, -1], good)
+    for k, name in enumerate(("sideways", "turn", "friction", "centre_x", "centre_y")):
+        names += [f"sensitive_{name}", f"bent_{name}"]
+        columns += [spread[:, k], bent[:, k]]
+    names += ["sensitivity", "bent", "lost"]
+    columns += [np.hypot.reduce(spread, axis=1), np.hypot.reduce(bent, axis=1), lost]
+    return Features(tuple(names), np.nan_to_num(np.column_stack(columns)))
+
+
+def _answers(
+    asked: Configurations, roll: Roll, mu: float, end: FloatArray, good: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Half of what separates the ends of opposite disturbances (n, 5), how far their middle is
+    from the undisturbed end (n, 5), and the share of lost rollouts (n,)."""
+    n = len(end)
+    heading = _headings(asked)
+    across = np.column_stack((-heading[:, 1], heading[:, 0])) * SIDEWAYS
+    kinds: list[dict[str, tuple[FloatArray, FloatArray]]] = [
+        {"start_x": (across[:, 0], -across[:, 0]), "start_y": (across[:, 1], -across[:, 1])},
+        {"start_theta": (np.full(n, TURN), np.full(n, -TURN))},
+        {"mu_pusher": (np.full(n, mu * FRICTION), np.full(n, mu / FRICTION))},
+        {"friction_centre_x": (np.full(n, CENTRE), np.full(n, -CENTRE))},
+        {"friction_centre_y": (np.full(n, CENTRE), np.full(n, -CENTRE))},
+    ]
+    which = np.arange(n)
+    spread, bent = np.zeros((n, len(kinds))), np.zeros((n, len(kinds)))
+    lost = np.where(good, 0.0, 1.0)
+    for k, kind in enumerate(kinds):
+        away = []
+        for side in (0, 1):
+            pose, ended = roll(which, {name: both[side] for name, both in kind.items()})
+            ended &= good
+            away.append(np.where(ended[:, None], scaled(pose[:, -1] - end), 0.0))
+            lost = np.maximum(lost, np.where(ended, lost, lost + 1.0 / (2 * len(kinds))))
+        spread[:, k] = 0.5 * np.linalg.norm(away[0] - away[1], axis=1)
+        bent[:, k] = 0.5 * np.linalg.norm(away[0] + away[1], axis=1)
+    return spread, bent, np.minimum(lost, 1.0)
+
+
+def _way(asked: Configurations, pose: FloatArray) -> tuple[list[str], list[FloatArray]]:
+    """Motion of the object, and what the contact does."""
+    n, k = pose.shape[:2]
+    share = np.linspace(0.0, 1.0, k + 1)[None, :, None]
+    tip = asked.tip_start[:, None] * (1.0 - share) + asked.tip_end[:, None] * share
+    pose = np.concatenate((asked.start[:, None], pose), axis=1)
+    flat, tips = pose.reshape(-1, 3), tip.reshape(-1, 2)
+    gap = gaps_and_normals(asked.shape, asked.radius, flat, tips)[0].reshape(n, k + 1)
+    local = _into(flat[:, 2], tips - flat[:, :2])
+    corner = corner_distance(asked.shape, local, asked.radius).reshape(n, k + 1)
+    local = local.reshape(n, k + 1, 2)
+    steps = np.hypot(*np.moveaxis(np.diff(local, axis=1), 2, 0))
+    slid = np.hypot(*(local[:, -1] - local[:, 0]).T)
+    moved = pose[:, -1] - pose[:, 0]
+    moved[:, 2] = wrapped(moved[:, 2])
+    body = np.column_stack((_into(asked.start[:, 2], moved[:, :2]), moved[:, 2]))
+    at_corner = corner < AT_CORNER
+    named = {
+        "moved_x": body[:, 0],
+        "moved_y": body[:, 1],
+        "turned": body[:, 2],
+        "distance": np.hypot(*moved[:, :2].T),
+        "turned_abs": np.abs(moved[:, 2]),
+        "slid": slid,
+        "slides": steps.sum(axis=1),
+        "slides_late": steps[:, -1],
+        "stuck": (steps < STUCK).mean(axis=1),
+        "parted": (gap[:, 1:] > PARTED).mean(axis=1),
+        "gap_end": np.clip(gap[:, -1], 0.0, 0.05),
+        "corner_end": corner[:, -1],
+        "corner_least": corner.min(axis=1),
+        "corner_changes": np.abs(np.diff(at_corner.astype(float), axis=1)).sum(axis=1),
+    }
+    return list(named), list(named.values())
+
+
+def neighbour_features(
+    place: FloatArray,
+    known_place: FloatArray,
+    known_residual: FloatArray,
+    groups: int = 8,
+    itself: IntArray | None = None,
+) -> Features:
+    """From the nearest configurations whose outcome is known: how far these are, how far off the
+    simulator was there, and how much of that pointed the same way.
+
+    Parameters
+    ----------
+    place : (n, f) float64
+        Of configurations; a unit of any column counts as much as one of another.
+    known_place : (m, f) float64
+    known_residual : (m, 3) float64
+        Measured less simulated, along the axes of the object [m, m, m at 35 mm/rad].
+    groups : int
+        Neighbours that are asked, fewer where fewer are known.
+    itself : (n,) int, optional
+        Row among the known that is the configuration itself, and is not asked; -1 for none.
+    """
+    if len(known_place) < 2 or len(known_place) != len(known_residual):
+        raise InvalidInput(
+            "neighbours",
+            found=f"{len(known_place)} places and {len(known_residual)} residuals",
+            expected="as many of each, two at least",
+        )
+    away = np.linalg.norm(place[:, None] - known_place[None], axis=2)
+    if itself is not None:
+        own = np.flatnonzero(itself >= 0)
+        away[own, itself[own]] = np.inf
+    k = min(groups, len(known_place) - 1)
+    near = np.argsort(away, axis=1, kind="stable")[:, :k]
+    distance = np.take_along_axis(away, near, axis=1)
+    residual = known_residual[near]
+    size = np.linalg.norm(residual, axis=2)
+    weight = 1.0 / (distance + 0.5 * np.median(distance, axis=1, keepdims=True) + 1e-9)
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = (weight[:, :, None] * residual).sum(axis=1)
+    table = np.column_stack(
+        (distance[:, 0], distance.mean(axis=1), (weight * size).sum(axis=1), size.max(axis=1),
+         np.median(size, axis=1), size[:, 0], np.linalg.norm(mean, axis=1))
+    )  # fmt: skip
+    names = ("nearest", "near", "near_error", "near_worst", "near_median", "nearest_error")
+    return Features((*names, "near_common"), table)
+
+
+def scaled(difference: FloatArray) -> FloatArray:
+    """Differences of poses (n, 3) in metres, the angle the short way and at 35 mm/rad."""
+    return np.column_stack((difference[:, :2], ANGLE_SCALE * wrapped(difference[:, 2])))
+
+
+def corner_distance(shape: Shape, point: FloatArray, radius: float) -> FloatArray:
+    """(n,) from the surface of a pusher centred at points (n, 2), in the frame of the shape, to the
+    nearest corner; a hundred radii where the outline has none [m]."""
+    corners = _corners(shape)
+    if not len(corners):
+        return np.full(len(point), 100.0 * radius)
+    away = np.linalg.norm(point[:, None] - corners[None], axis=2).min(axis=1)
+    return np.asarray(np.maximum(away - radius, 0.0))
+
+
+def _corners(shape: Shape) -> FloatArray:
+    """Vertices at which the outline turns sharply, (n, 2)."""
+    if isinstance(shape, Disk):
+        return np.zeros((0, 2))
+    outline = shape.outline
+    before = outline - np.roll(outline, 1, axis=0)
+    after = np.roll(outline, -1, axis=0) - outline
+    turn = wrapped(np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0]))
+    return np.asarray(outline[np.abs(turn) > CORNER_TURN])
+
+
+def _headings(asked: Configurations) -> FloatArray:
+    way = asked.tip_end - asked.tip_start
+    length = np.hypot(*way.T)[:, None]
+    return np.asarray(np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
+
+
+def _into(angle: FloatArray, vector: FloatArray) -> FloatArray:
+    """Vectors (n, 2) of the world along axes at angles (n,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vector[:, 0], vector[:, 1]
+    return np.column_stack((c * x + s * y, c * y - s * x))
