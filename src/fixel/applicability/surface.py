@@ -17,8 +17,8 @@ DRAWS: Final = 48  # of what is not known of the surface itself
 WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
 JITTER: Final = 1e-8
 
-# Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of a
-# map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
+# Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
+# a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
 # wide: a reach from a tenth of an axis to all of it, changes by a tenth to a factor of 3, scatter
 # of 3 to 60 %.
 _MIDDLE: Final = np.log([0.35, 0.35, 0.35, 0.35, 0.15, 0.15])

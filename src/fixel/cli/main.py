@@ -22,6 +22,7 @@ from fixel.cli import (
     db,
     demo,
     doctor,
+    domain,
     export,
     filter,
     jobs,
@@ -55,6 +56,7 @@ app.command("show")(show.show)
 app.command("compare")(show.compare)
 app.command("filter")(filter.filter_)
 app.command("calibrate")(calibrate.calibrate)
+app.command("domain")(domain.domain)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(project.testbed, name="testbed")
