@@ -102,7 +102,7 @@ class CellAxis:
             return np.eye(len(self)) / math.sqrt(2.0)
         centres = np.array(self.centres)
         extent = float(np.ptp(centres)) or 1.0
-        return ((centres - centres[0]) / extent)[:, None]
+        return np.asarray(((centres - centres[0]) / extent)[:, None])
 
 
 def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> CellAxis:
@@ -127,8 +127,9 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
     distinct = numbers[np.concatenate(([True], np.diff(numbers) > gap))]
     if len(distinct) <= FEW:
         return CellAxis(name=name, centres=tuple(distinct.tolist()))
-    edges = np.unique(np.quantile(np.array(known, np.float64), np.linspace(0.0, 1.0, BINS + 1)))
-    return _ranges(name, edges)
+    shares = np.linspace(0.0, 1.0, BINS + 1)
+    edges = np.unique(np.quantile(np.array(known, np.float64), shares))
+    return _ranges(name, np.asarray(edges, np.float64))
 
 
 def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:

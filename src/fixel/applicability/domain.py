@@ -52,7 +52,7 @@ class Claim:
     threshold: float
     measure: Measure = "absolute"
     level: float = 0.9
-    confidence: float = 0.9
+    confidence: float = 0.95
 
     def __post_init__(self) -> None:
         threshold_score(self.threshold, self.measure)

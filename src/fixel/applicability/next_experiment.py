@@ -77,7 +77,7 @@ def proposals(
 
 
 def _candidates(domain: DomainMap, verdicts: list[Verdict], inside: list[int]) -> list[int]:
-    """Doubtful cells, and those without data that touch the domain; the nominal where it has none."""
+    """Doubtful cells, those without data that touch the domain, a nominal without data."""
     near = {b for a, b in domain.cells.edges if a in inside}
     near |= {a for a, b in domain.cells.edges if b in inside}
     near.add(domain.cells.nominal)

@@ -13,16 +13,20 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray, IntArray
 
-DRAWS: Final = 48  # of what is not known of the surface itself
+DRAWS: Final = 32  # of what is not known of the surface itself
 WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
 JITTER: Final = 1e-8
 
 # Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
 # a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
-# wide: a reach from a tenth of an axis to all of it, changes by a tenth to a factor of 3, scatter
-# of 3 to 60 %.
-_MIDDLE: Final = np.log([0.35, 0.35, 0.35, 0.35, 0.15, 0.15])
-_WIDTH: Final = np.array([0.7, 0.9, 0.9, 0.9, 0.8, 0.8])
+# wide but for the last: without repetitions nothing tells scatter from what a cell has of its own,
+# and then it is what benches like the simulated one show, some 15 %.
+_MIDDLE: Final = np.log([0.35, 0.35, 0.35, 0.35, 0.40, 0.15])
+_WIDTH: Final = np.array([0.7, 0.9, 0.9, 0.9, 0.7, 0.4])
+# By what factor scatter differs from cell to cell, as the standard deviation of its logarithm:
+# where a push may go either way it is many times the usual.
+UNEVEN: Final = 0.8
+NODES: Final = 7
 NAMES: Final = ("reach", "shared", "own", "offset", "cell", "scatter")
 
 
@@ -31,7 +35,7 @@ class Seen(NamedTuple):
 
     group: IntArray  # (m,) map of each cell that has members
     cell: IntArray  # (m,) its number
-    count: IntArray  # (m,) members
+    members: IntArray  # (m,) how many
     mean: FloatArray  # (m,) of their scores
     squares: FloatArray  # (m,) sum of squared distances from the mean
 
@@ -48,7 +52,11 @@ class Surface:
     covariance : (n_group, n_cell, n_cell) float64
         Between cells of a map, in the likeliest version.
     scatter : (n_draw,) float64
-        Standard deviation of a new member about its cell's score.
+        Standard deviation of a new member about its cell's score, usually.
+    factors : (n_node,) float64
+        By which it differs from cell to cell.
+    weights : (n_draw, n_node, n_group, n_cell) float64
+        Probabilities of the factors, in the light of the cell's own repetitions.
     values : (6,) float64
         The likeliest of `NAMES`.
     """
@@ -57,6 +65,8 @@ class Surface:
     variance: FloatArray
     covariance: FloatArray
     scatter: FloatArray
+    factors: FloatArray
+    weights: FloatArray
     values: FloatArray
 
     def below(self, score: float, level: float) -> FloatArray:
@@ -64,8 +74,10 @@ class Surface:
         from scipy.special import ndtr, ndtri
 
         z = float(ndtri(level))
-        quantile = self.mean + z * self.scatter[:, None, None]
-        return np.asarray(ndtr((score - quantile) / np.sqrt(self.variance)).mean(axis=0))
+        spread = self.scatter[:, None] * self.factors
+        quantile = self.mean[:, None] + z * spread[:, :, None, None]
+        chance = ndtr((score - quantile) / np.sqrt(self.variance)[:, None])
+        return np.asarray((self.weights * chance).sum(axis=1).mean(axis=0))
 
     @property
     def best(self) -> FloatArray:
@@ -92,18 +104,34 @@ def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> 
     draws = _versions(best, spread, seed)
     mean, variance, scatter = [], [], []
     for values in draws:
-        m, c = model.posterior(values)
+        m, v = model.posterior(values)
         mean.append(m)
-        variance.append(np.einsum("gcc->gc", c))
+        variance.append(v)
         scatter.append(math.exp(values[5]))
-    _, covariance = model.posterior(best)
+    _, covariance = model.posterior(best, whole=True)
     return Surface(
         np.array(mean),
         np.maximum(np.array(variance), 1e-9),
         covariance,
         np.array(scatter),
+        *_uneven(np.array(scatter), seen, n_group, len(places)),
         np.exp(best),
     )
+
+
+def _uneven(
+    scatter: FloatArray, seen: Seen, n_group: int, n_cell: int
+) -> tuple[FloatArray, FloatArray]:
+    """Factors of the scatter, and how probable each is in every cell (by Bayes's rule)."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    factors = np.exp(UNEVEN * nodes)
+    found = np.zeros((len(scatter), NODES, n_group, n_cell))
+    found += np.log(weights / weights.sum())[:, None, None]
+    spread = scatter[:, None, None] * factors[:, None]
+    said = -(seen.members - 1) * np.log(spread) - 0.5 * seen.squares / spread**2
+    found[:, :, seen.group, seen.cell] += said
+    found = np.exp(found - found.max(axis=1, keepdims=True))
+    return factors, np.asarray(found / found.sum(axis=1, keepdims=True))
 
 
 class _Model:
@@ -114,7 +142,7 @@ class _Model:
         self.n_group = n_group
         self.seen = seen
         self.same = np.equal(seen.group[:, None], seen.group[None])
-        self.centre = float(np.average(seen.mean, weights=seen.count))
+        self.centre = float(np.average(seen.mean, weights=seen.members))
         self.y = seen.mean - self.centre
 
     def kernels(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -131,38 +159,44 @@ class _Model:
         common, single = self.kernels(values)
         at = np.ix_(self.seen.cell, self.seen.cell)
         covariance = common[at] + np.where(self.same, single[at], 0.0)
-        noise = math.exp(2.0 * values[5]) / self.seen.count
+        noise = math.exp(2.0 * values[5]) / self.seen.members
         return common, single, covariance + np.diag(noise + JITTER)
 
     def loss(self, values: FloatArray) -> float:
         """Negative logarithm of the posterior of the parameters."""
+        from scipy.linalg import cholesky, solve_triangular
+
         _, _, covariance = self._observed(values)
         try:
-            factor = np.linalg.cholesky(covariance)
+            factor = cholesky(covariance, lower=True, check_finite=False)
         except np.linalg.LinAlgError:
             return 1e12
-        z = np.linalg.solve(factor, self.y)
+        z = solve_triangular(factor, self.y, lower=True, check_finite=False)
         likelihood = -0.5 * float(z @ z) - float(np.log(np.diag(factor)).sum())
         scatter = math.exp(2.0 * values[5])
-        freedom = float((self.seen.count - 1).sum())
+        freedom = float((self.seen.members - 1).sum())
         likelihood -= freedom * values[5] + 0.5 * float(self.seen.squares.sum()) / scatter
         prior = 0.5 * float((((values - _MIDDLE) / _WIDTH) ** 2).sum())
-        return prior - likelihood
+        return float(prior - likelihood)
 
-    def posterior(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n_group, n_cell) means and (n_group, n_cell, n_cell) covariances."""
+    def posterior(self, values: FloatArray, whole: bool = False) -> tuple[FloatArray, FloatArray]:
+        """(n_group, n_cell) means, and as many variances; whole covariances where wanted."""
+        from scipy.linalg import cholesky, solve_triangular
+
         common, single, covariance = self._observed(values)
-        factor = np.linalg.cholesky(covariance)
-        z = np.linalg.solve(factor, self.y)
-        n = len(common)
-        mean, spread = np.empty((self.n_group, n)), np.empty((self.n_group, n, n))
-        for g in range(self.n_group):
-            own = np.where(self.seen.group == g, 1.0, 0.0)
-            cross = common[:, self.seen.cell] + single[:, self.seen.cell] * own
-            back = np.linalg.solve(factor, cross.T)
-            mean[g] = self.centre + back.T @ z
-            spread[g] = common + single - back.T @ back
-        return mean, spread
+        factor = cholesky(covariance, lower=True, check_finite=False)
+        n, maps = len(common), np.arange(self.n_group)
+        own = np.equal(self.seen.group[None, :], maps[:, None])[:, None, :]
+        cross = common[None, :, self.seen.cell] + single[None, :, self.seen.cell] * own
+        both = np.column_stack((self.y, cross.reshape(-1, len(self.y)).T))
+        solved = solve_triangular(factor, both, lower=True, check_finite=False)
+        z, back = solved[:, 0], solved[:, 1:]
+        mean = self.centre + (back.T @ z).reshape(self.n_group, n)
+        if whole:
+            parts = back.reshape(-1, self.n_group, n)
+            return mean, common + single - np.einsum("mgi,mgj->gij", parts, parts)
+        left = np.diag(common + single) - (back**2).sum(axis=0).reshape(self.n_group, n)
+        return mean, left
 
 
 def _likeliest(model: _Model) -> tuple[FloatArray, FloatArray]:

@@ -101,7 +101,7 @@ def domain(
     level: Annotated[
         float, typer.Option(help="Share of new experiments that have to stay below.")
     ] = 0.9,
-    confidence: Annotated[float, typer.Option(help="At which a cell is called trusted.")] = 0.9,
+    confidence: Annotated[float, typer.Option(help="At which a cell is called trusted.")] = 0.95,
     folds: Annotated[
         int | None,
         typer.Option(

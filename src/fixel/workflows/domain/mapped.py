@@ -10,8 +10,15 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.applicability.cells import Cells, cells_of, varying
-from fixel.applicability.domain import COLOURS, NO_DATA, Claim, DomainMap, Verdict, domain_map
-from fixel.applicability.domain import usual_threshold
+from fixel.applicability.domain import (
+    COLOURS,
+    NO_DATA,
+    Claim,
+    DomainMap,
+    Verdict,
+    domain_map,
+    usual_threshold,
+)
 from fixel.applicability.evidence import Evidence
 from fixel.applicability.next_experiment import Proposal, proposals
 from fixel.database.project import Project
@@ -364,7 +371,7 @@ def _methods(gathered: Gathered, domain: DomainMap, claim: Claim) -> tuple[str, 
         f" {gathered.stepper} steps, started from {gathered.started}); repetitions of one"
         " configuration were held out together.",
         f"A cell is trusted where at least {100.0 * claim.level:.0f} % of new experiments stay"
-        f" within {claim.text()} with a probability of {100.0 * claim.confidence:.0f} %: by counting"
-        f" where it has {claim.needed} members, else by a Gaussian process on the logarithm of the"
-        " error; a cell without experiments is never trusted.",
+        f" within {claim.text()} with a probability of {100.0 * claim.confidence:.0f} %: by"
+        f" counting where it has {claim.needed} members, else by a Gaussian process on the"
+        " logarithm of the error; a cell without experiments is never trusted.",
     )

@@ -85,7 +85,7 @@ def _chart(
 
 
 def _table(domain: DomainMap, which: tuple[int, int | None]) -> list[list[int]]:
-    """Cells in rows from below, columns from the left; along one axis, those through the nominal."""
+    """Cells in rows from below; along one axis, those through the nominal."""
     number = {index: c for c, index in enumerate(domain.cells.index)}
     centre = list(domain.cells.index[domain.cells.nominal])
     a, b = which

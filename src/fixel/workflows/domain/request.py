@@ -70,7 +70,7 @@ class Asked:
     threshold: float | None = None
     measure: Measure = "absolute"
     level: float = 0.9
-    confidence: float = 0.9
+    confidence: float = 0.95
     folds: int | None = None
     seed: int = 0
 
