@@ -139,7 +139,7 @@ def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:
     last = math.floor(float(numbers[-1]) / step + 0.5)
     if last - first >= MOST_CELLS:
         raise InvalidInput(f"axis {name}", found=f"{last - first + 1} cells", expected="a few")
-    return _ranges(name, (np.arange(first, last + 2) - 0.5) * step)
+    return _ranges(name, np.asarray((np.arange(first, last + 2) - 0.5) * step, np.float64))
 
 
 def _ranges(name: str, edges: FloatArray) -> CellAxis:

@@ -203,7 +203,7 @@ def _lines(done: "Mapped", folder: Path) -> list[str]:
     analysis = done.kept.analysis
     lines = [*analysis.headline, ""]
     for one in analysis.tables:
-        left = 2 if one.title.startswith("What") else 1
+        left = len(one.head) if one.title.startswith("What") else 1
         lines += [f"{one.title}:", *table(one.head, one.rows[:MOST_ROWS], left=left)]
         more = len(one.rows) - MOST_ROWS
         lines += [f"... and {more} more; --json has them all"] if more > 0 else []

@@ -250,6 +250,7 @@ class SizeChart(AbstractChart):
         log_scale(axes, "x", self.thresholds)
         axes.set_ylim(-0.02 * self.cells, 1.04 * max(float(table.max()), 1.0))
         axes.set(xlabel=self.label, ylabel=f"cells in D(τ), of {self.cells}")
+        axes.locator_params(axis="y", integer=True)
         axes.legend(frameon=False, loc="upper left")
         clean(axes)
         return figure

@@ -195,6 +195,14 @@ class _Fit:
         return good
 
 
+def calibrated_on(targets: Sequence[Target], model: Model, seed: int = 0) -> FloatArray:
+    """(n_free,) the parameters that a fold would have which learns from all of these."""
+    stepper = stepper_for(targets)
+    comparer = Comparer(targets, model.space, model.error, model.motion, stepper)
+    every = np.arange(len(targets))
+    return _Fit(comparer, every, every, seed).point()
+
+
 def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> IntArray:
     if not apart.out:
         blocks = [same_configuration(target) for target in targets]
