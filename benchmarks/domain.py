@@ -78,9 +78,7 @@ def _planned(layouts: Sequence[str], most: int | None) -> list[PlannedExperiment
     return wanted if most is None else wanted[:most] + wanted[-most:]
 
 
-def judged(
-    planned: Sequence[PlannedExperiment], repetitions: int, new: int, level: float
-) -> Truth:
+def judged(planned: Sequence[PlannedExperiment], repetitions: int, new: int, level: float) -> Truth:
     """Make experiments, map them, and make new ones in every cell."""
     targets = _made(planned, repetitions, "")
     space = ParameterSpace(unknowns=tuple(default_unknowns([targets[0].case.scene])))
