@@ -52,7 +52,7 @@ def test_at_least_95_percent_of_decided_cells_are_right():
 def test_more_members_decide_more_cells():
     shares = []
     for members in (1, 4):
-        evidence, truth = scattered(members=members, seed=5)
+        evidence, _ = scattered(members=members, seed=5)
         said = np.array(colours(mapped(evidence), Claim(threshold=2.5)))
         shares.append(np.isin(said, (TRUSTED, NOT_TRUSTED)).mean())
     assert shares[1] > shares[0]

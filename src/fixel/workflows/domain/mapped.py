@@ -215,10 +215,10 @@ def headline(
         f" {count['trusted']} of {total} cells with data are trusted, {count['doubtful']} doubtful,"
         f" {count['not trusted']} not trusted; {count[NO_DATA]} have no data."
     )
-    of = f"{len(domain.groups)} maps" if len(sizes) > 1 else "the map"
+    none = f"; it is empty in {sizes.count(0)}" if 0 in sizes else ""
     second = (
-        f"D(tau) around the nominal has {_spread(sizes)} of {len(domain.cells)} cells in {of};"
-        f" it is empty in {sizes.count(0)}."
+        f"D(tau) around the nominal has {_spread(sizes)} of {len(domain.cells)} cells in"
+        f" {len(sizes)} maps{none}."
     )
     if len(sizes) == 1:
         second = f"D(tau) around the nominal has {sizes[0]} of {len(domain.cells)} cells."
