@@ -16,6 +16,7 @@ from fixel.kernels.arrays import FloatArray, IntArray
 DRAWS: Final = 32  # of what is not known of the surface itself
 WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
 JITTER: Final = 1e-8
+MOST_LEARNT: Final = 300  # cells that reach, changes and scatter are learnt from
 
 # Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
 # a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
@@ -99,8 +100,8 @@ def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> 
     seed : int
         Of the versions.
     """
+    best, spread = _likeliest(_Model(places, n_group, _some(seen, seed)))
     model = _Model(places, n_group, seen)
-    best, spread = _likeliest(model)
     draws = _versions(best, spread, seed)
     mean, variance, scatter = [], [], []
     for values in draws:
@@ -132,6 +133,15 @@ def _uneven(
     found[:, :, seen.group, seen.cell] += said
     found = np.exp(found - found.max(axis=1, keepdims=True))
     return factors, np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def _some(seen: Seen, seed: int) -> Seen:
+    """At most so many of the cells, at random, for what a few tell as well as all."""
+    n = len(seen.mean)
+    if n <= MOST_LEARNT:
+        return seen
+    own = np.sort(np.random.default_rng(seed).choice(n, MOST_LEARNT, replace=False))
+    return Seen(*(np.asarray(column)[own] for column in seen))
 
 
 class _Model:

@@ -148,8 +148,11 @@ def _draw_panel(axes: Axes, panel: Panel, chart: MapChart, *, first: bool, last:
     _outline(axes, np.array(panel.inside, bool))
     if panel.nominal is not None:
         i, j = panel.nominal
-        axes.plot(j, i, marker="o", markersize=9.0, markerfacecolor="none", zorder=5,
-                  markeredgecolor="white", markeredgewidth=1.1)  # fmt: skip
+        # Around a short number; beside a long one.
+        crowded = panel.count[i][j] > 99
+        place = (j - 0.38, i + 0.3) if crowded else (j, i)
+        axes.plot(*place, marker="o", markersize=5.0 if crowded else 9.0, markerfacecolor="none",
+                  markeredgecolor="white", markeredgewidth=1.1, zorder=5)  # fmt: skip
     axes.set_xlim(-0.5, n_across - 0.5)
     axes.set_ylim(-0.5, n_up - 0.5)
     axes.tick_params(length=0.0, pad=1.5)
@@ -157,7 +160,7 @@ def _draw_panel(axes: Axes, panel: Panel, chart: MapChart, *, first: bool, last:
     every = max(1, math.ceil(n_across / 12))
     places = range(0, n_across, every)
     axes.set_xticks(list(places), [chart.across.ticks[j] if last else "" for j in places],
-                    rotation=90 if _long(chart.across) else 0)  # fmt: skip
+                    rotation=90 if n_across > 3 and _long(chart.across) else 0)  # fmt: skip
     labelled = first and n_up > 1
     axes.set_yticks(range(n_up), [tick if labelled else "" for tick in chart.up.ticks])
     if last:

@@ -12,6 +12,7 @@ import numpy as np
 from fixel.applicability.cells import Cells, cells_of, varying
 from fixel.applicability.domain import (
     COLOURS,
+    DOUBTFUL,
     NO_DATA,
     Claim,
     DomainMap,
@@ -222,12 +223,23 @@ def headline(
     )
     if len(sizes) == 1:
         second = f"D(tau) around the nominal has {sizes[0]} of {len(domain.cells)} cells."
+    if not any(sizes):
+        second += _begins(domain, claim)
     third = ""
     if found:
         best = found[0]
         where = f"{best.group}: " if best.group else ""
         third = f"Most would teach an experiment at {where}{best.where} ({best.reason})."
     return tuple(sentence for sentence in (first, second, third) if sentence)
+
+
+def _begins(domain: DomainMap, claim: Claim) -> str:
+    """Where an empty domain would begin."""
+    thresholds = domain.usual_thresholds
+    filled = np.flatnonzero(domain.curve(claim, thresholds.tolist()).sum(axis=0))
+    if not len(filled):
+        return ""
+    return f" It begins at about {claim.text(float(thresholds[filled[0]]))}."
 
 
 def _spread(sizes: list[int]) -> str:
@@ -270,7 +282,12 @@ def _warnings(
     ]
     if empty:
         found.append(f"no experiment at the nominal in {len(empty)} maps, first {empty[0]}")
-    if not colour_counts(verdicts)["trusted"]:
+    few = any(
+        verdict.colour == DOUBTFUL and domain.counts[g, c] < claim.needed
+        for g, own in enumerate(verdicts)
+        for c, verdict in enumerate(own)
+    )
+    if few and not colour_counts(verdicts)["trusted"]:
         found.append(
             f"no cell is trusted; {claim.needed} experiments below {claim.text()} in one cell make"
             " the claim by themselves, fewer where neighbours agree"
