@@ -141,7 +141,7 @@ def _some(seen: Seen, seed: int) -> Seen:
     if n <= MOST_LEARNT:
         return seen
     own = np.sort(np.random.default_rng(seed).choice(n, MOST_LEARNT, replace=False))
-    return Seen(*(np.asarray(column)[own] for column in seen))
+    return Seen._make(np.asarray(column)[own] for column in seen)
 
 
 class _Model:
