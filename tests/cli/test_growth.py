@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import typer
 from tests.workflows.growing import (
     comparer_of,
     made_up_points,
@@ -14,16 +13,8 @@ from tests.workflows.growing import (
 )
 from typer.testing import CliRunner
 
-from fixel.cli.growth import growth
+from fixel.cli.domain import app
 from fixel.errors import InvalidInput
-
-app = typer.Typer()
-app.command("growth")(growth)
-
-
-@app.callback()
-def domain():
-    """So that the command has a name."""
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from fixel.cli import (
     db,
     demo,
     doctor,
+    domain,
     export,
     filter,
     jobs,
@@ -61,6 +62,7 @@ app.command("report")(report.report)
 app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
+app.add_typer(domain.app, name="domain")
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")

@@ -1,0 +1,73 @@
+"""What a map's axes may be: conditions that were written down, and geometry of the push."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from fixel.applicability.evidence import Value
+from fixel.calibration.target import Target
+from fixel.model.trajectory import wrapped
+from fixel.simulation.pack import pusher_path
+
+CONTACT: Final = "contact_angle_rad"
+PUSH: Final = "push_angle_rad"
+TRAVEL: Final = "travel_m"
+
+_HIDDEN: Final = ("experiment", "repetition", "step")
+_TRUTH: Final = "truth_"
+
+
+def coordinates_of(target: Target) -> dict[str, Value]:
+    """Everything an axis can be named for.
+
+    Besides the conditions: where the pusher stands at the start, as its bearing from the centre of
+    mass in the body's frame [rad]; its direction of travel from the line to the centre of mass
+    [rad]; how far it travels [m]. What no real laboratory could know is left out.
+    """
+    found: dict[str, Value] = {
+        name: value
+        for name, value in target.conditions.items()
+        if name not in _HIDDEN and not name.startswith(_TRUTH)
+    }
+    for name, number in _geometry(target).items():
+        found.setdefault(name, number)
+    return found
+
+
+def _geometry(target: Target) -> dict[str, float]:
+    scene = target.case.scene
+    if not scene.pushers:
+        return {}
+    path = pusher_path(scene.pushers[0], float(target.case.times[-1]))
+    way = path[-1, 1:3] - path[0, 1:3]
+    body = scene.bodies[0]
+    c, s = math.cos(float(body.pose[2])), math.sin(float(body.pose[2]))
+    turn = np.array([[c, -s], [s, c]])
+    arm = path[0, 1:3] - (body.pose[:2] + turn @ body.com)
+    found = {TRAVEL: float(np.hypot(*way))}
+    if np.hypot(*arm) > 0.0:
+        bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
+        found[CONTACT] = _short(bearing)
+        if found[TRAVEL] > 0.0:
+            heading = math.atan2(float(way[1]), float(way[0]))
+            found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))
+    return found
+
+
+def _short(angle: float) -> float:
+    return float(wrapped(np.array([angle]))[0])
+
+
+def same_configuration(target: Target) -> str:
+    """What repetitions of one experiment have in common; its key where it counts none."""
+    if "repetition" not in target.conditions:
+        return target.key
+    kept = {
+        name: value
+        for name, value in target.conditions.items()
+        if name not in ("experiment", "repetition") and not name.startswith(_TRUTH)
+    }
+    return repr(sorted(kept.items()))

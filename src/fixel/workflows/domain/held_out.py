@@ -1,0 +1,251 @@
+"""Errors of experiments under parameters that were found without them: cross-validation.
+
+Every fold of every group is one fit by least squares on the other folds, started at the values of a
+stored calibration. Each is kept when it is done, so an interrupted command goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.applicability.folds import folds_of
+from fixel.calibration.assess import Frames
+from fixel.calibration.cost import Prior
+from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
+from fixel.calibration.study import box_of
+from fixel.calibration.target import Target
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.space import ParameterSpace
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
+from fixel.workflows.benchmark.finished import Finished
+from fixel.workflows.domain.coordinates import same_configuration
+
+Progress = Callable[[int, int], None]
+
+# Of experiments that differ in two poses only, steps along a push: on a twelfth of the pushes of a
+# public data set, half as many seconds as adaptive steps, and within 0.06 mm of them for 19 in 20.
+STEPS: Final = 50
+THOUSANDS: Final = 1000  # experiments from which on a fixed step is taken
+# Experiments that one fit learns from: a handful of values needs no more, and time grows with them.
+MOST_TRAINING: Final = 120
+# A fit starts near its end: each fold leaves out a part of what a calibration knew. Distances
+# count linearly beyond 2 mm: a push that goes the other way is tens of millimetres off, and which
+# fold has it would decide the parameters.
+SQUARES: Final = LeastSquares(
+    loss="soft_l1", width=2.0, tolerance=1e-4, most_iterations=12, trials=3
+)
+
+
+class Apart(NamedTuple):
+    """What is fitted by itself, and what is held out together."""
+
+    by: tuple[str, ...] = ()  # conditions: parameters for each of their values
+    out: str = ""  # condition whose values are held out whole
+    folds: int = 5
+    seed: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """What is calibrated, and how experiments are simulated.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        Its nominal point is where fits start.
+    motion : AbstractMotionModel
+    error : AbstractError
+        Mean square or end pose.
+    """
+
+    space: ParameterSpace
+    motion: AbstractMotionModel
+    error: AbstractError
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.error, MeanSquare | EndPose):
+            raise InvalidInput(
+                "calibration",
+                found=f"calibrated with the error {self.error.name} [{self.error.unit}]",
+                expected="mean-square or end-pose [mm^2], which a map counts in",
+                hint="calibrate again with --error mean-square",
+            )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOut:
+    """Errors by cross-validation.
+
+    Attributes
+    ----------
+    error : (n,) float64
+        E of every experiment, held out [mm^2]; inf where its simulation failed.
+    fold : (n,) int
+    points : dict of label to (n_free,) list
+        Parameters of every fit.
+    stepper : str
+        In words.
+    """
+
+    error: FloatArray
+    fold: IntArray
+    points: dict[str, list[float]]
+    stepper: str
+
+
+def stepper_for(targets: Sequence[Target]) -> AbstractStepper:
+    """Adaptive steps; fixed ones for thousands of pushes of which only the end is compared."""
+    two_poses = all(len(target.pose) <= 2 for target in targets)
+    if len(targets) < THOUSANDS or not two_poses or any(t.case.scene.fixels for t in targets):
+        return Adaptive()
+    longest = max(float(target.case.times[-1]) for target in targets)
+    return Midpoint(step=longest / STEPS)
+
+
+def held_out(
+    targets: Sequence[Target],
+    model: Model,
+    apart: Apart,
+    finished: Finished,
+    progress: Progress | None = None,
+    threads: int | None = None,
+) -> HeldOut:
+    """Cross-validate.
+
+    Raises
+    ------
+    InvalidInput
+        Too few configurations for the folds, or nothing that can be simulated at the start.
+    """
+    stepper = stepper_for(targets)
+    groups = [label_of(target.conditions, apart.by) for target in targets]
+    fold = _folds(targets, groups, apart)
+    comparer = Comparer(targets, model.space, model.error, model.motion, stepper, threads)
+    error = np.full(len(targets), math.inf)
+    points: dict[str, list[float]] = {}
+    jobs = [(g, k) for g in dict.fromkeys(groups) for k in range(apart.folds)]
+    for done, (group, k) in enumerate(jobs):
+        own = np.array([name == group for name in groups])
+        train, test = np.flatnonzero(own & (fold != k)), np.flatnonzero(own & (fold == k))
+        if len(test) and len(train):
+            of = _asked(targets, model, apart, stepper, train, test)
+            name = f"fold-{done}"
+            answer = finished.get(name, of, _Fit(comparer, train, test, apart.seed + k))
+            error[test] = [math.inf if e is None else e for e in answer["error"]]
+            points[f"{group or 'all'}, fold {k + 1}"] = answer["point"]
+        elif len(test):
+            error[test] = math.nan
+        if progress is not None:
+            progress(done + 1, len(jobs))
+    return HeldOut(error=error, fold=fold, points=points, stepper=_said(stepper))
+
+
+class _Fit:
+    """One fold of one group: parameters from some experiments, errors of others."""
+
+    def __init__(self, comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> None:
+        self.comparer, self.train, self.test, self.seed = comparer, train, test, seed
+
+    def __call__(self) -> dict[str, Any]:
+        point = self.point()
+        errors = self.comparer.errors(self.test, np.repeat(point[None], len(self.test), axis=0))
+        values = [float(e) if math.isfinite(e) else None for e in errors.error]
+        return {"point": point.tolist(), "error": values}
+
+    def point(self) -> FloatArray:
+        space = self.comparer.space
+        members = self._learnt_from()
+        frames = Frames(self.comparer, members)
+        scale = float(self.comparer.error.angle_scale)  # type: ignore[attr-defined]
+        noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale)
+        # Every experiment counts alike, however long; residuals stay in millimetres.
+        weight = np.sqrt(frames.weights / frames.weights.mean())
+        residuals = frames.residuals(noise)
+        search = SQUARES.start(box_of(space), self.seed, None, Prior.of(space))
+        return np.asarray(fit(search, lambda points: residuals(points) / weight).point)
+
+    def _learnt_from(self) -> IntArray:
+        """Some of them, at random, without those that cannot be simulated at the start: one that
+        fails would stop the fit of all."""
+        dice = np.random.default_rng(self.seed)
+        chosen = self.train
+        if len(chosen) > MOST_TRAINING:
+            chosen = np.sort(dice.choice(chosen, MOST_TRAINING, replace=False))
+        start = np.repeat(self.comparer.space.nominal[None], len(chosen), axis=0)
+        answer = self.comparer.errors(chosen, start)
+        good = chosen[np.isfinite(answer.error)]
+        if not len(good):
+            raise InvalidInput(
+                "start of the fits",
+                found=f"no simulation at it: {answer.reasons[0]}",
+                expected="parameters with which experiments can be simulated",
+                hint="start at another calibration: --calibration N",
+            )
+        return good
+
+
+def calibrated_on(targets: Sequence[Target], model: Model, seed: int = 0) -> FloatArray:
+    """(n_free,) the parameters that a fold would have which learns from all of these."""
+    stepper = stepper_for(targets)
+    comparer = Comparer(targets, model.space, model.error, model.motion, stepper)
+    every = np.arange(len(targets))
+    return _Fit(comparer, every, every, seed).point()
+
+
+def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> IntArray:
+    if not apart.out:
+        blocks = [same_configuration(target) for target in targets]
+        return folds_of(blocks, groups, apart.folds, apart.seed)
+    values = [label_of(target.conditions, (apart.out,)) for target in targets]
+    return folds_of(values, [""] * len(targets), apart.folds, apart.seed)
+
+
+def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
+    """Values of some conditions, as a name of those who share them."""
+    missing = [name for name in names if name not in conditions]
+    if missing:
+        raise InvalidInput(
+            "--by",
+            found=f"{conditions.get('experiment', 'an experiment')} without {missing[0]}",
+            expected="a condition that all experiments have",
+            hint="see which there are: fixel show",
+        )
+    return " ".join(
+        f"{conditions[n]:g}" if isinstance(conditions[n], float) else str(conditions[n])
+        for n in names
+    )
+
+
+def _asked(
+    targets: Sequence[Target],
+    model: Model,
+    apart: Apart,
+    stepper: AbstractStepper,
+    train: IntArray,
+    test: IntArray,
+) -> list[Any]:
+    """All that an answer depends on; what is stored under a name never changes."""
+    return [
+        [targets[k].key for k in train.tolist()],
+        [targets[k].key for k in test.tolist()],
+        float(sum(targets[k].pose.sum() for k in np.concatenate((train, test)).tolist())),
+        [repr(unknown) for unknown in model.space.unknowns],
+        [repr(model.motion), repr(model.error), repr(stepper), repr(SQUARES), MOST_TRAINING],
+        apart.seed,
+    ]
+
+
+def _said(stepper: AbstractStepper) -> str:
+    first = stepper.first_step
+    return stepper.name if first is None else f"{stepper.name}, {first:.3g} s"

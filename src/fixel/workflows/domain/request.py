@@ -1,0 +1,182 @@
+"""What is asked of a map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.applicability.evidence import Measure
+from fixel.calibration.objective import MeanSquare
+from fixel.calibration.target import Target
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.space import ParameterSpace
+from fixel.simulation import Dynamic
+from fixel.workflows.calibrated import Calibrated, calibrated
+from fixel.workflows.calibration.outcome import ALONE, NEIGHBOUR
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.unknowns import default_unknowns, fitted
+from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.domain.held_out import Model
+from fixel.workflows.jobs import JOBS
+
+OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """A map to be.
+
+    Attributes
+    ----------
+    query : Query
+        Which experiments.
+    calibration : int, optional
+        Where fits start; the newest for several experiments where left out.
+    fit : sequence of str
+        Parameters in place of the calibration's: `NAME=LOW:HIGH:START`.
+    axes, by, apart : sequence of str
+        Coordinates of the map; conditions with a map of their own each, and those with parameters
+        of their own.
+    leave_out : str
+        Condition whose values are held out whole.
+    nominal : mapping of name to value
+    steps : mapping of name to float
+        Widths of ranges [SI].
+    threshold : float, optional
+        [mm], or a share.
+    measure : str
+    level, confidence : float
+    folds : int, optional
+    seed : int
+    """
+
+    query: Query = field(default_factory=Query)
+    calibration: int | None = None
+    fit: Sequence[str] = ()
+    axes: Sequence[str] = ()
+    by: Sequence[str] = ()
+    apart: Sequence[str] = ()
+    leave_out: str = ""
+    nominal: Mapping[str, str | float] = field(default_factory=dict)
+    steps: Mapping[str, float] = field(default_factory=dict)
+    threshold: float | None = None
+    measure: Measure = "absolute"
+    level: float = 0.9
+    confidence: float = 0.95
+    folds: int | None = None
+    seed: int = 0
+
+    def question(self) -> dict[str, Any]:
+        """All of it as plain content."""
+        return {
+            "dataset": self.query.dataset,
+            "where": dict(self.query.conditions),
+            "flagged": self.query.flagged,
+            "calibration": self.calibration,
+            "fit": list(self.fit),
+            "axes": list(self.axes),
+            "by": list(self.by),
+            "apart": list(self.apart),
+            "leave_out": self.leave_out,
+            "nominal": dict(self.nominal),
+            "steps": dict(self.steps),
+            "threshold": self.threshold,
+            "measure": self.measure,
+            "level": self.level,
+            "confidence": self.confidence,
+            "folds": self.folds,
+            "seed": self.seed,
+        }
+
+
+class Started(NamedTuple):
+    """What fits start from."""
+
+    model: Model
+    calibration: int | None
+    said: str
+
+
+def model_of(project: Project, store: Store, asked: Asked, targets: Sequence[Target]) -> Started:
+    """Unknowns, motion and error: those of a stored calibration, else the usual ones."""
+    scenes = [target.case.scene for target in targets]
+    one = _calibration(store, asked)
+    if one is None or asked.fit:
+        unknowns = fitted(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
+        space = ParameterSpace(unknowns=tuple(unknowns))
+        motion, error = (Dynamic(), MeanSquare()) if one is None else (one.motion, one.error)
+        said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
+        return Started(Model(space=space, motion=motion, error=error), None, said)
+    space = _space(project, one, scenes)
+    model = Model(space=space, motion=one.motion, error=one.error)
+    return Started(model, one.id, f"calibration {one.id}")
+
+
+def _calibration(store: Store, asked: Asked) -> Calibrated | None:
+    if asked.calibration is not None:
+        return calibrated(store, asked.calibration)
+    if asked.fit or not store.calibrations():
+        return None
+    return calibrated(store)
+
+
+def _space(project: Project, one: Calibrated, scenes: Sequence[Any]) -> ParameterSpace:
+    """The box that was searched, started at what was found."""
+    path = project.folder / JOBS / str(one.record.method.get("job", "")) / "inputs" / REQUEST
+    if path.is_file():
+        space = Request.model_validate_json(path.read_bytes()).space
+    else:
+        space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
+    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+    start = zip(space.labels, space.nominal.tolist(), strict=True)
+    return space.started_at([found.get(label, value) for label, value in start])
+
+
+def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray, list[str]]:
+    """(n,) least E of single calibrations of experiments [mm^2], and why there is none.
+
+    Calibrations under another motion model, error or angle scale say nothing here.
+    """
+    place = {number: k for k, number in enumerate(ids)}
+    best = np.full(len(ids), np.nan)
+    notes = ["not calibrated by itself"] * len(ids)
+    for number in store.calibrations():
+        record = store.calibration(number)
+        if record.method.get("how") not in (ALONE, NEIGHBOUR) or len(record.members) != 1:
+            continue
+        k = place.get(record.members[0].experiment_id)
+        if k is None:
+            continue
+        other = _differs(Calibrated(number, record), model)
+        if other:
+            if np.isnan(best[k]):
+                notes[k] = f"calibrated by itself under another {other}"
+            continue
+        if np.isfinite(record.members[0].error_mm2):
+            best[k] = np.fmin(best[k], record.members[0].error_mm2)
+            notes[k] = ""
+    if np.isnan(best).all():
+        raise InvalidInput(
+            "--relative",
+            found=f"no experiment with a best of its own ({notes[0]})",
+            expected="experiments that were calibrated one by one, under the same model",
+            hint="calibrate them first: fixel calibrate --mode each",
+        )
+    return best, notes
+
+
+def _differs(one: Calibrated, model: Model) -> str:
+    if one.motion.name != model.motion.name:
+        return f"motion model ({one.motion.name})"
+    if one.error.name != model.error.name:
+        return f"error ({one.error.name})"
+    scales = [float(e.angle_scale) for e in (one.error, model.error)]  # type: ignore[attr-defined]
+    return "" if scales[0] == scales[1] else f"angle scale ({1e3 * scales[0]:g} mm/rad)"

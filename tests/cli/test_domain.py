@@ -1,0 +1,114 @@
+"""`fixel domain` from the shell: table, JSON, pictures, refusals; fits are done once."""
+
+import json
+
+import pytest
+
+from fixel.cli.main import run
+from fixel.database.project import Project
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.analysis import kept
+from fixel.workflows.domain import held_out
+
+FIT = ("--fit", "mu_pusher", "--fit", "tripod_radius")
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab") / "lab"
+    planned = [
+        p
+        for p in thesis_plan().experiments[:21]
+        if p.conditions["axis"] in ("nominal", "x", "theta")
+    ]
+    with Project.create(folder).store() as store:
+        for experiment in SimulatedTestbed().run(planned):
+            store.add_experiment(experiment)
+    return folder
+
+
+def fixel(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        run([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return end.value.code or 0, out, err
+
+
+def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
+    plot = tmp_path / "pictures"
+    options = ("--folds", 2, "--threshold-mm", 4, "--plot", plot)
+    code, out, err = fixel(capsys, "domain", "-p", project, *FIT, *options)
+    assert code == 0, err
+    lines = out.splitlines()
+    assert lines[0].startswith("Within 4 mm for 90 % of new experiments:")
+    assert any(line.startswith("map") and "offset_theta_rad [deg]" in line for line in lines)
+    assert lines[-1].startswith("Next: fixel domain")
+    names = {path.stem for path in plot.glob("*.png")}
+    assert names == {"map-offset_x_m", "map-offset_theta_rad", "size"}
+    (one, *_) = kept(Project.open(project), "domain")
+    assert one.analysis.numbers["threshold"] == 4.0
+    assert len(one.analysis.numbers["cells"]) == 11
+    assert all(picture.caption for picture in one.analysis.pictures)
+
+
+def test_another_threshold_needs_no_fit(capsys, project, monkeypatch):
+    options = ("--folds", 2, "--json")
+    code, out, _ = fixel(capsys, "domain", "-p", project, *FIT, *options, "--threshold-mm", 4)
+    assert code == 0
+
+    def refuse(*_):
+        raise AssertionError("a fit")
+
+    monkeypatch.setattr(held_out._Fit, "__call__", refuse)
+    code, other, _ = fixel(capsys, "domain", "-p", project, *FIT, *options, "--threshold-mm", 9)
+    assert code == 0
+    first, second = (json.loads(text)["numbers"]["cells"] for text in (out, other))
+    assert [cell["error"] for cell in first] == [cell["error"] for cell in second]
+
+    def green(cells):
+        return sum(cell["colour"] == "trusted" for cell in cells)
+
+    assert green(second) >= green(first)
+
+
+def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
+    options = ("--folds", 2, "--axes", "offset_x_m", "--json")
+    code, out, _ = fixel(capsys, "domain", "-p", project, *FIT, *options)
+    assert code == 0
+    answer = json.loads(out)
+    assert sum(cell["members"] for cell in answer["numbers"]["cells"]) == 6
+    assert any("5 experiments were offset" in sentence for sentence in answer["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--threshold-mm", "0.01"), "below what the measurement alone makes"),
+        (("--threshold-mm", "2", "--relative", "1"), "one of them"),
+        (("--relative", "1"), "fixel calibrate --mode each"),
+        (("--axes", "offset_z_m"), "axis offset_z_m"),
+        (("--nominal", "offset_x_m"), "AXIS=VALUE"),
+        (("--nominal", "offset_x_m=0.5"), "a value with experiments"),
+        (("--step", "offset_x_m=wide"), "a number"),
+        (("--level", "1.5"), "below 1"),
+        (("--by", "colour"), "without colour"),
+        (("--where", "shape=disc"), "found none"),
+        (("--folds", "40"), "40 at least"),
+        (("--calibration", "7"), "no calibration"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):
+    fit = () if "--calibration" in arguments else FIT
+    folds = () if "--folds" in arguments else ("--folds", "2")
+    code, out, err = fixel(capsys, "domain", "-p", project, *fit, *folds, *arguments)
+    assert code == 2
+    assert out == ""
+    assert said in err
+
+
+def test_too_few_experiments(capsys, project):
+    options = ("--where", "axis=nominal", "--folds", 2)
+    code, _, err = fixel(capsys, "domain", "-p", project, *FIT, *options)
+    assert code == 2
+    assert "2 at least" in err

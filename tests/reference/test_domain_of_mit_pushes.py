@@ -1,0 +1,41 @@
+"""A map of real pushes, where the data are at hand: from import to colours.
+
+Source: K.-T. Yu et al. (2016), IROS.
+"""
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.workflows.domain.mapped import map_domain
+from fixel.workflows.domain.request import Asked
+from fixel.workflows.project import import_plan
+
+
+def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
+    """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
+    plan = import_plan(data_root / "mit_push_endpoints")
+    project = Project.create(tmp_path / "lab")
+    with project.store() as store:
+        for experiment in islice(plan.experiments(), 0, 360, 6):
+            store.add_experiment(experiment)
+    asked = Asked(
+        axes=("contact_angle_rad",),
+        steps={"contact_angle_rad": np.pi / 4},
+        fit=("mu_pusher", "registration_x", "registration_y"),
+        folds=2,
+        threshold=6.0,
+    )
+    done = map_domain(project, asked)
+    rms = np.sqrt(done.gathered.evidence.error_mm2)
+    assert np.isfinite(rms).all()
+    assert 1.0 < np.median(rms) < 6.0
+    counts = done.domain.counts
+    assert counts.sum() == len(rms) >= 55
+    colours = {verdict.colour for own in done.verdicts for verdict in own}
+    assert colours <= {"trusted", "doubtful", "not trusted", "no data"}
+    grey = np.array([[v.colour == "no data" for v in own] for own in done.verdicts])
+    np.testing.assert_array_equal(grey, counts == 0)
+    assert any("noise of the measurement is not known" in text for text in done.warnings)
