@@ -22,6 +22,7 @@ from fixel.applicability.domain import (
 )
 from fixel.applicability.evidence import Evidence
 from fixel.applicability.next_experiment import Proposal, proposals
+from fixel.applicability.promised_cells import promised_cells
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
@@ -73,7 +74,6 @@ def map_domain(
     plot: Path | None = None,
     progress: Progress | None = None,
     command: str = "",
-    predicted_mm: FloatArray | None = None,
 ) -> Mapped:
     """Say where one parameter set can be trusted.
 
@@ -87,8 +87,6 @@ def map_domain(
         Told how many fits of how many are done.
     command : str
         That was typed.
-    predicted_mm : (n_group, n_cell) float64, optional
-        Bounds promised for cells without data.
 
     Raises
     ------
@@ -103,8 +101,9 @@ def map_domain(
     axes = list(asked.axes) or usual_axes(gathered.evidence, asked.by)
     evidence, aside = _at_nominal(gathered.evidence, axes)
     cells = cells_of(evidence, axes, asked.nominal, asked.steps)
-    domain = domain_map(evidence, cells, asked.measure, asked.seed, predicted_mm)
     claim = _claim(asked, gathered, evidence)
+    promised = _promised(evidence, cells, asked)
+    domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
     _refuse_empty_nominal(domain)
     verdicts = domain.verdicts(claim)
     found = proposals(domain, claim, verdicts=verdicts)
@@ -118,6 +117,7 @@ def map_domain(
         warnings=warnings,
         tables=tables(domain, claim, verdicts, found),
         methods=_methods(gathered, domain, claim),
+        references=("vovk2005", "barber2021"),
         numbers=numbers(domain, claim, verdicts, found),
         calibrations=() if gathered.calibration is None else (gathered.calibration,),
         experiments=tuple(evidence.ids),
@@ -138,6 +138,13 @@ def map_domain(
         kept=kept,
         files=tuple(files),
     )
+
+
+def _promised(evidence: Evidence, cells: Cells, asked: Asked) -> FloatArray | None:
+    """Bounds are of the error itself, not of what is above an experiment's own best."""
+    if asked.measure != "absolute":
+        return None
+    return promised_cells(evidence, cells, asked.level, asked.seed)
 
 
 def usual_axes(evidence: Evidence, by: tuple[str, ...] | Any = ()) -> list[str]:
@@ -324,7 +331,7 @@ def tables(
         head=("map", "experiment", "expected to settle [bit]", "why"),
         rows=tuple((p.group or "all", p.where, f"{p.bits:.2f}", p.reason) for p in found),
     )
-    return (first, second) if found else (first,)
+    return (first, *promise_table(domain, claim), *([second] if found else []))
 
 
 def _reach_text(reach: tuple[str, str] | None) -> str:
@@ -355,6 +362,7 @@ def numbers(
                 "members": int(domain.counts[g, c]),
                 "error": _finite(seen[g, c]),
                 "confidence": _finite(verdict.confidence),
+                "promised_mm": _promise_at(domain, g, c),
                 "colour": verdict.colour,
                 "in_domain": c in inside[g],
                 "reason": verdict.reason,
@@ -367,6 +375,27 @@ def numbers(
             {"group": p.group, "cell": p.where, "bits": p.bits, "reason": p.reason} for p in found
         ],
     }
+
+
+def _promise_at(domain: DomainMap, g: int, c: int) -> float | None:
+    return None if domain.predicted_mm is None else _finite(domain.predicted_mm[g, c])
+
+
+def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
+    """What new experiments stay within, by map; nothing where that cannot be promised."""
+    if domain.predicted_mm is None:
+        return []
+    errors = np.sqrt(domain.evidence.error_mm2)
+    rows = []
+    for g, group in enumerate(domain.groups):
+        bound = domain.predicted_mm[g][np.isfinite(domain.predicted_mm[g])]
+        own = errors[np.concatenate([np.zeros(0, np.int64), *domain.members[g]])]
+        few = len(bound) == 0
+        shown = [f"{x:.3g}" for x in ([] if few else [bound.min(), np.median(bound), bound.max()])]
+        rows.append((group or "all", f"{np.median(own):.3g}", *(shown or ["nothing"] * 3)))
+    head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
+    title = f"Promised for new experiments in these cells, with a probability of {claim.level:.0%}"
+    return [TextTable(title=title, head=head, rows=tuple(rows))]
 
 
 def _place(cells: Cells, c: int) -> dict[str, str | float]:
@@ -390,5 +419,6 @@ def _methods(gathered: Gathered, domain: DomainMap, claim: Claim) -> tuple[str, 
         f"A cell is trusted where at least {100.0 * claim.level:.0f} % of new experiments stay"
         f" within {claim.text()} with a probability of {100.0 * claim.confidence:.0f} %: by"
         f" counting where it has {claim.needed} members, else by a Gaussian process on the"
-        " logarithm of the error; a cell without experiments is never trusted.",
+        " logarithm of the error; a cell without experiments is never trusted. Bounds for new"
+        " experiments are conformal (CV+), on the same held-out errors.",
     )

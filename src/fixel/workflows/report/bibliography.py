@@ -93,6 +93,13 @@ WORKS: Final = {
         "2005",
         (("publisher", "Springer"),),
     ),
+    "barber2021": Work(
+        "article",
+        "Barber, R. F. and Cand{\\`e}s, E. J. and Ramdas, A. and Tibshirani, R. J.",
+        "Predictive inference with the jackknife+",
+        "2021",
+        (("journal", "The Annals of Statistics"), ("volume", "49"), ("pages", "486--507")),
+    ),
     "lei2018": Work(
         "article",
         "Lei, J. and G'Sell, M. and Rinaldo, A. and Tibshirani, R. J. and Wasserman, L.",
@@ -151,6 +158,10 @@ WORKS: Final = {
 }
 
 
+# How people read what BibTeX writes.
+READ: Final = {'{\\"u}': "ü", "{\\`e}": "è", "{": "", "}": ""}
+
+
 def fixel() -> Work:
     """The program itself, in the version that runs."""
     return Work(
@@ -181,8 +192,9 @@ def _entry(key: str, work: Work) -> str:
 
 def line(work: Work) -> str:
     """As people read it."""
-    authors = work.author.replace("{", "").replace("}", "").replace('\\"u', "ü")
-    authors = authors.replace(" and ", ", ")
+    authors = work.author.replace(" and ", ", ")
+    for written, read in READ.items():
+        authors = authors.replace(written, read)
     rest = [value.replace("--", "-") for name, value in work.where if name != "number"]
     parts = [f"{authors} ({work.year})", work.title, ", ".join(rest)]
     return ". ".join(part for part in parts if part) + "."

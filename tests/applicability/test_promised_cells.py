@@ -1,0 +1,62 @@
+"""Promises for the cells of a map."""
+
+import numpy as np
+import pytest
+
+from fixel.applicability.cells import cells_of
+from fixel.applicability.evidence import Evidence
+from fixel.applicability.promised_cells import promised_cells
+
+
+def _evidence(n, groups=("",), seed=0):
+    """Errors that grow along an axis from 1 to 3 mm, by a tenth more or less."""
+    random = np.random.default_rng(seed)
+    place = np.tile(np.arange(5), n * len(groups))
+    error = (1.0 + 0.5 * place) * np.exp(0.1 * random.normal(size=len(place)))
+    return Evidence(
+        keys=tuple(f"e{k}" for k in range(len(place))),
+        ids=tuple(range(len(place))),
+        coordinates={"offset_y_m": tuple((1e-3 * place).tolist())},
+        error_mm2=error**2,
+        group=tuple(np.repeat(groups, 5 * n).tolist()),
+    )
+
+
+def _cells(evidence):
+    return cells_of(evidence, ["offset_y_m"], {}, {})
+
+
+def test_bounds_follow_the_errors_and_hold():
+    evidence = _evidence(40)
+    cells = _cells(evidence)
+    (bound,) = promised_cells(evidence, cells, 0.9)
+    assert bound[0] < 0.6 * bound[-1]
+    new = _evidence(400, seed=1)
+    inside = np.sqrt(new.error_mm2) <= bound[cells.find(new)]
+    assert 0.86 < inside.mean() < 0.96
+
+
+def test_each_map_has_bounds_of_its_own():
+    evidence = _evidence(30, ("a", "b"))
+    bounds = promised_cells(evidence, _cells(evidence), 0.9)
+    assert bounds.shape == (2, 5)
+    assert np.isfinite(bounds).all()
+
+
+@pytest.mark.parametrize(("level", "n", "some"), [(0.9, 2, True), (0.95, 2, False)])
+def test_too_few_experiments_promise_nothing(level, n, some):
+    evidence = _evidence(n)
+    assert (promised_cells(evidence, _cells(evidence), level) is not None) == some
+
+
+def test_experiments_without_evidence_say_nothing():
+    evidence = _evidence(40)
+    error = np.array(evidence.error_mm2)
+    error[evidence.column("offset_y_m").index(0.0)] = np.nan
+    kept = Evidence(
+        keys=evidence.keys,
+        ids=evidence.ids,
+        coordinates=evidence.coordinates,
+        error_mm2=error,
+    )
+    assert np.isfinite(promised_cells(kept, _cells(kept), 0.9)).all()
