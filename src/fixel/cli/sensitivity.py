@@ -32,7 +32,11 @@ def sensitivity(
     ] = HERE,
     calibration: Annotated[
         int | None,
-        typer.Option(help="Stored calibration to simulate with.", metavar="ID", show_default=False),
+        typer.Option(
+            help="Stored calibration to simulate with.",
+            metavar="ID",
+            show_default="the newest; nominal values without any",
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,

@@ -65,6 +65,11 @@ class Calibrated:
         return found
 
 
+def newest(store: Store) -> int | None:
+    """Id of the calibration that `calibrated` takes where none is named; none without any."""
+    return calibrated(store).id if store.calibrations() else None
+
+
 def parted(label: str) -> tuple[str, dict[str, str]]:
     """Name and conditions of an unknown's label: `"mu_pusher[surface=abs]"`."""
     match = _LABEL.fullmatch(label)

@@ -22,7 +22,7 @@ from fixel.uncertainty.indices import Indices, indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import Analysis, Kept, keep
-from fixel.workflows.calibrated import Calibrated, calibrated, parted
+from fixel.workflows.calibrated import Calibrated, calibrated, newest, parted
 from fixel.workflows.pictures import Picture
 from fixel.workflows.sensitivity_words import analysis_of, arrays_of, pictures_of
 from fixel.workflows.simulate import Method, parts
@@ -47,7 +47,7 @@ class SensitivityRequest:
     ranges : mapping of str to (float, float)
         What is uncertain besides, for the indices; over the intervals of a calibration.
     calibration : int, optional
-        Id; the scene's own values where left out.
+        Id; of stored experiments the newest where left out, the scene's own values without any.
     indices : bool
     base : int
         Base samples of the indices, a power of two.
@@ -158,6 +158,9 @@ def analyse_sensitivity(
     files = [thing for thing in things if is_scene_file(thing)]
     stored = len(files) < len(things) or not things or request.calibration is not None
     opened = project() if stored else None
+    if opened is not None and request.calibration is None:
+        with opened.store() as store:
+            request = replace(request, calibration=newest(store))
     subjects, skipped = _subjects(things, request, opened)
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
