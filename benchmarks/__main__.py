@@ -24,11 +24,12 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
+    "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "coverage")
+ONLY_WHEN_ASKED = ("peers", "coverage", "sbc")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
+from fixel.drawing.coverage import CoveragePicture, fill_coverage
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
@@ -73,7 +74,7 @@ class ClusterPicture(NamedTuple):
     clusters: Sequence[TriangleCluster]
 
 
-Picture = SupportPicture | PathPicture | ClusterPicture
+Picture = SupportPicture | PathPicture | ClusterPicture | CoveragePicture
 
 
 def draw(picture: Picture, file: str | Path) -> None:
@@ -81,7 +82,7 @@ def draw(picture: Picture, file: str | Path) -> None:
 
     Parameters
     ----------
-    picture : SupportPicture, PathPicture or ClusterPicture
+    picture : SupportPicture, PathPicture, ClusterPicture or CoveragePicture
     file : str or Path
         Ends with .pdf, .png or .svg.
     """
@@ -94,6 +95,9 @@ def _fill(figure: Figure, picture: Picture) -> None:
         _supports(figure, picture)
     elif isinstance(picture, PathPicture):
         _paths(figure, picture)
+    elif isinstance(picture, CoveragePicture):
+        figure.set_size_inches(5.3, 3.1)
+        fill_coverage(figure, picture)
     else:
         _clusters(figure, picture)
 

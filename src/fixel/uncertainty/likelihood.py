@@ -19,7 +19,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.calibration.noise import LEAST_SCATTER, Noise
-from fixel.calibration.objective import Comparer
+from fixel.calibration.objective import MOST_ROLLOUTS, Comparer
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
@@ -80,19 +80,26 @@ class LogLikelihood:
     def __call__(self, points: FloatArray) -> FloatArray:
         """(k,) of points (k, n); `FLOOR` where an experiment cannot be simulated."""
         table = np.ascontiguousarray(points, np.float64)
-        k, n = len(table), len(self.members)
-        n_free = len(self.comparer.space.labels)
-        tau = self._tau(table)
+        most = max(1, MOST_ROLLOUTS // len(self.members))
+        parts = [self._some(table[k : k + most]) for k in range(0, len(table), most)]
+        found = np.concatenate(parts) if parts else np.zeros(0)
+        self.evaluations += len(found)
+        self.failed += int((found <= FLOOR).sum())
+        return found
+
+    def _some(self, points: FloatArray) -> FloatArray:
+        """All experiments under some points, in one batch."""
+        k, n = len(points), len(self.members)
+        free = np.ascontiguousarray(points[:, : len(self.comparer.space.labels)])
+        difference, good, _ = self.comparer.differences(
+            np.repeat(self.members, k), np.tile(free, (n, 1))
+        )
+        tau = self._tau(points)
         total = np.zeros(k)
-        fine = np.ones(k, bool)
         for own in range(n):
-            which = np.full(k, self.members[own])
-            difference, good, _ = self.comparer.differences(which, table[:, :n_free].copy())
-            total += self._one(own, difference[:, self._seen[own]], tau)
-            fine &= good
-        self.evaluations += k
-        self.failed += int((~fine).sum())
-        return np.where(fine & np.isfinite(total), np.maximum(total, FLOOR), FLOOR)
+            total += self._one(own, difference[own * k : (own + 1) * k, self._seen[own]], tau)
+        fine = good.reshape(n, k).all(axis=0) & np.isfinite(total)
+        return np.where(fine, np.maximum(total, FLOOR), FLOOR)
 
     def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
         """(k,) of one experiment, from residuals (k, n_seen, 3)."""

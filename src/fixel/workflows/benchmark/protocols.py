@@ -175,21 +175,27 @@ def _data_of(member: Member) -> list[Any]:
 def _calibrated(bench: Bench, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        found = _full_fit(bench, group, k, split)
+        found = full_fit(bench, group, k, split)
         yield _piece(bench, group, k, split.held_out, found)
         bench.tell(f"calibrated {' '.join(key)}")
 
 
-def _full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
-    shift = gap_registration(group, split.train).shift
-    beliefs = [
+def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
+    """Of everything that pushes of one plate on one surface say something about."""
+    shift = gap_registration(group, train).shift
+    return [
         *tip_beliefs(),
         *load_beliefs(group, FREE),
         *registration_beliefs(shift, 0.3e-3),
         *outline_beliefs(),
         *table_beliefs(),
     ]
+
+
+def full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
+    """Physics calibrated on a split's training pushes."""
     member = Member(group, split.train, {})
+    beliefs = full_beliefs(group, split.train)
     return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
 
 
@@ -267,7 +273,7 @@ def _shifted(shift: FloatArray) -> dict[str, float]:
 def _learned(bench: Bench, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        found = _full_fit(bench, group, k, split)
+        found = full_fit(bench, group, k, split)
         physics = found.predict(group, np.arange(len(group)))
         speed = bench.data.speed[group.rows]
 

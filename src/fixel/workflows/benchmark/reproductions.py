@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.atomic import written_whole
-from fixel.workflows.benchmark import asme_table_1, cmu_tripod, rpi_141
+from fixel.workflows.benchmark import asme_table_1, cmu_tripod, coverage, rpi_141
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 
 
@@ -27,6 +27,7 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
         "rpi-141": Part("rpi_2dgad", rpi_141.run),
         "asme-table-1": Part(None, asme_table_1.run),
+        "coverage": Part("mit_push_endpoints", coverage.run),
     }
 )
 
