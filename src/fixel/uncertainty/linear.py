@@ -131,9 +131,9 @@ def fit_predictive(
         own = error_of(training, error, start)
         covariance = _covariance(training, own, prior_sd, residual, freedom)
         error, start, freedom = _fitted(
-            training, _corrected(training, covariance, own, 0.5), error, start, freedom
+            training, _corrected(training, covariance, own, freedom, 0.5), error, start, freedom
         )
-    left = _corrected(training, covariance, error_of(training, error, start), 1.0)
+    left = _corrected(training, covariance, error_of(training, error, start), freedom, 1.0)
     total = _spreads(training, covariance, error, start).total
     distance = tuple(_distance(left, total, block) for block in blocks)
     return LinearPredictive(
@@ -175,6 +175,12 @@ def _spreads(
     )
 
 
+def _weights(residual: FloatArray, own: FloatArray, freedom: float) -> FloatArray:
+    """(k,) how much outcomes count under Student's t: far ones little."""
+    square = np.einsum("ki,kij,kj->k", residual, np.linalg.inv(own), residual)
+    return np.asarray((freedom + residual.shape[1]) / (freedom + square))
+
+
 def _covariance(
     outcomes: Outcomes,
     own: FloatArray,
@@ -184,28 +190,28 @@ def _covariance(
 ) -> FloatArray:
     """(n, n) inverse of Gauss and Newton's matrix; far outcomes count less, as under Student's
     t."""
-    inverse = np.linalg.inv(own)
-    square = np.einsum("ki,kij,kj->k", residual, inverse, residual)
-    weight = (freedom + residual.shape[1]) / (freedom + square)
-    weighted = np.matmul(inverse, outcomes.columns) * weight[:, None, None]
+    weight = _weights(residual, own, freedom)
+    weighted = np.matmul(np.linalg.inv(own), outcomes.columns) * weight[:, None, None]
     matrix = np.einsum("kcn,kcm->nm", outcomes.columns, weighted) + np.diag(prior_sd**-2.0)
     return np.asarray(np.linalg.pinv(matrix, hermitian=True))
 
 
 def _corrected(
-    outcomes: Outcomes, covariance: FloatArray, own: FloatArray, power: float
+    outcomes: Outcomes, covariance: FloatArray, own: FloatArray, freedom: float, power: float
 ) -> FloatArray:
     """(k, c) residuals without the pull that their outcomes had on the fit.
 
     (1 - leverage) to the power of -1 gives what each would be, had it not been fitted; -1/2 gives
-    the variance back that fitting took from the errors themselves.
+    the variance back that fitting took from the errors themselves. Far outcomes count little in
+    the fit, and have little leverage.
     """
     columns = outcomes.columns
     pull = np.matmul(np.matmul(columns, covariance), columns.transpose(0, 2, 1))
     # In standard deviations of the errors leverage is symmetric.
     root = np.linalg.cholesky(own)
     white = np.linalg.inv(root)
-    leverage = np.matmul(np.matmul(white, pull), white.transpose(0, 2, 1))
+    weight = _weights(outcomes.residual, own, freedom)[:, None, None]
+    leverage = weight * np.matmul(np.matmul(white, pull), white.transpose(0, 2, 1))
     values, vectors = np.linalg.eigh(leverage)
     # An outcome that decides an unknown alone has no residual to speak of.
     keep = 1.0 - np.clip(values, 0.0, MOST_LEVERAGE)
