@@ -23,7 +23,7 @@ class CoveragePanel(NamedTuple):
     low: FloatArray  # (n,) where the share would lie, were the levels true
     high: FloatArray  # (n,)
     groups: FloatArray  # (n_group, n) held in each group; none for one group
-    count: int  # outcomes
+    outcomes: int
 
 
 class CoveragePicture(NamedTuple):
@@ -48,7 +48,7 @@ class CoverageChart(AbstractChart):
         rows: list[tuple[str | float | int | None, ...]] = []
         for panel in self._picture.panels:
             told = zip(panel.levels, panel.held, panel.low, panel.high, strict=True)
-            rows += [(panel.title, *map(float, row), panel.count) for row in told]
+            rows += [(panel.title, *map(float, row), panel.outcomes) for row in told]
         return Table(
             ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes"), rows
         )
@@ -76,6 +76,6 @@ def _panel(axes: Axes, panel: CoveragePanel) -> None:
     axes.plot(levels, 100.0 * panel.held, color=palette.FORCE, linewidth=1.2, marker="o",
               markersize=2.5, label="held")  # fmt: skip
     axes.set(xlim=(0, 100), ylim=(0, 100), xlabel="level promised [%]")
-    axes.set_title(f"{panel.title}, {panel.count} outcomes", fontsize=palette.FONT_SIZE)
+    axes.set_title(f"{panel.title}, {panel.outcomes} outcomes", fontsize=palette.FONT_SIZE)
     axes.set_aspect("equal")
     clean(axes)

@@ -279,7 +279,7 @@ class FinalPoseChart(AbstractChart):
         self._turned(turned)
         handles, labels = near.get_legend_handles_labels()
         more, names = whole.get_legend_handles_labels()
-        figure.legend(handles + more, labels + names, frameon=False, ncols=6,
+        figure.legend(handles + more, labels + names, frameon=False, ncols=6, markerscale=3.0,
                       loc="outside lower center")  # fmt: skip
         return figure
 

@@ -252,4 +252,4 @@ def _shape(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _distances(positions: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
     away = positions - centre
-    return np.sqrt(np.einsum("ki,ij,kj->k", away, np.linalg.inv(spread), away))
+    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", away, np.linalg.inv(spread), away)))

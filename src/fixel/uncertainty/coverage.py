@@ -19,7 +19,7 @@ class CoverageCurve(NamedTuple):
     held: FloatArray  # (n,)
     low: FloatArray  # (n,) 2.5 % point of the share, were the levels true
     high: FloatArray  # (n,) 97.5 %
-    count: int  # outcomes
+    outcomes: int
 
     @property
     def largest_gap(self) -> float:

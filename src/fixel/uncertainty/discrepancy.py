@@ -101,7 +101,9 @@ def walk_over(share: FloatArray) -> Walk:
     return Walk(np.ascontiguousarray(axes), np.maximum(variance, 0.0), share)
 
 
-def draw_walks(share: FloatArray, tau: FloatArray, sides: FloatArray, dice: np.random.Generator) -> FloatArray:
+def draw_walks(
+    share: FloatArray, tau: FloatArray, sides: FloatArray, dice: np.random.Generator
+) -> FloatArray:
     """Model errors (k, n_frame, 3) of x, y, theta [m, m, rad] for standard deviations tau (k,)."""
     steps = np.sqrt(np.diff(share, prepend=0.0))
     walks = np.cumsum(steps[:, None] * dice.standard_normal((len(tau), len(share), 3)), axis=1)

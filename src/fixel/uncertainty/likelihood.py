@@ -177,4 +177,4 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
 def _seen(length: int) -> np.ndarray:
     """Frames that are looked at, counted from the last."""
     stride = max(1, math.ceil(length / MOST_FRAMES))
-    return np.arange(length)[(length - 1 - np.arange(length)) % stride == 0]
+    return np.asarray(np.arange(length)[(length - 1 - np.arange(length)) % stride == 0])

@@ -121,7 +121,7 @@ def fit_predictive(
         angle.
     """
     residual = training.residual
-    k, c = residual.shape
+    k = len(residual)
     if k < 10:
         raise InvalidInput("outcomes", found=k, expected="ten or more to learn from")
     room = max(1.0 - effective_unknowns(training, prior_sd) / residual.size, 0.1)
@@ -262,4 +262,4 @@ def _distance(residual: FloatArray, total: FloatArray, block: tuple[int, ...]) -
     own = list(block)
     spread = total[:, own][:, :, own]
     away = residual[:, own]
-    return np.sqrt(np.einsum("ki,kij,kj->k", away, np.linalg.inv(spread), away))
+    return np.asarray(np.sqrt(np.einsum("ki,kij,kj->k", away, np.linalg.inv(spread), away)))

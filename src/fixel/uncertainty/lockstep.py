@@ -92,7 +92,8 @@ class Lockstep:
                     found[k] = (unit[row], points[row], float(values[row]))
             left = [k for k in left if found[k] is None]
         return [
-            _answer(*one, tries[k], None, {"n_proposals": tries[k]}) for k, one in enumerate(found)
+            _answer(one[0], one[1], one[2], tries[k], None, {"n_proposals": tries[k]})
+            for k, one in enumerate(found)
         ]
 
     def _walked(self, waiting: list[Any]) -> list[Any]:
@@ -171,7 +172,7 @@ def _dice(argument: Any) -> np.random.Generator:
 
 
 def _in_cube(argument: Any, dice: np.random.Generator) -> FloatArray:
-    return dice.uniform(size=argument.kwargs["ndim"])
+    return np.asarray(dice.uniform(size=argument.kwargs["ndim"]))
 
 
 def _in_bound(argument: Any, dice: np.random.Generator) -> FloatArray:

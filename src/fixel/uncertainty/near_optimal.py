@@ -25,7 +25,7 @@ class NearOptimal(NamedTuple):
 
     least: float  # error of the best
     rise: float  # above it that noise explains
-    count: int  # points within
+    size: int  # points within
     low: FloatArray  # (n,) of all of them
     high: FloatArray  # (n,)
     clusters: tuple[Solution, ...]  # best first
@@ -85,6 +85,4 @@ def near_optimal(
     scale = gap * np.where(span > 0.0, span, 1.0)
     clusters = find_solutions(points, errors, scale, rise)
     own = points[near]
-    return NearOptimal(
-        least, rise, int(near.sum()), own.min(axis=0), own.max(axis=0), clusters
-    )
+    return NearOptimal(least, rise, int(near.sum()), own.min(axis=0), own.max(axis=0), clusters)

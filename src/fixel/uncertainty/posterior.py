@@ -1,8 +1,8 @@
 """What measurements leave of parameters: nested sampling by dynesty on the compiled batch.
 
-Source: Skilling (2006), Bayesian Analysis 1, 833-859; Feroz, Hobson & Bridges (2009) for bounds of
-several ellipsoids, which is what keeps separated minima alive; Speagle (2020) and Koposov et al. for
-dynesty.
+Source: Skilling (2006), Bayesian Analysis 1, 833-859; Feroz, Hobson & Bridges (2009), MNRAS 398,
+for bounds of several ellipsoids, which is what keeps separated minima alive; Speagle (2020), MNRAS
+493, for dynesty.
 """
 
 from __future__ import annotations
@@ -190,6 +190,9 @@ class NestedSampling:
         dice = np.random.Generator(np.random.PCG64([seed, MOST_RUNS]))
         rows = equal_weight(merged.importance_weights(), self.samples, dice)
         samples, values = merged.samples[rows], merged.logl[rows]
+        evidence = float(merged.logz[-1])
+        information = _information(merged.importance_weights(), merged.logl, evidence)
+        live = self._live(len(prior.labels)) * len(runs)
         if progress is not None:
             progress(Progress(count.evaluations, count.rate, 0.0, 1.0))
         return Posterior(
@@ -199,10 +202,10 @@ class NestedSampling:
             high=prior.high,
             samples=np.ascontiguousarray(samples),
             log_likelihood=values,
-            log_evidence=float(merged.logz[-1]),
-            log_evidence_error=float(merged.logzerr[-1]),
+            log_evidence=evidence,
+            log_evidence_error=math.sqrt(information / live),
             effective=effective,
-            information=float(merged.information[-1]),
+            information=information,
             evaluations=count.evaluations,
             failed=int(getattr(log_likelihood, "failed", 0)),
             modes=modes_of(samples, values),
@@ -332,6 +335,15 @@ def _mode(samples: FloatArray, log_likelihood: FloatArray, members: IntArray) ->
 
 def _kish(weights: FloatArray) -> float:
     return float(np.sum(weights) ** 2 / np.sum(weights**2))
+
+
+def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: float) -> float:
+    """By how much the data narrow the prior [nats]; Skilling (2006), eq. 15. dynesty's own has no
+    number where some likelihoods are as good as zero."""
+    share = np.asarray(weights) / np.sum(weights)
+    counted = share > 0.0
+    mean = float(share[counted] @ np.asarray(log_likelihood, np.float64)[counted])
+    return max(0.0, mean - log_evidence)
 
 
 def _merged(runs: list[Any]) -> Any:

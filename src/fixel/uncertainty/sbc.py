@@ -2,8 +2,8 @@
 
 Truths are drawn from the prior, measurements are made from them, and each posterior is asked where
 its truth lies among its samples. If everything fits together - simulator, likelihood, sampler - all
-ranks are equally likely. A posterior that is too narrow finds truths at the ends, one that is biased
-on one side.
+ranks are equally likely. A posterior that is too narrow finds truths at the ends, one that is off
+finds them on one side.
 
 Source: Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788.
 """
@@ -149,7 +149,7 @@ def measured_path(
     noise: Noise,
     dice: np.random.Generator,
 ) -> FloatArray:
-    """(n_sample, 3) what a camera would see of an experiment, were the values in truth (n,) true."""
+    """(n_sample, 3) what a camera would see of an experiment under a truth (n,)."""
     target = comparer.targets[member]
     values = comparer.space.columns(truth[None, : len(comparer.space.labels)], target.conditions)
     outcome = comparer.ensemble.simulate(np.array([member]), values)

@@ -137,7 +137,7 @@ def _coverage(found: Uncertainty) -> dict[str, Any] | None:
         "levels": position.levels.tolist(),
         "position_held": position.held.tolist(),
         "angle_held": angle.held.tolist(),
-        "outcomes": position.count,
+        "outcomes": position.outcomes,
     }
 
 
@@ -148,7 +148,7 @@ def _near(found: Uncertainty) -> dict[str, Any] | None:
     return {
         "least_mm2": near.least,
         "rise_mm2": near.rise,
-        "evaluations": near.count,
+        "evaluations": near.size,
         "low": dict(zip(found.near_names, near.low.tolist(), strict=True)),
         "high": dict(zip(found.near_names, near.high.tolist(), strict=True)),
         "clusters": [
@@ -209,7 +209,7 @@ def _headline(found: Uncertainty) -> Iterator[str]:
     if both is not None:
         at = int(np.argmin(np.abs(both[0].levels - 0.9)))
         yield (
-            f"Of {both[0].count} held-out experiments the 90 % bounds hold"
+            f"Of {both[0].outcomes} held-out experiments the 90 % bounds hold"
             f" {100.0 * both[0].held[at]:.0f} % of the final positions and"
             f" {100.0 * both[1].held[at]:.0f} % of the angles."
         )
@@ -337,7 +337,7 @@ def _bounds_table(found: Uncertainty) -> TextTable:
             )
         )
     return TextTable(
-        title="Bounds of 90 % on the final pose, and the level of those that just hold the measured",
+        title="Bounds of 90 % on the final pose; levels that just hold the measured one",
         head=("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]",
               "position at [%]", "theta at [%]"),
         rows=tuple(rows),
@@ -364,14 +364,14 @@ def _near_table(found: Uncertainty) -> TextTable:
 def _pictures(found: Uncertainty) -> Iterator[Picture]:
     posterior = found.posterior
     mode = np.zeros(len(posterior.samples), np.int64)
-    for k, one in enumerate(posterior.modes):
-        mode[one.members] = k
+    for k, part in enumerate(posterior.modes):
+        mode[part.members] = k
     axes = [
         Axis(_shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
              logarithmic=label == LABEL)
         for k, label in enumerate(posterior.labels)
     ]  # fmt: skip
-    weights = [one.weight for one in posterior.modes]
+    weights = [part.weight for part in posterior.modes]
     corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
                          title=f"What {_what(found)} leaves open")  # fmt: skip
     yield Picture("corner", corner, _banner(found.predicted),
@@ -431,7 +431,7 @@ def _outline(one: Predicted) -> FloatArray:
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
     panels = [
         CoveragePanel(f"final {name}", c.levels, c.held, c.low, c.high,
-                      np.zeros((0, len(c.levels))), c.count)
+                      np.zeros((0, len(c.levels))), c.outcomes)
         for name, c in zip(("position", "angle"), both, strict=True)
     ]  # fmt: skip
     chart = CoverageChart(CoveragePicture(panels), "What bounds hold of held-out experiments")

@@ -83,7 +83,7 @@ def run(
             "parts": _part_rows(held),
         },
         conclusions=_conclusions(overall, held),
-        settings={"seeds": request.seeds, "quick": quick, "pushes_held_out": overall[0].count},
+        settings={"seeds": request.seeds, "quick": quick, "pushes_held_out": overall[0].outcomes},
         picture=_picture(overall, held),
         seconds=clock.perf_counter() - begun,
     )
@@ -93,7 +93,7 @@ def predicted(group: PushGroup, split: Split, found: FittedPushes) -> Held:
     """Held-out pushes of a group, bounded from its training pushes."""
     beliefs = full_beliefs(group, split.train)
     outcomes = outcomes_of(group, found, beliefs)
-    good = np.isfinite(outcomes.residual).all(axis=1)
+    good = np.asarray(np.isfinite(outcomes.residual).all(axis=1))
     train, other = split.train[good[split.train]], split.held_out[good[split.held_out]]
     sd = np.array([belief.sd for belief in beliefs])
     predictive = fit_predictive(_rows(outcomes, train), sd, (POSITION, ANGLE))
@@ -182,7 +182,7 @@ def _group_rows(held: Sequence[Held]) -> list[Row]:
         row: Row = {"surface": key[0], "shape": key[1]}
         for k, name in enumerate(("position", "angle")):
             curve = _curve(own, k)
-            row["held_out"] = curve.count
+            row["held_out"] = curve.outcomes
             for level in (0.5, 0.9):
                 at = LEVELS.index(level)
                 row[f"{name}_held_{100 * level:.0f}"] = round(float(curve.held[at]), 4)
@@ -213,7 +213,7 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> list[
         at = [LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
         told = ", ".join(f"{100 * curve.held[k]:.1f} % at {100 * LEVELS[k]:.0f} %" for k in at)
         said.append(
-            f"Bounds on the final {name} of {curve.count} held-out pushes hold {told}; the largest"
+            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the largest"
             f" gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
         )
     parts = {row["part"]: row for row in _part_rows(held)}
@@ -238,7 +238,7 @@ def _picture(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> CoverageP
         panels.append(
             CoveragePanel(
                 f"final {name}", curves[k].levels, curves[k].held, curves[k].low, curves[k].high,
-                np.array([curve.held for curve in own]), curves[k].count,
+                np.array([curve.held for curve in own]), curves[k].outcomes,
             )
         )  # fmt: skip
     return CoveragePicture(panels)
