@@ -53,7 +53,8 @@ def test_the_answer_for_people(answered):
         "log evidence",
     ):
         assert words in out
-    assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push-1 --set tripod_radius=")
+    last = out.splitlines()[-1]
+    assert last.startswith("Next: fixel compare testbed/push-1 --set tripod_radius=")
     assert {path.name for path in pictures.glob("*.png")} == {
         "corner.png", "bands-1.png", "final-1.png", "bands-2.png", "final-2.png",
     }  # fmt: skip
@@ -78,9 +79,7 @@ def test_it_is_kept_as_an_analysis(folder, answered):
 
 
 def test_the_cameras_noise_is_found_out(folder):
-    wanted = UncertaintyRequest(
-        experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50
-    )
+    wanted = UncertaintyRequest(experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50)
     found = find_uncertainty(Project.open(folder), wanted)
     assert found.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.noise.angle_rad == pytest.approx(2e-3, rel=0.4)

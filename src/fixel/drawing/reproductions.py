@@ -96,7 +96,7 @@ def _fill(figure: Figure, picture: Picture) -> None:
     elif isinstance(picture, PathPicture):
         _paths(figure, picture)
     elif isinstance(picture, CoveragePicture):
-        figure.set_size_inches(5.3, 3.1)
+        figure.set_size_inches(5.3, 3.5)
         fill_coverage(figure, picture)
     else:
         _clusters(figure, picture)

@@ -97,8 +97,8 @@ class CornerChart(AbstractChart):
         across, up = self._values(x), self._values(y)
         for m in range(len(self.weights)):
             own = self.mode == m
-            axes.plot(across[own], up[own], ".", markersize=1.6, alpha=0.35,
-                      markeredgewidth=0.0, color=MODES[m % len(MODES)], rasterized=True)  # fmt: skip
+            axes.plot(across[own], up[own], ".", markersize=1.6, alpha=0.35, rasterized=True,
+                      markeredgewidth=0.0, color=MODES[m % len(MODES)])  # fmt: skip
         axes.set_ylim(*self._ends(y))
         if self.axes[y].logarithmic:
             axes.set_yscale("log")

@@ -213,8 +213,8 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> list[
         at = [LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
         told = ", ".join(f"{100 * curve.held[k]:.1f} % at {100 * LEVELS[k]:.0f} %" for k in at)
         said.append(
-            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the largest"
-            f" gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
+            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the"
+            f" largest gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
         )
     parts = {row["part"]: row for row in _part_rows(held)}
     said.append(

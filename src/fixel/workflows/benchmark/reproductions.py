@@ -20,6 +20,7 @@ class Part(NamedTuple):
 
     folder: str | None  # of its dataset; None where it needs none
     run: Callable[..., Reproduction]  # (folder, progress, *, quick)
+    keeps_fits: bool = False  # takes a folder of finished fits too
 
 
 REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
@@ -27,7 +28,7 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
         "rpi-141": Part("rpi_2dgad", rpi_141.run),
         "asme-table-1": Part(None, asme_table_1.run),
-        "coverage": Part("mit_push_endpoints", coverage.run),
+        "coverage": Part("mit_push_endpoints", coverage.run, keeps_fits=True),
     }
 )
 
@@ -60,7 +61,8 @@ def reproduce(
         )
     part = REPRODUCTIONS[name]
     folder = None if part.folder is None else _folder(data, part.folder)
-    answer = part.run(folder, progress or _silent, quick=quick)
+    more = {"fits": out / "fits"} if part.keeps_fits and out is not None else {}
+    answer = part.run(folder, progress or _silent, quick=quick, **more)
     if out is not None:
         write(answer, out)
     return answer
