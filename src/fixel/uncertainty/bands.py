@@ -21,7 +21,8 @@ from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import fraction
 from fixel.model.trajectory import wrapped
-from fixel.uncertainty.discrepancy import draw_walks, shares_of_way
+from fixel.uncertainty.discrepancy import draw_walks
+from fixel.uncertainty.likelihood import expected_shares
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prior import Prior
 
@@ -150,8 +151,7 @@ def predict(
     target = comparer.targets[member]
     walk = np.zeros_like(both)
     if prior.model_error is not None:
-        scale = prior.model_error.angle_scale
-        share = shares_of_way(target.case.scene.bodies[0].pose, centre, scale)
+        share = expected_shares(comparer, member, prior.model_error)
         walk = draw_walks(share, points[:, -1], prior.model_error.sides, dice)
     seen = dice.standard_normal(both.shape) * noise.standard_deviations
     paths = [_near(path, centre) for path in (only, begun, both)]

@@ -127,14 +127,25 @@ class LogLikelihood:
 
     def shares(self, own: int) -> FloatArray:
         """(n_sample,) of the way of one of the members, by number among them."""
-        target = self.comparer.targets[self.members[own]]
-        start = target.case.scene.bodies[0].pose
-        poses = target.pose.copy()
-        poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
-        scale = ModelError().angle_scale
-        if self.prior.model_error is not None:
-            scale = self.prior.model_error.angle_scale
-        return shares_of_way(start, poses, scale)
+        error = self.prior.model_error or ModelError()
+        return expected_shares(self.comparer, int(self.members[own]), error)
+
+
+def expected_shares(comparer: Comparer, member: int, error: ModelError) -> FloatArray:
+    """Share (n_sample,) of the way behind each frame of an experiment, as expected before looking.
+
+    Of the simulation at the space's nominal values: a walk's variance must not depend on the data
+    that it explains. Of the measured poses where that simulation fails.
+    """
+    target = comparer.targets[member]
+    start = target.case.scene.bodies[0].pose
+    point = comparer.space.nominal[None].copy()
+    difference, good, _ = comparer.differences(np.array([member]), point)
+    poses = target.pose.copy()
+    if good[0]:
+        poses += difference[0, : len(poses)]
+    poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
+    return shares_of_way(start, poses, error.angle_scale)
 
 
 def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) -> Noise:

@@ -20,8 +20,8 @@ from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
-from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way
-from fixel.uncertainty.likelihood import LogLikelihood
+from fixel.uncertainty.discrepancy import ModelError, draw_walks
+from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
 from fixel.uncertainty.prior import Prior
 
@@ -157,9 +157,8 @@ def measured_path(
         raise SolveFailed(f"{target.key} under a draw of the prior: {outcome.reasons[0]}")
     path = outcome.pose[0, : len(target.pose)]
     if prior.model_error is not None:
-        scale, sides = prior.model_error.angle_scale, prior.model_error.sides
-        share = shares_of_way(target.case.scene.bodies[0].pose, path, scale)
-        path = path + draw_walks(share, truth[-1:], sides, dice)[0]
+        share = expected_shares(comparer, member, prior.model_error)
+        path = path + draw_walks(share, truth[-1:], prior.model_error.sides, dice)[0]
     seen = path + dice.standard_normal(path.shape) * noise.standard_deviations
     seen[:, 2] = wrapped(seen[:, 2])
     return np.asarray(seen)
