@@ -78,3 +78,20 @@ def test_error_counts_angles_by_35_mm() -> None:
 
 def test_values_that_ended_on_a_bound_are_named() -> None:
     assert at_bound({"mu_pusher": 0.0, "tripod_radius": 0.03}) == ["mu_pusher"]
+
+
+def test_bounds_on_real_pushes_that_were_held_out(data_root: Path, tmp_path: Path) -> None:
+    found = reproduce("coverage", data_root, out=tmp_path, quick=True)
+    curve = {row["level"]: row for row in found.tables["curve"]}
+    # 72 pushes of three plates and rough fits: a look. Both ends of what chance alone allows.
+    assert found.settings["pushes_held_out"] == 72
+    assert curve[0.5]["position_held"] > 0.3
+    assert curve[0.9]["position_held"] > 0.75
+    assert curve[0.9]["angle_held"] > 0.75
+    held = [row["position_held"] for row in found.tables["curve"]]
+    assert held == sorted(held)
+    parts = {row["part"]: row["across_mm"] for row in found.tables["parts"]}
+    whole = np.hypot(np.hypot(parts["parameters"], parts["start"]), parts["model"])
+    assert parts["total"] == pytest.approx(whole, rel=0.01)
+    assert (tmp_path / "coverage.png").stat().st_size > 10_000
+    assert list((tmp_path / "fits").glob("calibrated_0_*.json"))

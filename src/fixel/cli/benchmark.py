@@ -39,8 +39,8 @@ def real(
     only: Annotated[
         str,
         typer.Option(
-            help="Part of the benchmark: mit, promise, rates, cmu-tripod, rpi-141, repeats or"
-            " asme-table-1 (which needs no data).",
+            help="Part of the benchmark: mit, promise, coverage, rates, cmu-tripod, rpi-141,"
+            " repeats or asme-table-1 (which needs no data).",
             metavar="PART",
         ),
     ] = "mit",

@@ -33,6 +33,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
 
@@ -67,6 +68,7 @@ app.add_typer(project.testbed, name="testbed")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
+app.command("uncertainty")(uncertainty.uncertainty)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

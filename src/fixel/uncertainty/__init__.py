@@ -1,1 +1,1 @@
-"""What follows from what is not known: outcome fans, posteriors, indices, bands; no files."""
+"""What measurements leave open of parameters, and what follows from it for predictions."""

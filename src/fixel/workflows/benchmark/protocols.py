@@ -180,17 +180,22 @@ def _calibrated(bench: Bench, key: Key) -> Iterator[Piece]:
         bench.tell(f"calibrated {' '.join(key)}")
 
 
-def full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
-    """The fit of the protocol `calibrated` to the training pushes of a split."""
-    shift = gap_registration(group, split.train).shift
-    beliefs = [
+def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
+    """Of everything that pushes of one plate on one surface say something about."""
+    shift = gap_registration(group, train).shift
+    return [
         *tip_beliefs(),
         *load_beliefs(group, FREE),
         *registration_beliefs(shift, 0.3e-3),
         *outline_beliefs(),
         *table_beliefs(),
     ]
+
+
+def full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
+    """Physics calibrated on a split's training pushes."""
     member = Member(group, split.train, {})
+    beliefs = full_beliefs(group, split.train)
     return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
 
 

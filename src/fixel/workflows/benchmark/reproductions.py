@@ -14,6 +14,7 @@ from fixel.exchange.atomic import written_whole
 from fixel.workflows.benchmark import (
     asme_table_1,
     cmu_tripod,
+    coverage,
     promise,
     rates,
     repeats,
@@ -37,6 +38,7 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "asme-table-1": Part(None, asme_table_1.run),
         "repeats": Part("cmu_two_point_push", repeats.run),
         "promise": Part("mit_push_endpoints", promise.run, keeps=True),
+        "coverage": Part("mit_push_endpoints", coverage.run, keeps=True),
         "rates": Part("", rates.run, keeps=True),
     }
 )

@@ -1,0 +1,193 @@
+"""`fixel uncertainty`: what experiments leave open of parameters, and what follows from it."""
+
+import json
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fixel.cli.project import AsJson, ProjectFolder
+from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fixel.uncertainty.posterior import Progress
+    from fixel.workflows.analysis import Kept
+    from fixel.workflows.uncertainty import Uncertainty
+
+
+def uncertainty(
+    experiments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Ids or names; those of the calibration where left out.",
+            metavar="[EXPERIMENT]...",
+        ),
+    ] = None,
+    folder: ProjectFolder = Path(),
+    calibration: Annotated[
+        int | None,
+        typer.Option(
+            help="Stored calibration whose parameters, motion model and experiments are taken.",
+            metavar="NUMBER",
+            show_default=False,
+        ),
+    ] = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Parameter to ask for, in SI units or with _mm, _deg, _mrad after the name; may be"
+            " repeated.",
+            metavar="NAME[=LOW:HIGH]",
+        ),
+    ] = None,
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option(help="Experiment to be predicted only; may be repeated.", metavar="NAME"),
+    ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="dynamic, quasistatic or first-order.",
+            metavar="MODEL",
+            show_default="the calibration's, or dynamic",
+        ),
+    ] = None,
+    noise_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of measured positions [mm].", show_default="found out"
+        ),
+    ] = None,
+    noise_mrad: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of measured angles [mrad].", show_default="found out"
+        ),
+    ] = None,
+    model_error: Annotated[
+        bool,
+        typer.Option(
+            "--model-error/--no-model-error", help="The model's own error as a term of its own."
+        ),
+    ] = True,
+    samples: Annotated[int, typer.Option(help="Effective samples wanted.", min=10)] = 1000,
+    seed: Annotated[int, typer.Option(help="Of everything random.", min=0)] = 0,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say how certain parameters are, and where the next push like this one ends.
+
+    Priors are uniform within the bounds of the parameters.
+    """
+    from fixel.database.project import Project
+    from fixel.workflows.uncertainty import UncertaintyRequest, find_uncertainty
+    from fixel.workflows.uncertainty_told import keep_uncertainty
+
+    request = UncertaintyRequest(
+        experiments=tuple(experiments or ()),
+        held_out=tuple(held_out or ()),
+        calibration=calibration,
+        fit=tuple(fit or ()),
+        motion=motion,
+        noise=_noise(noise_mm, noise_mrad),
+        model_error=model_error,
+        samples=samples,
+        seed=seed,
+    )
+    if plot is not None:
+        from fixel.workflows.pictures import make_folder
+
+        make_folder(plot)
+    project = Project.open(folder)
+    found = find_uncertainty(project, request, _bar())
+    kept = keep_uncertainty(project, found, "fixel " + shlex.join(sys.argv[1:]))
+    pictures = [] if plot is None else _copied(kept, plot)
+    if as_json:
+        answer = kept.analysis.numbers | {
+            "folder": str(kept.folder),
+            "pictures": [str(path) for path in pictures],
+        }
+        typer.echo(json.dumps(answer, allow_nan=False))
+        return
+    typer.echo("\n".join(_lines(found, kept, pictures, folder)))
+
+
+def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
+    if (mm is None) != (mrad is None):
+        raise InvalidInput(
+            "--noise-mm" if mm is None else "--noise-mrad",
+            found="left out beside the other",
+            expected="both, or neither",
+        )
+    return None if mm is None or mrad is None else (1e-3 * mm, 1e-3 * mrad)
+
+
+def _bar() -> "Callable[[Progress], None] | None":
+    from fixel.cli.screen import progress_bar
+
+    show = progress_bar("Sampling")
+    if show is None:
+        return None
+    highest = 0
+
+    def tell(progress: "Progress") -> None:
+        nonlocal highest
+        share = round(1000.0 * progress.share)
+        if share >= 1000 and progress.remaining > 0.0:
+            share = 999
+        highest = max(highest, share)
+        show(highest, 1000)
+
+    return tell
+
+
+def _copied(kept: "Kept", folder: Path) -> list[Path]:
+    """The pictures, where they were wanted."""
+    import shutil
+
+    made = []
+    for shown in kept.analysis.pictures:
+        for ending in ("png", "pdf", "csv"):
+            target = folder / f"{shown.name}.{ending}"
+            shutil.copyfile(kept.picture(shown.name, ending), target)
+            made.append(target)
+    return made
+
+
+def _lines(found: "Uncertainty", kept: "Kept", pictures: list[Path], folder: Path) -> list[str]:
+    from fixel.cli.screen import seconds, table
+
+    analysis, posterior = kept.analysis, found.posterior
+    lines = list(analysis.headline)
+    lines += [f"Mind: {sentence}" for sentence in analysis.warnings]
+    for one in analysis.tables:
+        lines += ["", one.title, *table(one.head, one.rows)]
+    lines += [
+        "",
+        f"{posterior.effective:.0f} effective samples from {posterior.evaluations} simulated"
+        f" points in {seconds(posterior.seconds)}; log evidence {posterior.log_evidence:.2f}"
+        f" +- {posterior.log_evidence_error:.2f}",
+    ]
+    lines += [f"wrote {path}" for path in pictures]
+    lines.append(f"kept in {kept.folder}")
+    lines.append(f"Next: {_next(found, folder)}")
+    return lines
+
+
+def _next(found: "Uncertainty", folder: Path) -> str:
+    """What the answer asks for: a comparison with the likeliest values."""
+    values: dict[str, Any] = dict(
+        zip(found.posterior.labels, found.posterior.best.tolist(), strict=True)
+    )
+    words = ["fixel", "compare", found.predicted[0].experiment.key]
+    for unknown in found.space.free:
+        if not unknown.where:
+            words += ["--set", f"{unknown.name}={values[unknown.label]:.4g}"]
+    words += [] if folder == Path() else ["--project", str(folder)]
+    return shlex.join(words)

@@ -1,0 +1,191 @@
+"""How probable measured paths are under values of parameters, a batch of points at a time.
+
+A measured frame is the simulated one, plus the model's own error (`discrepancy.py`), plus the
+camera's noise. Both are Gaussian, so that the probability of a whole path is a product over the
+principal axes of the model error's walk:
+
+    log p = sum over axes i, channels c of log N(z_ic; 0, T s_c^2 + tau_c^2 w_i)
+
+with z the residuals along the axes, w the walk's variances, s the noise and T its correlation time:
+N correlated frames count as N / T independent ones (docs/theory/identifiability.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, final
+
+import numpy as np
+
+from fixel.calibration.noise import LEAST_SCATTER, Noise
+from fixel.calibration.objective import MOST_ROLLOUTS, Comparer
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.trajectory import wrapped
+from fixel.uncertainty.discrepancy import ModelError, Walk, log_density, shares_of_way, walk_over
+from fixel.uncertainty.prior import Prior
+
+# Where a simulation failed: what dynesty takes for impossible, and still a number.
+FLOOR: Final = -1e300
+
+# Frames of one experiment that are looked at; of more, every second, third, ... from the last.
+MOST_FRAMES: Final = 400
+
+# Standard deviation over the median absolute value of a normal variable.
+_SD_OF_MEDIAN: Final = 1.4826
+
+
+@final
+class LogLikelihood:
+    """Log likelihood of points for one or several experiments together.
+
+    Parameters
+    ----------
+    comparer : Comparer
+    members : sequence of int
+        Numbers of its experiments.
+    noise : Noise
+        Of the camera alone where model error is a term; else of all that simulations cannot say.
+    model_error : ModelError, optional
+        Prior of its standard deviation, which becomes the last unknown, the same for all
+        experiments; their errors are independent.
+
+    Attributes
+    ----------
+    prior : Prior
+        Of all unknowns, in the order of the columns of points.
+    evaluations, failed : int
+        Points looked at so far, and those where an experiment could not be simulated.
+    """
+
+    def __init__(
+        self,
+        comparer: Comparer,
+        members: Sequence[int],
+        noise: Noise,
+        model_error: ModelError | None = None,
+    ) -> None:
+        self.comparer = comparer
+        self.members = np.asarray(members, np.int64)
+        if not len(self.members):
+            raise InvalidInput("experiments", found="none", expected="one at least")
+        self.noise = noise
+        self.prior = Prior(comparer.space, model_error)
+        self.evaluations = self.failed = 0
+        self._white = noise.correlation * noise.standard_deviations**2
+        self._seen = [_seen(int(n)) for n in comparer.length(self.members)]
+        self._walks = [self._walk(k) for k in range(len(self.members))]
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """(k,) of points (k, n); `FLOOR` where an experiment cannot be simulated."""
+        table = np.ascontiguousarray(points, np.float64)
+        most = max(1, MOST_ROLLOUTS // len(self.members))
+        parts = [self._some(table[k : k + most]) for k in range(0, len(table), most)]
+        found = np.concatenate(parts) if parts else np.zeros(0)
+        self.evaluations += len(found)
+        self.failed += int((found <= FLOOR).sum())
+        return found
+
+    def _some(self, points: FloatArray) -> FloatArray:
+        """All experiments under some points, in one batch."""
+        k, n = len(points), len(self.members)
+        free = np.ascontiguousarray(points[:, : len(self.comparer.space.labels)])
+        difference, good, _ = self.comparer.differences(
+            np.repeat(self.members, k), np.tile(free, (n, 1))
+        )
+        tau = self._tau(points)
+        total = np.zeros(k)
+        for own in range(n):
+            total += self._one(own, difference[own * k : (own + 1) * k, self._seen[own]], tau)
+        fine = good.reshape(n, k).all(axis=0) & np.isfinite(total)
+        return np.where(fine, np.maximum(total, FLOOR), FLOOR)
+
+    def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
+        """(k,) of one experiment, from residuals (k, n_seen, 3)."""
+        walk = self._walks[own]
+        if walk is None:
+            n = difference.shape[1]
+            scale = n * float(np.log(2.0 * math.pi * self._white).sum())
+            return np.asarray(-0.5 * (np.sum(difference**2 / self._white, axis=(1, 2)) + scale))
+        # (n, n) x (n, 3) for each point: the same bits for any number of points at a time.
+        rotated = np.matmul(walk.axes.T, difference)
+        return log_density(rotated, walk.variance, tau, self._white)
+
+    def _tau(self, points: FloatArray) -> FloatArray:
+        """(k, 3) standard deviations of model error in x, y, theta."""
+        error = self.prior.model_error
+        if error is None:
+            return np.zeros((len(points), 3))
+        return np.asarray(points[:, -1:] / error.sides)
+
+    def _walk(self, own: int) -> Walk | None:
+        if self.prior.model_error is None:
+            return None
+        share = self.shares(own)
+        return walk_over(share[self._seen[own]])
+
+    def shares(self, own: int) -> FloatArray:
+        """(n_sample,) of the way of one of the members, by number among them."""
+        error = self.prior.model_error or ModelError()
+        return expected_shares(self.comparer, int(self.members[own]), error)
+
+
+def expected_shares(comparer: Comparer, member: int, error: ModelError) -> FloatArray:
+    """Share (n_sample,) of the way behind each frame of an experiment, as expected before looking.
+
+    Of the simulation at the space's nominal values: a walk's variance must not depend on the data
+    that it explains. Of the measured poses where that simulation fails.
+    """
+    target = comparer.targets[member]
+    start = target.case.scene.bodies[0].pose
+    point = comparer.space.nominal[None].copy()
+    difference, good, _ = comparer.differences(np.array([member]), point)
+    poses = target.pose.copy()
+    if good[0]:
+        poses += difference[0, : len(poses)]
+    poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
+    return shares_of_way(start, poses, error.angle_scale)
+
+
+def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) -> Noise:
+    """The camera's noise alone, from how much residuals differ from frame to frame.
+
+    Second differences of white noise have six times its variance; a smooth error of the model has
+    next to none. The median absolute value keeps out the frames where a contact came or went.
+
+    Parameters
+    ----------
+    point : (n_free,) float64
+        Of a fit; a rough one will do.
+    """
+    own = np.asarray(members, np.int64)
+    points = np.repeat(np.asarray(point, np.float64)[None], len(own), axis=0)
+    difference, good, _ = comparer.differences(own, points)
+    length = comparer.length(own)
+    rows = [
+        np.diff(d[:n], n=2, axis=0)
+        for d, n, ok in zip(difference, length, good, strict=True)
+        if ok and n >= 3
+    ]
+    if not rows:
+        raise InvalidInput(
+            "noise",
+            found="no experiment of three frames that could be simulated",
+            expected="one to find the camera's noise from",
+            hint="state the noise: --noise-mm and --noise-mrad",
+        )
+    table = np.concatenate(rows)
+    sd = _SD_OF_MEDIAN * np.median(np.abs(table), axis=0) / math.sqrt(6.0)
+    return Noise(
+        position_m=max(LEAST_SCATTER, float(np.sqrt(np.mean(sd[:2] ** 2)))),
+        angle_rad=max(LEAST_SCATTER, float(sd[2])),
+        source="residuals",
+        freedom=float(max(1, table.size // 3)),
+    )
+
+
+def _seen(length: int) -> np.ndarray:
+    """Frames that are looked at, counted from the last."""
+    stride = max(1, math.ceil(length / MOST_FRAMES))
+    return np.asarray(np.arange(length)[(length - 1 - np.arange(length)) % stride == 0])

@@ -1,0 +1,379 @@
+"""What measurements leave of parameters: nested sampling by dynesty on the compiled batch.
+
+Source: Skilling (2006), Bayesian Analysis 1, 833-859; Feroz, Hobson & Bridges (2009), MNRAS 398,
+for bounds of several ellipsoids, which is what keeps separated minima alive; Speagle (2020), MNRAS
+493, for dynesty.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.solutions import find_solutions
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.uncertainty.lockstep import Batched, Lockstep
+
+# Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
+# posterior of n parameters.
+SAMPLES_PER_LIVE: Final = 3.0
+# Fewer would lose a minimum that holds a few percent of the probability.
+FEWEST_LIVE: Final = 250
+# The proposals in flight; their number changes no answer's correctness, only how many are thrown
+# away because the limit has risen since: about half of this over the number of live points.
+IN_FLIGHT: Final = 32
+# The evidence that is left to be found when a run ends, as the logarithm of a factor.
+REMAINING: Final = 0.02
+# Volume of the ellipsoids about the live points, beside the smallest that hold them. dynesty would
+# find it by bootstrap, at six times the cost of everything else here.
+ENLARGED: Final = 1.5
+# Evaluations a live point between two fits of the ellipsoids.
+UPDATED: Final = 2.0
+# Up to so many unknowns uniform draws within the bound are cheaper than walks.
+MOST_FOR_UNIFORM: Final = 6
+# Runs that are put together, at most, to have as many effective samples as were asked for.
+MOST_RUNS: Final = 6
+# Share of the probability below which a cluster of samples is not a mode of its own.
+LEAST_MODE: Final = 0.01
+# How often progress is told [s].
+BETWEEN: Final = 0.2
+
+
+class Progress(NamedTuple):
+    """How far a run is."""
+
+    evaluations: int
+    per_second: float
+    remaining: float  # evidence left to be found, as the logarithm of a factor
+    share: float  # of the work, roughly
+
+
+class Mode(NamedTuple):
+    """A part of the posterior that stands apart."""
+
+    weight: float  # of the probability
+    best: FloatArray  # (n,) its likeliest sample
+    log_likelihood: float  # there
+    low: FloatArray  # (n,) 2.5 % quantile of each parameter
+    high: FloatArray  # (n,) 97.5 %
+    members: IntArray  # rows of the equal-weight samples
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posterior:
+    """Samples of equal weight, and how good they are.
+
+    Attributes
+    ----------
+    labels, units : tuple of str
+        Of the n unknowns.
+    low, high : (n,) float64
+        Of the prior.
+    samples : (k, n) float64
+        Of equal weight.
+    log_likelihood : (k,) float64
+        At these.
+    log_evidence, log_evidence_error : float
+        Natural logarithm of the probability of the data under the prior, and its standard error.
+    effective : float
+        Kish's number of effective samples, before they were given equal weight.
+    information : float
+        By how much the data narrow the prior [nats].
+    evaluations, failed : int
+        Points looked at, and those that could not be simulated.
+    modes : tuple of Mode
+        The heaviest first; one where nothing stands apart.
+    seconds : float
+    seed : int
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    low: FloatArray
+    high: FloatArray
+    samples: FloatArray
+    log_likelihood: FloatArray
+    log_evidence: float
+    log_evidence_error: float
+    effective: float
+    information: float
+    evaluations: int
+    failed: int
+    modes: tuple[Mode, ...]
+    seconds: float
+    seed: int
+    method: str = field(default="")
+
+    def quantiles(self, levels: tuple[float, ...] = (0.025, 0.5, 0.975)) -> FloatArray:
+        """(len(levels), n) of the parameters."""
+        return np.asarray(np.quantile(self.samples, levels, axis=0))
+
+    @property
+    def best(self) -> FloatArray:
+        """(n,) the likeliest sample."""
+        return np.asarray(self.samples[int(np.argmax(self.log_likelihood))])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NestedSampling:
+    """Settings of a run.
+
+    Parameters
+    ----------
+    samples : int
+        Effective samples wanted, and the number of equal weight that come back.
+    live : int, optional
+        Live points; a third of the samples, 200 at least, where left out.
+    remaining : float
+        A run ends when what is left would raise the logarithm of the evidence by less.
+    walks : bool, optional
+        Random walks in place of uniform draws; with more than six unknowns where left out.
+    """
+
+    samples: int = 1000
+    live: int | None = None
+    remaining: float = REMAINING
+    walks: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.samples < 10:
+            raise InvalidInput("--samples", found=self.samples, expected="10 or more")
+        if self.live is not None and self.live < 20:
+            raise InvalidInput("live", found=self.live, expected="20 or more")
+        if not self.remaining > 0.0:
+            raise InvalidInput("remaining", found=self.remaining, expected="above 0")
+
+    def sample(
+        self,
+        log_likelihood: Batched,
+        prior: Any,
+        seed: int = 0,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> Posterior:
+        """Samples of the posterior.
+
+        Parameters
+        ----------
+        log_likelihood : callable
+            Points (k, n) -> (k,), finite; `FLOOR` where there is none.
+        prior : Prior
+            Or anything with its `labels`, `units`, `low`, `high` and `transform`.
+        seed : int
+            The same seed gives the same bits.
+        progress : callable, optional
+
+        Raises
+        ------
+        InvalidInput
+            dynesty is not installed, or the likelihood has no value anywhere in the prior.
+        """
+        begun = clock.perf_counter()
+        count = _Count(progress, self.remaining)
+        pool = Lockstep(log_likelihood, prior.transform, count)
+        runs: list[Any] = []
+        for k in range(MOST_RUNS):
+            dice = np.random.Generator(np.random.PCG64([seed, k]))
+            runs.append(self._run(pool, log_likelihood, prior, dice, count))
+            merged = _merged(runs)
+            effective = _kish(merged.importance_weights())
+            if effective >= self.samples:
+                break
+        dice = np.random.Generator(np.random.PCG64([seed, MOST_RUNS]))
+        rows = equal_weight(merged.importance_weights(), self.samples, dice)
+        samples, values = merged.samples[rows], merged.logl[rows]
+        evidence = float(merged.logz[-1])
+        information = _information(merged.importance_weights(), merged.logl, evidence)
+        live = self._live(len(prior.labels)) * len(runs)
+        if progress is not None:
+            progress(Progress(count.evaluations, count.rate, 0.0, 1.0))
+        return Posterior(
+            labels=prior.labels,
+            units=prior.units,
+            low=prior.low,
+            high=prior.high,
+            samples=np.ascontiguousarray(samples),
+            log_likelihood=values,
+            log_evidence=evidence,
+            log_evidence_error=math.sqrt(information / live),
+            effective=effective,
+            information=information,
+            evaluations=count.evaluations,
+            failed=int(getattr(log_likelihood, "failed", 0)),
+            modes=modes_of(samples, values),
+            seconds=clock.perf_counter() - begun,
+            seed=seed,
+            method=self._method(len(prior.labels), len(runs)),
+        )
+
+    def _walks(self, n: int) -> bool:
+        return n > MOST_FOR_UNIFORM if self.walks is None else self.walks
+
+    def _live(self, n: int) -> int:
+        wanted = math.ceil(self.samples / (SAMPLES_PER_LIVE * math.sqrt(0.5 * n)))
+        return max(FEWEST_LIVE, 25 * n, wanted) if self.live is None else self.live
+
+    def _method(self, n: int, runs: int) -> str:
+        how = "random walks" if self._walks(n) else "uniform draws"
+        several = "" if runs == 1 else f", {runs} runs put together"
+        return f"nested sampling, {self._live(n)} live points, {how} in several ellipsoids{several}"
+
+    def _run(
+        self,
+        pool: Lockstep,
+        log_likelihood: Batched,
+        prior: Any,
+        dice: np.random.Generator,
+        count: _Count,
+    ) -> Any:
+        nested = _nested_sampler()
+        n = len(prior.labels)
+        with warnings.catch_warnings():
+            # A plateau of failed simulations at the start is what FLOOR is for.
+            warnings.filterwarnings("ignore", category=RuntimeWarning, module="dynesty")
+            warnings.filterwarnings("ignore", category=UserWarning, module="dynesty")
+            sampler = nested(
+                lambda point: float(log_likelihood(np.asarray(point)[None])[0]),
+                lambda unit: prior.transform(np.asarray(unit)[None])[0],
+                n,
+                nlive=self._live(n),
+                bound="multi",
+                sample="rwalk" if self._walks(n) else "unif",
+                rstate=dice,
+                pool=pool,
+                queue_size=min(IN_FLIGHT, max(1, self._live(n) // 4)),
+                use_pool={"prior_transform": False, "update_bound": False},
+                enlarge=ENLARGED,
+                bootstrap=0,
+                update_interval=UPDATED,
+            )
+            _refuse_nothing(sampler.live_logl)
+            for step in sampler.sample(dlogz=self.remaining, save_bounds=False):
+                count.left(float(step.delta_logz))
+            for _ in sampler.add_live_points():
+                pass
+        return sampler.results
+
+
+class _Count:
+    """Counts points, and tells how far a run is."""
+
+    def __init__(self, progress: Callable[[Progress], None] | None, goal: float) -> None:
+        self._progress, self._goal = progress, goal
+        self.evaluations = 0
+        self._begun = self._told = clock.monotonic()
+        self._most = 1.0
+
+    def __call__(self, n: int) -> None:
+        self.evaluations += n
+
+    @property
+    def rate(self) -> float:
+        """Points a second."""
+        return self.evaluations / max(clock.monotonic() - self._begun, 1e-9)
+
+    def left(self, remaining: float) -> None:
+        now = clock.monotonic()
+        if self._progress is None or now - self._told < BETWEEN:
+            return
+        self._told = now
+        finite = min(remaining, 1e6)
+        self._most = max(self._most, finite)
+        span = math.log1p(self._most / self._goal)
+        share = 1.0 - math.log1p(max(finite - self._goal, 0.0) / self._goal) / span
+        self._progress(Progress(self.evaluations, self.rate, finite, min(max(share, 0.0), 1.0)))
+
+
+def equal_weight(weights: FloatArray, count: int, dice: np.random.Generator) -> IntArray:
+    """Rows (count,) drawn with weights, as evenly as can be (systematic), in random order."""
+    place = (dice.random() + np.arange(count)) / count
+    rows = np.searchsorted(np.cumsum(weights) / np.sum(weights), place)
+    return np.asarray(dice.permutation(np.minimum(rows, len(weights) - 1)))
+
+
+def modes_of(samples: FloatArray, log_likelihood: FloatArray) -> tuple[Mode, ...]:
+    """Parts of equal-weight samples (k, n) that stand apart from one another.
+
+    Samples are linked where they lie closer than half a standard deviation in each of the n
+    directions would allow; what is left over in the tails goes to the nearest part.
+    """
+    k, n = samples.shape
+    scale = np.maximum(samples.std(axis=0), 1e-12 * np.maximum(1e-300, np.abs(samples).max(axis=0)))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found = find_solutions(
+        samples, -log_likelihood, scale, threshold=1e300, distance=0.5 * math.sqrt(n)
+    )
+    large = [one.members for one in found if one.size >= LEAST_MODE * k] or [np.arange(k)]
+    label = np.full(k, -1)
+    for number, members in enumerate(large):
+        label[members] = number
+    stray = np.flatnonzero(label < 0)
+    if len(stray):
+        from scipy.spatial import cKDTree
+
+        home = np.flatnonzero(label >= 0)
+        label[stray] = label[home[cKDTree(samples[home] / scale).query(samples[stray] / scale)[1]]]
+    modes = [_mode(samples, log_likelihood, np.flatnonzero(label == j)) for j in range(len(large))]
+    return tuple(sorted(modes, key=lambda mode: -mode.weight))
+
+
+def _mode(samples: FloatArray, log_likelihood: FloatArray, members: IntArray) -> Mode:
+    own = samples[members]
+    best = int(members[int(np.argmax(log_likelihood[members]))])
+    low, high = np.quantile(own, (0.025, 0.975), axis=0)
+    weight = len(members) / len(samples)
+    return Mode(weight, samples[best].copy(), float(log_likelihood[best]), low, high, members)
+
+
+def _kish(weights: FloatArray) -> float:
+    return float(np.sum(weights) ** 2 / np.sum(weights**2))
+
+
+def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: float) -> float:
+    """By how much the data narrow the prior [nats]; Skilling (2006), eq. 15. dynesty's own has no
+    number where some likelihoods are as good as zero."""
+    share = np.asarray(weights) / np.sum(weights)
+    counted = share > 0.0
+    mean = float(share[counted] @ np.asarray(log_likelihood, np.float64)[counted])
+    return max(0.0, mean - log_evidence)
+
+
+def _merged(runs: list[Any]) -> Any:
+    if len(runs) == 1:
+        return runs[0]
+    from dynesty.utils import merge_runs
+
+    return merge_runs(list(runs), print_progress=False)
+
+
+def _nested_sampler() -> Any:
+    try:
+        from dynesty import NestedSampler
+    except ImportError:
+        raise InvalidInput(
+            "posterior",
+            found="no dynesty",
+            expected="the package that samples",
+            hint="pip install 'fixel[infer]'",
+        ) from None
+    return NestedSampler
+
+
+def _refuse_nothing(values: FloatArray) -> None:
+    from fixel.uncertainty.likelihood import FLOOR
+
+    if not (np.asarray(values, np.float64) > FLOOR).any():
+        raise InvalidInput(
+            "posterior",
+            found="no point of the prior that could be simulated",
+            expected="one at least",
+            hint="narrow the bounds to values under which the experiment can happen",
+        )

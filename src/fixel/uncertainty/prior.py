@@ -1,0 +1,74 @@
+"""What is believed of unknowns before looking: uniform in their bounds, normal where a prior is
+given."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+from fixel.model.space import ParameterSpace
+from fixel.uncertainty.discrepancy import LABEL, ModelError
+
+
+class Prior:
+    """Independent priors of the free unknowns of a space, and of model error where it is one.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        An unknown with a `prior` is normal about its nominal value, cut off at its bounds; one
+        without is uniform in its bounds.
+    model_error : ModelError, optional
+        One more unknown, the last.
+    """
+
+    def __init__(self, space: ParameterSpace, model_error: ModelError | None = None) -> None:
+        self.space = space
+        self.model_error = model_error
+        self._sd = np.array([np.inf if u.prior is None else u.prior for u in space.free])
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+        more = () if self.model_error is None else (LABEL,)
+        return (*self.space.labels, *more)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+        more = () if self.model_error is None else ("m",)
+        return (*(u.unit for u in self.space.free), *more)
+
+    @property
+    def low(self) -> FloatArray:
+        """(n,) lower bounds."""
+        more = [] if self.model_error is None else [self.model_error.low]
+        return np.array([*self.space.low, *more])
+
+    @property
+    def high(self) -> FloatArray:
+        """(n,) upper bounds."""
+        more = [] if self.model_error is None else [self.model_error.high]
+        return np.array([*self.space.high, *more])
+
+    def transform(self, unit: FloatArray) -> FloatArray:
+        """Quantiles (k, n) in [0, 1] to values (k, n)."""
+        from scipy.special import ndtr, ndtri
+
+        n = len(self._sd)
+        low, high, mean = self.space.low, self.space.high, self.space.nominal
+        q = np.asarray(unit, np.float64)[:, :n]
+        values = low + q * (high - low)
+        known = np.isfinite(self._sd)
+        if known.any():
+            sd = self._sd[known]
+            ends = ndtr((np.stack((low, high))[:, known] - mean[known]) / sd)
+            inner = ends[0] + q[:, known] * (ends[1] - ends[0])
+            values[:, known] = np.clip(mean[known] + sd * ndtri(inner), low[known], high[known])
+        if self.model_error is None:
+            return np.asarray(values)
+        return np.column_stack((values, self.model_error.transform(unit[:, n])))
+
+    def draw(self, count: int, dice: np.random.Generator) -> FloatArray:
+        """(count, n) points from the prior."""
+        return self.transform(dice.random((count, len(self.labels))))

@@ -1,0 +1,164 @@
+"""Simulation-based calibration: does a posterior mean what it says?
+
+Truths are drawn from the prior, measurements are made from them, and each posterior is asked where
+its truth lies among its samples. If everything fits together - simulator, likelihood, sampler - all
+ranks are equally likely. A posterior that is too narrow finds truths at the ends, one that is off
+finds them on one side.
+
+Source: Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import Comparer
+from fixel.errors import InvalidInput, SolveFailed
+from fixel.kernels.arrays import FloatArray
+from fixel.model.trajectory import wrapped
+from fixel.uncertainty.discrepancy import ModelError, draw_walks
+from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
+from fixel.uncertainty.posterior import NestedSampling, Posterior
+from fixel.uncertainty.prior import Prior
+
+BINS: Final = 10
+LEVEL: Final = 0.95
+
+
+class Ranks(NamedTuple):
+    """Where truths lie in their posteriors."""
+
+    labels: tuple[str, ...]
+    truths: FloatArray  # (n_set, n)
+    ranks: FloatArray  # (n_set, n) share of the samples below the truth, in [0, 1]
+
+    @property
+    def uniformity(self) -> FloatArray:
+        """(n,) p-values: how probable ranks so uneven are, were they uniform."""
+        return np.array([uniformity(column) for column in self.ranks.T])
+
+    @property
+    def coverage(self) -> FloatArray:
+        """(n,) share of truths inside the central 95 % interval."""
+        return np.asarray(np.mean(np.abs(self.ranks - 0.5) <= 0.5 * LEVEL, axis=0))
+
+
+def uniformity(ranks: FloatArray, bins: int = BINS) -> float:
+    """p-value of the chi-square test that ranks (k,) in [0, 1] are uniform."""
+    from scipy.stats import chisquare
+
+    own = np.asarray(ranks, np.float64)
+    if len(own) < 2 * bins:
+        raise InvalidInput("ranks", found=len(own), expected=f"{2 * bins} or more")
+    count, _ = np.histogram(own, bins, (0.0, 1.0))
+    return float(chisquare(count).pvalue)
+
+
+def rank_of(truth: FloatArray, samples: FloatArray, dice: np.random.Generator) -> FloatArray:
+    """(n,) ranks of a truth (n,) among samples (k, n), ties broken at random."""
+    below = np.sum(samples < truth, axis=0)
+    equal = np.sum(samples == truth, axis=0)
+    place = below + np.floor(dice.random(len(truth)) * (equal + 1.0))
+    return np.asarray((place + dice.random(len(truth))) / (len(samples) + 1.0))
+
+
+def calibrate_by_simulation(
+    comparer: Comparer,
+    noise: Noise,
+    model_error: ModelError | None,
+    data_sets: int,
+    *,
+    first: int = 0,
+    seed: int = 0,
+    sampling: NestedSampling | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Ranks:
+    """Ranks of truths drawn from the prior.
+
+    Parameters
+    ----------
+    comparer : Comparer
+        Its experiments say which pushes are made and when they are looked at; what was measured in
+        them is not read.
+    noise : Noise
+        White: of correlation 1.
+    model_error : ModelError, optional
+        Drawn for every data set.
+    data_sets : int
+    first : int
+        Number of the first: several processes may share the work.
+    seed : int
+        A data set depends on the seed and its number alone.
+    sampling : NestedSampling, optional
+    threads : int, optional
+        All cores where left out; no bit depends on it.
+    progress : callable, optional
+        Called as `progress(done, of)`.
+    """
+    chosen = sampling or NestedSampling(samples=500)
+    prior = Prior(comparer.space, model_error)
+    truths, ranks = [], []
+    for k in range(first, first + data_sets):
+        dice = np.random.default_rng([seed, k])
+        truth = prior.draw(1, dice)[0]
+        posterior = _posterior(comparer, truth, prior, noise, chosen, dice, k, threads)
+        truths.append(truth)
+        ranks.append(rank_of(truth, posterior.samples, dice))
+        if progress is not None:
+            progress(k + 1 - first, data_sets)
+    return Ranks(prior.labels, np.array(truths), np.array(ranks))
+
+
+def _posterior(
+    comparer: Comparer,
+    truth: FloatArray,
+    prior: Prior,
+    noise: Noise,
+    sampling: NestedSampling,
+    dice: np.random.Generator,
+    number: int,
+    threads: int | None,
+) -> Posterior:
+    members = range(len(comparer.targets))
+    measured = [measured_path(comparer, m, truth, prior, noise, dice) for m in members]
+    targets = [
+        target._replace(pose=pose) for target, pose in zip(comparer.targets, measured, strict=True)
+    ]
+    ensemble = comparer.ensemble
+    again = Comparer(
+        targets,
+        comparer.space,
+        motion=ensemble.motion,
+        stepper=ensemble.stepper,
+        threads=threads,
+    )
+    likelihood = LogLikelihood(again, list(members), noise, prior.model_error)
+    return sampling.sample(likelihood, prior, seed=number)
+
+
+def measured_path(
+    comparer: Comparer,
+    member: int,
+    truth: FloatArray,
+    prior: Prior,
+    noise: Noise,
+    dice: np.random.Generator,
+) -> FloatArray:
+    """(n_sample, 3) what a camera would see of an experiment under a truth (n,)."""
+    target = comparer.targets[member]
+    values = comparer.space.columns(truth[None, : len(comparer.space.labels)], target.conditions)
+    outcome = comparer.ensemble.simulate(np.array([member]), values)
+    if not outcome.converged[0]:
+        raise SolveFailed(f"{target.key} under a draw of the prior: {outcome.reasons[0]}")
+    path = outcome.pose[0, : len(target.pose)]
+    if prior.model_error is not None:
+        share = expected_shares(comparer, member, prior.model_error)
+        path = path + draw_walks(share, truth[-1:], prior.model_error.sides, dice)[0]
+    seen = path + dice.standard_normal(path.shape) * noise.standard_deviations
+    seen[:, 2] = wrapped(seen[:, 2])
+    return np.asarray(seen)

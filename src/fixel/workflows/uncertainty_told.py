@@ -1,0 +1,448 @@
+"""Uncertainty as an analysis: sentences, tables and pictures that a project keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.drawing.chart import readable
+from fixel.drawing.coverage import CoverageChart, CoveragePanel
+from fixel.drawing.uncertainty import (
+    Axis,
+    BandsChart,
+    CornerChart,
+    FinalPoseChart,
+    FinalRegion,
+    PathBand,
+)
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Disk
+from fixel.uncertainty.bands import LEVELS, PARTS
+from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
+from fixel.uncertainty.discrepancy import LABEL
+from fixel.workflows.analysis import Analysis, Kept, TextTable, keep
+from fixel.workflows.pictures import Picture
+from fixel.workflows.uncertainty import Predicted, Uncertainty
+
+MOST_PICTURED: Final = 3  # experiments
+# From so many held-out experiments on a curve says something.
+LEAST_FOR_CURVE: Final = 5
+REFERENCES: Final = ("skilling2006", "speagle2020")
+
+
+def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> Kept:
+    """Store the answer in its project, with pictures."""
+    posterior = found.posterior
+    analysis = Analysis(
+        kind="uncertainty",
+        title=f"Uncertainty of {_what(found)}",
+        question=_question(found),
+        headline=tuple(_headline(found)),
+        warnings=tuple(_warnings(found)),
+        tables=tuple(_tables(found)),
+        methods=tuple(_methods(found)),
+        references=REFERENCES,
+        numbers=numbers_of(found),
+        calibrations=() if found.calibration is None else (found.calibration.id,),
+        experiments=tuple(one.id for one in found.predicted),
+        command=command,
+        seed=found.request.seed,
+        seconds=posterior.seconds,
+    )
+    arrays = {"samples": posterior.samples, "log_likelihood": posterior.log_likelihood}
+    return keep(project, analysis, list(_pictures(found)), arrays)
+
+
+def numbers_of(found: Uncertainty) -> dict[str, Any]:
+    """Plain values in SI units, for `--json`."""
+    posterior, request = found.posterior, found.request
+    low, middle, high = posterior.quantiles()
+    return {
+        "experiments": [one.experiment.key for one in found.predicted if not one.held_out],
+        "motion": found.motion,
+        "noise": {
+            "position_m": found.noise.position_m,
+            "angle_rad": found.noise.angle_rad,
+            "source": found.noise.source,
+            "correlation": found.noise.correlation,
+        },
+        "model_error": request.model_error,
+        "parameters": {
+            label: {
+                "unit": posterior.units[k],
+                "low": float(low[k]),
+                "median": float(middle[k]),
+                "high": float(high[k]),
+                "best": float(posterior.best[k]),
+                "prior": [float(posterior.low[k]), float(posterior.high[k])],
+            }
+            for k, label in enumerate(posterior.labels)
+        },
+        "modes": [
+            {"weight": mode.weight, "best": dict(zip(posterior.labels, mode.best.tolist(),
+                                                     strict=True))}
+            for mode in posterior.modes
+        ],
+        "log_evidence": posterior.log_evidence,
+        "log_evidence_error": posterior.log_evidence_error,
+        "effective_samples": posterior.effective,
+        "information_nats": posterior.information,
+        "evaluations": posterior.evaluations,
+        "failed": posterior.failed,
+        "seconds": posterior.seconds,
+        "seed": posterior.seed,
+        "final_pose": [_final(one) for one in found.predicted],
+        "coverage": _coverage(found),
+        "near_optimal": _near(found),
+    }  # fmt: skip
+
+
+def _final(one: Predicted) -> dict[str, Any]:
+    bounds = one.prediction.bounds(0.9)
+    shares = one.prediction.shares
+    return {
+        "experiment": one.experiment.key,
+        "held_out": one.held_out,
+        "measured": one.target.pose[-1].tolist(),
+        "centre_m": bounds.position.centre.tolist(),
+        "radii_90_m": bounds.position.radii.tolist(),
+        "turn_rad": bounds.position.angle,
+        "angle_90_rad": list(bounds.angle),
+        "level_of_position": one.levels[0],
+        "level_of_angle": one.levels[1],
+        "standard_deviations": {name: value.tolist() for name, value in shares.items()},
+        "failed_draws": one.prediction.failed,
+    }
+
+
+def curves(found: Uncertainty) -> tuple[CoverageCurve, CoverageCurve] | None:
+    """Of held-out final positions and angles; none for a few."""
+    held = found.held_out
+    if len(held) < LEAST_FOR_CURVE:
+        return None
+    levels = np.array([one.levels for one in held])
+    return coverage_curve(levels[:, 0]), coverage_curve(levels[:, 1])
+
+
+def _coverage(found: Uncertainty) -> dict[str, Any] | None:
+    both = curves(found)
+    if both is None:
+        return None
+    position, angle = both
+    return {
+        "levels": position.levels.tolist(),
+        "position_held": position.held.tolist(),
+        "angle_held": angle.held.tolist(),
+        "outcomes": position.outcomes,
+    }
+
+
+def _near(found: Uncertainty) -> dict[str, Any] | None:
+    near = found.near
+    if near is None:
+        return None
+    return {
+        "least_mm2": near.least,
+        "rise_mm2": near.rise,
+        "evaluations": near.size,
+        "low": dict(zip(found.near_names, near.low.tolist(), strict=True)),
+        "high": dict(zip(found.near_names, near.high.tolist(), strict=True)),
+        "clusters": [
+            {"size": c.size, "best": dict(zip(found.near_names, c.point.tolist(), strict=True))}
+            for c in near.clusters
+        ],
+    }
+
+
+# --- sentences ------------------------------------------------------------------------------------
+
+
+def _what(found: Uncertainty) -> str:
+    own = [one.experiment.key for one in found.predicted if not one.held_out]
+    return own[0] if len(own) == 1 else f"{len(own)} experiments"
+
+
+def _question(found: Uncertainty) -> dict[str, Any]:
+    request = found.request
+    return {
+        "experiments": list(request.experiments),
+        "held_out": list(request.held_out),
+        "calibration": request.calibration,
+        "fit": list(request.fit),
+        "motion": found.motion,
+        "noise": None if request.noise is None else list(request.noise),
+        "model_error": request.model_error,
+        "samples": request.samples,
+        "seed": request.seed,
+    }
+
+
+def _headline(found: Uncertainty) -> Iterator[str]:
+    posterior = found.posterior
+    first = found.predicted[0]
+    bounds = first.prediction.bounds(0.9)
+    wide = degrees(bounds.angle[1] - bounds.angle[0])
+    a, b = (2e3 * bounds.position.radii).tolist()
+    yield (
+        f"Done again, {first.experiment.key} ends with 90 % probability in an ellipse of {a:.3g} by"
+        f" {b:.3g} mm and within {wide:.3g} degrees."
+    )
+    shares = first.prediction.shares
+    size = {name: float(np.hypot(*shares[name][:2])) for name in PARTS}
+    most = max(size, key=lambda name: size[name])
+    yield f"Most of the spread of the final position comes from {_MEANT[most]}."
+    if len(posterior.modes) > 1:
+        parts = ", ".join(f"{100.0 * mode.weight:.0f} %" for mode in posterior.modes)
+        yield f"{len(posterior.modes)} separate sets of values explain the data ({parts})."
+    if LABEL in posterior.labels:
+        k = posterior.labels.index(LABEL)
+        low, middle, high = (1e3 * posterior.quantiles()[:, k]).tolist()
+        yield (
+            f"The model's own error at the end of the way is {middle:.3g} mm (95 %: {low:.3g} to"
+            f" {high:.3g} mm)."
+        )
+    both = curves(found)
+    if both is not None:
+        at = int(np.argmin(np.abs(both[0].levels - 0.9)))
+        yield (
+            f"Of {both[0].outcomes} held-out experiments the 90 % bounds hold"
+            f" {100.0 * both[0].held[at]:.0f} % of the final positions and"
+            f" {100.0 * both[1].held[at]:.0f} % of the angles."
+        )
+
+
+_MEANT: Final = {
+    "parameters": "uncertain parameters: more experiments would narrow it",
+    "start": "the start: a better measured first pose would narrow it",
+    "model error": "the model's own error: more experiments would not narrow it",
+    "noise": "the camera's noise",
+}
+
+
+def _warnings(found: Uncertainty) -> Iterator[str]:
+    posterior = found.posterior
+    if posterior.effective < found.request.samples:
+        yield (
+            f"{posterior.effective:.0f} effective samples in place of {found.request.samples}:"
+            " tails are rough."
+        )
+    share = posterior.failed / max(1, posterior.evaluations)
+    if share > 0.1:
+        yield f"{100.0 * share:.0f} % of the simulations failed and count as impossible."
+    lost = sum(one.prediction.failed for one in found.predicted)
+    if lost:
+        yield f"{lost} draws could not be simulated and are left out of the bounds."
+    if not found.request.model_error:
+        yield "Without model error as a term parameters look more certain than they are."
+    if LABEL in posterior.labels:
+        k = posterior.labels.index(LABEL)
+        if posterior.quantiles((0.5,))[0, k] > 0.5 * posterior.high[k]:
+            yield "Model error is as large as its prior allows: this model does not fit."
+
+
+def _methods(found: Uncertainty) -> Iterator[str]:
+    posterior = found.posterior
+    yield (
+        f"The posterior of {len(posterior.labels)} unknowns was sampled by dynesty"
+        f" ({posterior.method}; {posterior.evaluations} simulated points, seed {posterior.seed}),"
+        f" with priors uniform within bounds; {posterior.effective:.0f} effective samples."
+    )
+    noise = found.noise
+    yield (
+        f"Measured poses were taken to scatter by {1e3 * noise.position_m:.3g} mm and"
+        f" {degrees(noise.angle_rad):.3g} degrees."
+    )
+    if found.request.model_error:
+        yield (
+            "Model error was a random walk in the distance travelled, of a standard deviation that"
+            " was sampled with the parameters."
+        )
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def _tables(found: Uncertainty) -> Iterator[TextTable]:
+    posterior = found.posterior
+    low, middle, high = posterior.quantiles()
+    rows = []
+    for k, label in enumerate(posterior.labels):
+        unit = readable(posterior.units[k])
+        ends = f"{unit.text(posterior.low[k])} .. {unit.text(posterior.high[k])}"
+        numbers = (unit.text(x) for x in (middle[k], low[k], high[k], posterior.best[k]))
+        rows.append((label, *numbers, ends, unit.name or "-"))
+    head = ("parameter", "median", "2.5 %", "97.5 %", "likeliest", "prior", "unit")
+    yield TextTable(title="Parameters", head=head, rows=tuple(rows))
+    if len(posterior.modes) > 1:
+        yield _mode_table(found)
+    yield _parts_table(found)
+    yield _bounds_table(found)
+    if found.near is not None:
+        yield _near_table(found)
+
+
+def _mode_table(found: Uncertainty) -> TextTable:
+    posterior = found.posterior
+    units = [readable(unit) for unit in posterior.units]
+    rows = [
+        (
+            str(k),
+            f"{100.0 * mode.weight:.0f}",
+            *(f"{u.text(a)} .. {u.text(b)}" for u, a, b in zip(units, mode.low, mode.high,
+                                                              strict=True)),
+        )
+        for k, mode in enumerate(posterior.modes, 1)
+    ]  # fmt: skip
+    names = [unit.on(label) for unit, label in zip(units, posterior.labels, strict=True)]
+    return TextTable(
+        title="Separate modes, 95 % of each",
+        head=("mode", "probability [%]", *names),
+        rows=tuple(rows),
+    )
+
+
+def _parts_table(found: Uncertainty) -> TextTable:
+    first = found.predicted[0]
+    rows = tuple((name, *_spread(first.prediction.shares[name])) for name in (*PARTS, "all"))
+    return TextTable(
+        title=f"Standard deviation of the final pose of {first.experiment.key}, by origin",
+        head=("from", "x [mm]", "y [mm]", "theta [deg]"),
+        rows=rows,
+    )
+
+
+def _spread(value: FloatArray) -> tuple[str, str, str]:
+    return f"{1e3 * value[0]:.3g}", f"{1e3 * value[1]:.3g}", f"{degrees(value[2]):.3g}"
+
+
+def _bounds_table(found: Uncertainty) -> TextTable:
+    rows = []
+    for one in found.predicted:
+        bounds = one.prediction.bounds(0.9)
+        centre, radii = 1e3 * bounds.position.centre, 1e3 * bounds.position.radii
+        angles = " .. ".join(f"{degrees(end):.2f}" for end in bounds.angle)
+        rows.append(
+            (
+                one.experiment.key,
+                "held out" if one.held_out else "",
+                f"{centre[0]:.2f}, {centre[1]:.2f}",
+                f"{radii[0]:.3g} x {radii[1]:.3g}",
+                angles,
+                f"{100.0 * one.levels[0]:.0f}",
+                f"{100.0 * one.levels[1]:.0f}",
+            )
+        )
+    return TextTable(
+        title="Bounds of 90 % on the final pose; levels that just hold the measured one",
+        head=("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]",
+              "position at [%]", "theta at [%]"),
+        rows=tuple(rows),
+    )  # fmt: skip
+
+
+def _near_table(found: Uncertainty) -> TextTable:
+    near = found.near
+    assert near is not None
+    rows = tuple(
+        (str(k), str(c.size), f"{c.error:.4g}", *(f"{x:.4g}" for x in c.point))
+        for k, c in enumerate(near.clusters[:10], 1)
+    )
+    return TextTable(
+        title=f"Evaluations of the calibration within {near.rise:.3g} mm² of its best, in clusters",
+        head=("cluster", "points", "error [mm²]", *found.near_names),
+        rows=rows,
+    )
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def _pictures(found: Uncertainty) -> Iterator[Picture]:
+    posterior = found.posterior
+    mode = np.zeros(len(posterior.samples), np.int64)
+    for k, part in enumerate(posterior.modes):
+        mode[part.members] = k
+    axes = [
+        Axis(_shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
+             logarithmic=label == LABEL)
+        for k, label in enumerate(posterior.labels)
+    ]  # fmt: skip
+    weights = [part.weight for part in posterior.modes]
+    corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
+                         title=f"What {_what(found)} leaves open")  # fmt: skip
+    yield Picture("corner", corner, _banner(found.predicted),
+                  "Samples of the posterior over the whole range of the prior.")  # fmt: skip
+    chosen = [*found.predicted[:1], *found.held_out][:MOST_PICTURED]
+    for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
+        one = next(p for p in chosen if p.id == predicted)
+        yield from _of_experiment(one, number)
+    both = curves(found)
+    if both is not None:
+        yield _curve_picture(found, both)
+
+
+def _shown(label: str) -> str:
+    return "model error" if label == LABEL else label
+
+
+def _of_experiment(one: Predicted, number: int) -> Iterator[Picture]:
+    prediction, banner = one.prediction, _banner((one,))
+    what = f"{one.experiment.key}, held out" if one.held_out else one.experiment.key
+    measured = one.target.pose.copy()
+    # Angles on the same turn as the simulated ones.
+    off = prediction.best[:, 2] - measured[:, 2]
+    measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
+    bands = [PathBand(*band) for band in prediction.bands(LEVELS)]
+    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best, bands=bands,
+                      title=what)  # fmt: skip
+    yield Picture(f"bands-{number}", path, banner,
+                  f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
+    regions = []
+    for level in LEVELS:
+        bounds = prediction.bounds(level)
+        ellipse = bounds.position
+        regions.append(
+            FinalRegion(level, ellipse.centre, ellipse.radii, ellipse.angle, bounds.angle)
+        )
+    final = FinalPoseChart(
+        outline=_outline(one),
+        start=one.target.case.scene.bodies[0].pose,
+        measured=measured[-1],
+        draws=prediction.draws[:, -1],
+        regions=regions,
+        title=what,
+    )
+    yield Picture(f"final-{number}", final, banner,
+                  f"Final pose of {what} with bounds of 50 and 90 %.")  # fmt: skip
+
+
+def _outline(one: Predicted) -> FloatArray:
+    shape = one.target.case.scene.bodies[0].shape
+    if isinstance(shape, Disk):
+        turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+        return shape.radius * np.column_stack((np.cos(turn), np.sin(turn)))
+    return np.asarray(shape.outline)
+
+
+def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
+    panels = [
+        CoveragePanel(f"final {name}", c.levels, c.held, c.low, c.high,
+                      np.zeros((0, len(c.levels))), c.outcomes)
+        for name, c in zip(("position", "angle"), both, strict=True)
+    ]  # fmt: skip
+    chart = CoverageChart(panels, "What bounds hold of held-out experiments")
+    return Picture("coverage", chart, _banner(found.held_out),
+                   "Share of held-out final poses within bounds of each level.")  # fmt: skip
+
+
+def _banner(predicted: tuple[Predicted, ...]) -> str:
+    makers = [one.experiment.simulated_by for one in predicted if not one.experiment.real]
+    if not makers:
+        return ""
+    if len(makers) < len(predicted):
+        return f"{len(makers)} of {len(predicted)} experiments SIMULATED"
+    return "SIMULATED by " + " and ".join(dict.fromkeys(str(maker) for maker in makers))

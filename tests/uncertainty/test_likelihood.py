@@ -1,0 +1,153 @@
+"""Likelihoods of paths: against the full covariance, threads, failures, and the camera's noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.sbc import MODEL_ERROR, NOISE, pushes
+from scipy.stats import multivariate_normal, norm
+
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import Comparer
+from fixel.errors import InvalidInput
+from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
+from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
+from fixel.uncertainty.posterior import NestedSampling
+from fixel.uncertainty.prior import Prior
+from fixel.uncertainty.sbc import measured_path
+
+TRUTH = np.array([0.4, 0.035, 1e-3])
+
+
+def measured(seed=0, threads=None, truth=TRUTH, noise=NOISE):
+    """The benchmark's pushes, as a camera would see them under a truth."""
+    bare = pushes()
+    prior = Prior(bare.space, MODEL_ERROR)
+    dice = np.random.default_rng(seed)
+    targets = [
+        target._replace(pose=measured_path(bare, k, truth, prior, noise, dice))
+        for k, target in enumerate(bare.targets)
+    ]
+    motion, stepper = bare.ensemble.motion, bare.ensemble.stepper
+    return Comparer(targets, bare.space, motion=motion, stepper=stepper, threads=threads)
+
+
+@pytest.fixture(scope="module")
+def comparer():
+    return measured()
+
+
+def test_it_is_the_normal_density_of_the_whole_covariance(comparer):
+    likelihood = LogLikelihood(comparer, [0, 1], NOISE, MODEL_ERROR)
+    found = likelihood(TRUTH[None])[0]
+    difference, _, _ = comparer.differences(np.array([0, 1]), np.tile(TRUTH[:2], (2, 1)))
+    exact = 0.0
+    for own in (0, 1):
+        share = likelihood.shares(own)
+        walk = np.minimum(share[:, None], share)
+        for c, sd in enumerate(NOISE.standard_deviations):
+            tau = TRUTH[2] / MODEL_ERROR.sides[c]
+            covariance = sd**2 * np.eye(len(share)) + tau**2 * walk
+            exact += multivariate_normal(cov=covariance).logpdf(difference[own, :, c])
+    assert found == pytest.approx(exact, rel=1e-9)
+
+
+def test_without_model_error_frames_are_independent(comparer):
+    found = LogLikelihood(comparer, [0], NOISE)(TRUTH[None, :2])[0]
+    difference, _, _ = comparer.differences(np.array([0]), TRUTH[None, :2].copy())
+    assert found == pytest.approx(norm(scale=NOISE.standard_deviations).logpdf(difference).sum())
+
+
+def test_correlated_noise_counts_for_less(comparer):
+    points = np.array([[0.4, 0.035], [0.6, 0.035]])
+    white = LogLikelihood(comparer, [0, 1], NOISE)(points)
+    slow = Noise(position_m=NOISE.position_m, angle_rad=NOISE.angle_rad, correlation=4.0)
+    red = LogLikelihood(comparer, [0, 1], slow)(points)
+    assert red[0] - red[1] == pytest.approx((white[0] - white[1]) / 4.0)
+
+
+def test_batches_do_not_change_a_bit(comparer):
+    likelihood = LogLikelihood(comparer, [0, 1], NOISE, MODEL_ERROR)
+    points = likelihood.prior.draw(20, np.random.default_rng(1))
+    np.testing.assert_array_equal(likelihood(points)[7:9], likelihood(points[7:9]))
+    assert likelihood.evaluations == 22
+    assert likelihood.failed == 0
+
+
+def test_threads_do_not_change_a_bit():
+    def samples(threads):
+        likelihood = LogLikelihood(measured(threads=threads), [0, 1], NOISE, MODEL_ERROR)
+        return NestedSampling(samples=30, live=40).sample(likelihood, likelihood.prior).samples
+
+    np.testing.assert_array_equal(samples(1), samples(3))
+
+
+def test_more_frames_of_a_wrong_model_do_not_make_parameters_certain():
+    # The truth drifts away by several millimetres. As noise alone, a wrong radius is certain.
+    wrong = measured(seed=8, truth=np.array([0.4, 0.035, 6e-3]))
+    points = np.column_stack((np.full(101, 0.4), np.linspace(0.01, 0.06, 101)))
+    alone = LogLikelihood(wrong, [0, 1], NOISE)(points)
+    beside = LogLikelihood(wrong, [0, 1], NOISE, MODEL_ERROR)(
+        np.column_stack((points, np.full(101, 6e-3)))
+    )
+
+    def width(values):
+        weight = np.exp(values - values.max())
+        return np.count_nonzero(weight > 0.05)
+
+    assert width(alone) <= 15
+    assert width(beside) >= 3 * width(alone)
+
+
+def test_the_cameras_noise_is_found_where_the_point_is_off():
+    # A radius that is 20 mm off makes smooth errors, which second differences hardly see.
+    off = np.array([0.4, 0.055])
+    made = [measured(seed, truth=np.array([0.4, 0.035, 1e-4])) for seed in range(4)]
+    found = [camera_noise(comparer, [0, 1], off) for comparer in made]
+    assert np.mean([n.position_m for n in found]) == pytest.approx(NOISE.position_m, rel=0.3)
+    assert np.mean([n.angle_rad for n in found]) == pytest.approx(NOISE.angle_rad, rel=0.3)
+    difference, _, _ = made[0].differences(np.array([0, 1]), np.tile(off, (2, 1)))
+    assert np.sqrt(np.mean(difference[..., :2] ** 2)) > 2.0 * NOISE.position_m
+
+
+def test_shares_of_the_way_grow_to_one_even_at_rest():
+    moving = np.column_stack((np.linspace(0.01, 0.1, 10), np.zeros(10), np.zeros(10)))
+    share = shares_of_way(np.zeros(3), moving, 0.035)
+    assert (np.diff(share) > 0.0).all()
+    assert share[-1] == pytest.approx(1.0)
+    still = shares_of_way(np.zeros(3), np.zeros((4, 3)), 0.035)
+    np.testing.assert_allclose(still, [0.25, 0.5, 0.75, 1.0])
+
+
+def test_walks_have_the_variance_they_are_said_to_have():
+    share = np.linspace(0.1, 1.0, 10)
+    sides = ModelError().sides
+    walks = draw_walks(share, np.full(4000, 2e-3), sides, np.random.default_rng(0))
+    np.testing.assert_allclose(walks[:, -1].std(axis=0), 2e-3 / sides, rtol=0.05)
+    np.testing.assert_allclose(walks[:, 4, 0].std(), 2e-3 * np.sqrt(0.5), rtol=0.05)
+    walk = walk_over(share)
+    again = walk.axes * walk.variance @ walk.axes.T
+    np.testing.assert_allclose(again, np.minimum(share[:, None], share), atol=1e-12)
+
+
+def test_priors_are_uniform_or_cut_normal(comparer):
+    from dataclasses import replace
+
+    from fixel.model.space import ParameterSpace
+
+    first, second = comparer.space.unknowns
+    space = ParameterSpace(unknowns=(replace(first, prior=0.1), second))
+    drawn = Prior(space, MODEL_ERROR).draw(4000, np.random.default_rng(0))
+    assert drawn[:, 0].mean() == pytest.approx(first.nominal, abs=0.01)
+    assert drawn[:, 0].std() == pytest.approx(0.1, rel=0.1)
+    assert drawn[:, 1].mean() == pytest.approx(0.5 * (second.low + second.high), rel=0.05)
+    middle = np.sqrt(MODEL_ERROR.low * MODEL_ERROR.high)
+    assert np.median(drawn[:, 2]) == pytest.approx(middle, rel=0.15)
+    assert (drawn >= [0.0, second.low, MODEL_ERROR.low]).all()
+
+
+def test_what_cannot_be_is_refused(comparer):
+    with pytest.raises(InvalidInput, match="one at least"):
+        LogLikelihood(comparer, [], NOISE)
+    with pytest.raises(InvalidInput, match="lower one first"):
+        ModelError(low=1e-2, high=1e-3)

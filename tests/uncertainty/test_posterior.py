@@ -1,0 +1,115 @@
+"""Posteriors whose answer is known: evidence, separated minima, seeds, and plateaus of failure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.uncertainty.likelihood import FLOOR
+from fixel.uncertainty.posterior import NestedSampling, equal_weight, modes_of
+
+SD = 0.02
+
+
+class Cube:
+    """A uniform prior on the unit cube."""
+
+    def __init__(self, n):
+        self.labels = tuple(f"p{k}" for k in range(n))
+        self.units = ("-",) * n
+        self.low, self.high = np.zeros(n), np.ones(n)
+
+    def transform(self, unit):
+        return np.array(unit, np.float64)
+
+
+def peak(points, centre):
+    return -0.5 * np.sum((points - np.array(centre)) ** 2, axis=1) / SD**2
+
+
+def two_minima(points):
+    """Twice as much probability in the first."""
+    second = peak(points, (0.8, 0.7)) - math.log(2.0)
+    return np.logaddexp(peak(points, (0.2, 0.3)), second)
+
+
+@pytest.fixture(scope="module")
+def two():
+    return NestedSampling(samples=800).sample(two_minima, Cube(2), seed=1)
+
+
+def test_separated_minima_survive_with_their_weights(two):
+    assert [mode.weight for mode in two.modes] == pytest.approx([2 / 3, 1 / 3], abs=0.08)
+    np.testing.assert_allclose(two.modes[0].best, (0.2, 0.3), atol=0.5 * SD)
+    np.testing.assert_allclose(two.modes[1].best, (0.8, 0.7), atol=0.5 * SD)
+
+
+def test_the_evidence_is_that_of_the_integral(two):
+    # Two normal peaks inside of the cube: 1.5 times 2 pi sd^2.
+    exact = math.log(1.5 * 2.0 * math.pi * SD**2)
+    assert two.log_evidence == pytest.approx(exact, abs=4.0 * two.log_evidence_error)
+    assert two.log_evidence_error < 0.2
+    assert two.effective >= 800
+    assert len(two.samples) == 800
+
+
+def test_a_seed_gives_the_same_bits_and_another_gives_others():
+    def run(seed):
+        wanted = NestedSampling(samples=50, live=50)
+        return wanted.sample(lambda p: peak(p, (0.5, 0.5)), Cube(2), seed)
+
+    np.testing.assert_array_equal(run(3).samples, run(3).samples)
+    assert (run(3).samples != run(4).samples).any()
+
+
+@pytest.mark.parametrize("walks", [False, True])
+def test_a_normal_posterior_has_its_spread(walks):
+    found = NestedSampling(samples=300, live=150, walks=walks).sample(
+        lambda p: peak(p, (0.4, 0.5, 0.6)), Cube(3), seed=5
+    )
+    assert len(found.modes) == 1
+    np.testing.assert_allclose(found.samples.mean(axis=0), (0.4, 0.5, 0.6), atol=0.3 * SD)
+    np.testing.assert_allclose(found.samples.std(axis=0), SD, rtol=0.2)
+
+
+def test_half_a_prior_that_fails_is_half_the_evidence():
+    def some(points):
+        return np.where(points[:, 0] < 0.5, FLOOR, peak(points, (0.75, 0.5)))
+
+    found = NestedSampling(samples=200, live=120).sample(some, Cube(2), seed=2)
+    exact = math.log(2.0 * math.pi * SD**2)
+    assert found.log_evidence == pytest.approx(exact, abs=4.0 * found.log_evidence_error)
+    assert (found.samples[:, 0] >= 0.5).all()
+
+
+def test_a_prior_that_fails_everywhere_is_refused():
+    with pytest.raises(InvalidInput, match="could be simulated"):
+        NestedSampling(samples=50).sample(lambda p: np.full(len(p), FLOOR), Cube(2))
+
+
+def test_progress_ends_at_one():
+    told = []
+    NestedSampling(samples=50, live=50).sample(
+        lambda p: peak(p, (0.5, 0.5)), Cube(2), progress=told.append
+    )
+    assert told[-1].share == 1.0
+    assert told[-1].evaluations > 100
+
+
+def test_equal_weights_follow_weights():
+    rows = equal_weight(np.array([1.0, 0.0, 3.0]), 400, np.random.default_rng(0))
+    assert np.bincount(rows, minlength=3).tolist() == [100, 0, 300]
+
+
+def test_tails_of_one_cloud_are_no_modes():
+    cloud = np.random.default_rng(1).standard_normal((1000, 4)) * np.array([1.0, 1e-3, 5.0, 0.1])
+    assert len(modes_of(cloud, -np.sum(cloud**2, axis=1))) == 1
+
+
+@pytest.mark.parametrize("bad", [{"samples": 5}, {"live": 3}, {"remaining": 0.0}])
+def test_settings_that_cannot_be_are_refused(bad):
+    with pytest.raises(InvalidInput):
+        NestedSampling(**bad)

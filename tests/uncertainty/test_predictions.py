@@ -1,0 +1,143 @@
+"""Bands, bounds, what they are made of, their coverage, and fits of many unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.sbc import MODEL_ERROR, NOISE
+from tests.uncertainty.test_likelihood import TRUTH, measured
+
+from fixel.errors import InvalidInput
+from fixel.uncertainty.bands import PARTS, bounds_of, levels_of, predict, shortest
+from fixel.uncertainty.coverage import coverage_curve
+from fixel.uncertainty.likelihood import LogLikelihood
+from fixel.uncertainty.linear import Outcomes, fit_predictive
+from fixel.uncertainty.near_optimal import near_optimal, rise_of
+from fixel.uncertainty.posterior import NestedSampling
+
+
+@pytest.fixture(scope="module")
+def found():
+    comparer = measured(seed=5)
+    likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
+    posterior = NestedSampling(samples=300, live=100).sample(likelihood, likelihood.prior)
+    return comparer, likelihood, posterior
+
+
+def test_the_parts_of_a_prediction_add_up(found):
+    comparer, likelihood, posterior = found
+    one = predict(comparer, 0, posterior, likelihood.prior, NOISE, draws=200)
+    assert set(one.shares) == {*PARTS, "all"}
+    np.testing.assert_allclose(one.shares["noise"], NOISE.standard_deviations, rtol=0.15)
+    together = np.sqrt(sum(one.shares[part] ** 2 for part in PARTS))
+    np.testing.assert_allclose(one.shares["all"], together, rtol=0.3)
+    assert one.failed == 0
+
+
+def test_a_push_that_was_held_out_lies_in_its_bands(found):
+    comparer, likelihood, posterior = found
+    one = predict(comparer, 1, posterior, likelihood.prior, NOISE, draws=200)
+    narrow, wide = one.bands()
+    assert (wide.low <= narrow.low).all()
+    assert (wide.high >= narrow.high).all()
+    pose = comparer.targets[1].pose
+    inside = (pose >= wide.low) & (pose <= wide.high)
+    assert inside.mean() > 0.6
+    assert max(one.levels_of(pose[-1])) < 0.995
+
+
+def test_a_start_known_exactly_adds_nothing(found):
+    comparer, likelihood, posterior = found
+    one = predict(comparer, 0, posterior, likelihood.prior, NOISE, start_sd=np.zeros(3), draws=50)
+    np.testing.assert_allclose(one.shares["start"], 0.0, atol=1e-15)
+
+
+def test_bounds_hold_their_share_of_the_draws():
+    dice = np.random.default_rng(2)
+    poses = dice.standard_normal((4000, 3)) @ np.array([[2.0, 1.0, 0.0], [0, 1.0, 0], [0, 0, 0.1]])
+    bounds = bounds_of(poses, 0.9)
+    levels = np.array([levels_of(poses, pose) for pose in poses[:400]])
+    assert np.mean(levels[:, 0] <= 0.9) == pytest.approx(0.9, abs=0.03)
+    low, high = bounds.angle
+    assert np.mean((poses[:, 2] >= low) & (poses[:, 2] <= high)) == pytest.approx(0.9, abs=0.01)
+    # sqrt(4.605) standard deviations hold 90 % of a normal plane.
+    variances = np.linalg.eigvalsh(np.cov(poses[:, :2].T))[::-1]
+    np.testing.assert_allclose(bounds.position.radii, np.sqrt(4.605 * variances), rtol=0.06)
+
+
+def test_the_shortest_interval_leaves_out_the_long_tail():
+    low, high = shortest(np.random.default_rng(0).exponential(size=4000), 0.8)
+    assert low < 0.02
+    assert high == pytest.approx(-np.log(0.2), rel=0.1)
+
+
+def test_a_level_outside_of_zero_to_one_is_refused():
+    with pytest.raises(InvalidInput):
+        bounds_of(np.zeros((10, 3)), 1.0)
+
+
+def test_the_curve_of_true_levels_is_the_diagonal():
+    curve = coverage_curve(np.random.default_rng(1).random(2000))
+    assert curve.largest_gap < 0.03
+    assert ((curve.low <= curve.levels) & (curve.levels <= curve.high)).all()
+    assert coverage_curve(np.random.default_rng(1).random(2000) ** 2).largest_gap > 0.1
+    with pytest.raises(InvalidInput):
+        coverage_curve(np.zeros(0))
+
+
+def linear(n, dice, truth):
+    """Outcomes of three numbers, linear in 20 unknowns, some pushes far touchier than others."""
+    columns = dice.standard_normal((n, 3, 20)) * 1e-3
+    touchy = np.exp(dice.standard_normal(n))
+    start = touchy[:, None, None] * dice.standard_normal((n, 3, 2)) * 1e-3
+    error = np.einsum("kcm,km->kc", start, dice.standard_normal((n, 2)))
+    error += 5e-4 * dice.standard_t(4.0, (n, 3))
+    return Outcomes(np.einsum("kcn,n->kc", columns, truth) + error, columns, start)
+
+
+def test_bounds_after_a_fit_of_many_unknowns_hold_what_they_promise():
+    dice = np.random.default_rng(6)
+    truth = dice.standard_normal(20)
+    train, other = linear(120, dice, truth), linear(1500, dice, truth)
+    weight = 1.0 / (np.einsum("kcm,kcm->k", train.start, train.start) + 2e-6)
+    table = train.columns.reshape(-1, 20) * np.repeat(np.sqrt(weight), 3)[:, None]
+    wanted = train.residual.reshape(-1) * np.repeat(np.sqrt(weight), 3)
+    matrix = table.T @ table + np.eye(20)
+    point = np.linalg.solve(matrix, table.T @ wanted)
+    left = [o._replace(residual=o.residual - o.columns @ point) for o in (train, other)]
+    found = fit_predictive(left[0], np.ones(20), ((0, 1), (2,)))
+    levels = found.levels_of(left[1])
+    for own in (0, 1):
+        assert coverage_curve(levels[:, own]).largest_gap < 0.08
+    spreads = found.spreads(left[1])
+    assert np.einsum("kcc->", spreads.model) > 0.0
+    # The truth lies about where the covariance says: it is that of the likeliest values, and the
+    # plain weighted fit above scatters more under heavy tails.
+    z = (truth - point) / np.sqrt(np.diag(found.covariance))
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 2.2
+
+
+def test_too_few_outcomes_are_refused():
+    with pytest.raises(InvalidInput):
+        fit_predictive(linear(5, np.random.default_rng(0), np.zeros(20)), np.ones(20), ((0,),))
+
+
+def test_nearly_optimal_points_are_clustered():
+    dice = np.random.default_rng(3)
+    points = dice.random((3000, 2))
+    wells = [np.sum((points - c) ** 2, axis=1) for c in ((0.2, 0.2), (0.8, 0.7))]
+    errors = 1.0 + 50.0 * np.minimum(*wells)
+    errors[0] = np.inf
+    found = near_optimal(points, errors, rise_of(1.0, 100.0, 2))
+    assert len(found.clusters) == 2
+    assert found.rise == pytest.approx(2 / 98 * 3.09, rel=0.01)  # F(2, 98) at 95 %
+    assert found.low[0] < 0.25
+    assert found.high[0] > 0.75
+    with pytest.raises(InvalidInput):
+        near_optimal(points, np.full(3000, np.inf), 0.1)
+
+
+def test_truth_is_found_among_the_samples(found):
+    _, _, posterior = found
+    low, _, high = posterior.quantiles((0.005, 0.5, 0.995))
+    assert ((low <= TRUTH) & (high >= TRUTH)).all()
