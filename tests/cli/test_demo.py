@@ -15,7 +15,7 @@ def call(*arguments: str) -> int:
 def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
     folder = tmp_path / "demo"
 
-    code = call("demo", "--out", str(folder))
+    code = call("demo", "--quick", "--out", str(folder))
 
     out = capsys.readouterr().out
     assert code == 0
@@ -28,7 +28,7 @@ def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
 def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
     """Every line that starts with `fixel` in the answer is a command that does what it says."""
     monkeypatch.chdir(tmp_path)
-    call("demo")
+    call("demo", "--quick")
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     commands = [line.split()[1:] for line in lines if line.startswith("fixel simulate")]
     commands = [c for c in commands if c[-1] != "options."]
@@ -37,3 +37,21 @@ def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
 
     assert codes == [3, 0]
     assert (tmp_path / "slippery.png").exists()
+
+
+@pytest.mark.slow
+def test_the_whole_tour_ends_in_a_report(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    assert call("demo") == 0
+
+    out = capsys.readouterr().out
+    report = tmp_path / "fixel-demo" / "report" / "report.html"
+    text = report.read_text(encoding="utf-8")
+    for part in ("data", "errors", "parameters", "domain", "sensitivity", "uncertainty"):
+        assert f'<section id="{part}">' in text
+    assert "Nobody has" not in text
+    assert str(report.relative_to(tmp_path)) in out
+    assert call("demo") == 0  # again, from what is there
+    commands = [line.split()[1:] for line in out.splitlines() if line.startswith("  fixel domain")]
+    assert [call(*command) for command in commands] == [0]

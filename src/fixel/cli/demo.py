@@ -1,4 +1,4 @@
-"""`fixel demo`: a short tour that leaves figures behind."""
+"""`fixel demo`: a tour that ends in a report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,8 +7,10 @@ import typer
 
 if TYPE_CHECKING:
     from fixel.workflows.demo import Demo
+    from fixel.workflows.tour import Tour
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
+LAB = "lab"
 NOT_SOLVED = 3
 
 
@@ -16,8 +18,12 @@ def demo(
     out: Annotated[
         Path, typer.Option(help="Folder for the figures; made when missing.", metavar="FOLDER")
     ] = Path("fixel-demo"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="The grasp only: no experiments, no report.")
+    ] = False,
 ) -> None:
-    """Simulate, tell, draw and film a grasp: a square pushed against three fixels."""
+    """Simulate and film a grasp; then calibrate simulated experiments and report how far to
+    believe the simulator."""
     from fixel.cli.screen import progress_bar, say
     from fixel.workflows.demo import run_demo
 
@@ -25,6 +31,31 @@ def demo(
     typer.echo("\n".join(_told(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
+    if not quick:
+        from fixel.workflows.tour import run_tour
+
+        typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
+        typer.echo("\n".join(_reported(run_tour(out / LAB, say=lambda what: say(f"  {what} ...")))))
+
+
+def _reported(tour: "Tour") -> list[str]:
+    import shlex
+
+    from fixel.workflows.report.write import next_command
+
+    content = tour.report.content
+    lab = shlex.quote(str(tour.project))
+    return [
+        "",
+        *content.findings,
+        "",
+        f"{len(content.warnings)} warnings stand first in the report, with figures, methods and"
+        " references:",
+        f"  {next_command(tour.report)}",
+        "Next, ask for more or less than 5 mm, or look at one experiment:",
+        f"  fixel domain --threshold-mm 8 --project {lab}",
+        f"  fixel show 8 --project {lab}",
+    ]
 
 
 def _told(result: "Demo") -> list[str]:

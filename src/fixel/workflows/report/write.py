@@ -128,15 +128,8 @@ def next_command(report: Report) -> str:
 
 
 def _template() -> Any:
-    try:
-        import jinja2
-    except ImportError:
-        raise InvalidInput(
-            "report",
-            found="no package jinja2",
-            expected="it to be installed",
-            hint='pip install "fixel[report]"',
-        ) from None
+    import jinja2
+
     # Names of experiments are anybody's text: everything is escaped.
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
