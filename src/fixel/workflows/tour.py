@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ SEED: Final = 1
 ABOUT: Final = (1, 8, 19)
 # The push whose posterior is sampled, and one that is predicted with it.
 FROM, PREDICTED = 19, 20
-START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=8.7e-3)
+START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
 
 Say = Callable[[str], None]
 
