@@ -25,7 +25,7 @@ from fixel.uncertainty.sbc import Ranks, calibrate_by_simulation
 
 DATA_SETS: Final = 300
 NOISE: Final = Noise(position_m=3e-4, angle_rad=5e-3)
-MODEL_ERROR: Final = ModelError(low=1e-4, high=1e-2)
+MODEL_ERROR: Final = ModelError(low=1e-4, high=5e-3)
 LIVE: Final = 150
 SAMPLES: Final = 400
 PROCESSES: Final = 2

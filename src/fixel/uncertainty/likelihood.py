@@ -131,21 +131,33 @@ class LogLikelihood:
         return expected_shares(self.comparer, int(self.members[own]), error)
 
 
-def expected_shares(comparer: Comparer, member: int, error: ModelError) -> FloatArray:
-    """Share (n_sample,) of the way behind each frame of an experiment, as expected before looking.
+def expected_shares(
+    comparer: Comparer, member: int, error: ModelError, path: FloatArray | None = None
+) -> FloatArray:
+    """Share (n_sample,) of the way behind each frame of an experiment.
 
-    Of the simulation at the space's nominal values: a walk's variance must not depend on the data
-    that it explains. Of the measured poses where that simulation fails.
+    The mean of two: of the simulation at the space's nominal values, and of the measured poses. The
+    first alone would leave a walk no room where the object really moves and the simulation is at
+    rest already; the second alone would let the data say how they are to be believed.
+
+    Parameters
+    ----------
+    path : (n_sample, 3) float64, optional
+        In place of the measured poses.
     """
     target = comparer.targets[member]
     start = target.case.scene.bodies[0].pose
-    point = comparer.space.nominal[None].copy()
-    difference, good, _ = comparer.differences(np.array([member]), point)
-    poses = target.pose.copy()
-    if good[0]:
-        poses += difference[0, : len(poses)]
-    poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
-    return shares_of_way(start, poses, error.angle_scale)
+    difference, good, _ = comparer.differences(
+        np.array([member]), comparer.space.nominal[None].copy()
+    )
+    nominal = target.pose + difference[0, : len(target.pose)]
+    ways = [target.pose if path is None else path] + ([nominal] if good[0] else [])
+    shares = []
+    for way in ways:
+        poses = way.copy()
+        poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
+        shares.append(shares_of_way(start, poses, error.angle_scale))
+    return np.asarray(np.mean(shares, axis=0))
 
 
 def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) -> Noise:

@@ -38,6 +38,9 @@ ENLARGED: Final = 1.5
 UPDATED: Final = 2.0
 # Up to so many unknowns uniform draws within the bound are cheaper than walks.
 MOST_FOR_UNIFORM: Final = 6
+# Uniform draws that a new point costs, on average over as many as there are live points, before the
+# run goes on with walks: a rough likelihood fills little of any ellipsoid. A walk takes 20 + n.
+DEAR: Final = 40
 # Runs that are put together, at most, to have as many effective samples as were asked for.
 MOST_RUNS: Final = 6
 # Share of the probability below which a cluster of samples is not a mode of its own.
@@ -222,7 +225,7 @@ class NestedSampling:
         return max(FEWEST_LIVE, 25 * n, wanted) if self.live is None else self.live
 
     def _method(self, n: int, runs: int) -> str:
-        how = "random walks" if self._walks(n) else "uniform draws"
+        how = "random walks" if self._walks(n) else "uniform draws (walks where these are dear)"
         several = "" if runs == 1 else f", {runs} runs put together"
         return f"nested sampling, {self._live(n)} live points, {how} in several ellipsoids{several}"
 
@@ -256,8 +259,15 @@ class NestedSampling:
                 update_interval=UPDATED,
             )
             _refuse_nothing(sampler.live_logl)
+            walking, spent, taken = self._walks(n), 0, 0
             for step in sampler.sample(dlogz=self.remaining, save_bounds=False):
                 count.left(float(step.delta_logz))
+                spent, taken = spent + step.nc, taken + 1
+                if not walking and spent > DEAR * self._live(n):
+                    _walk_on(sampler, n)
+                    walking = True
+                elif taken >= self._live(n):
+                    spent = taken = 0
             for _ in sampler.add_live_points():
                 pass
         return sampler.results
@@ -365,6 +375,17 @@ def _nested_sampler() -> Any:
             hint="pip install 'fixel[infer]'",
         ) from None
     return NestedSampler
+
+
+def _walk_on(sampler: Any, n: int) -> None:
+    """Go on with random walks in place of uniform draws."""
+    from dynesty.internal_samplers import RWalkSampler
+
+    walks = 20 + n
+    sampler.internal_sampler = sampler.internal_sampler_next = RWalkSampler(
+        ndim=n, ncdim=n, walks=walks, facc=0.5, nonbounded=None, periodic=None, reflective=None
+    )
+    sampler.bound_update_interval = walks * sampler.nlive
 
 
 def _refuse_nothing(values: FloatArray) -> None:

@@ -157,7 +157,7 @@ def measured_path(
         raise SolveFailed(f"{target.key} under a draw of the prior: {outcome.reasons[0]}")
     path = outcome.pose[0, : len(target.pose)]
     if prior.model_error is not None:
-        share = expected_shares(comparer, member, prior.model_error)
+        share = expected_shares(comparer, member, prior.model_error, path)
         path = path + draw_walks(share, truth[-1:], prior.model_error.sides, dice)[0]
     seen = path + dice.standard_normal(path.shape) * noise.standard_deviations
     seen[:, 2] = wrapped(seen[:, 2])
