@@ -8,7 +8,8 @@ import sys
 
 import pytest
 import yaml
-from tests.jobs.helpers import await_true, names_in, start, toy_job
+from tests.jobs.helpers import await_true, names_in, start
+from tests.jobs.kinds import toy_job
 from typer.testing import CliRunner
 
 from fixel.cli import jobs

@@ -6,11 +6,13 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import fixel
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.drawing.calibration import SecondsChart
@@ -189,6 +191,18 @@ def test_the_bibliography_is_bibtex():
     entries = re.findall(r"@\w+\{(\w+),", text)
     assert entries == ["fixel", *WORKS]
     assert text.count("{") == text.count("}")
+
+
+def test_every_work_that_is_cited_is_known():
+    """Keys in the sources look like a name and a year."""
+    folder = Path(fixel.__file__).parent / "workflows"
+    cited = {
+        key
+        for path in folder.rglob("*.py")
+        for key in re.findall(r'"([a-z]+(?:19|20)\d\d)"', path.read_text(encoding="utf-8"))
+    }
+    assert "speagle2020" in cited
+    assert cited <= set(WORKS)
 
 
 def _browser():

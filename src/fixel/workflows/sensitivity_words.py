@@ -48,6 +48,7 @@ def analysis_of(
         warnings=tuple(_warnings(found, skipped)),
         tables=tuple(_tables(found)),
         methods=tuple(_methods(one, request)),
+        references=("asme2006", *(("saltelli2010", "herman2017") if request.indices else ())),
         numbers={
             "start_error": {
                 "x_m": request.error.x,

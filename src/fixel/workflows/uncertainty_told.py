@@ -31,7 +31,7 @@ from fixel.workflows.uncertainty import Predicted, Uncertainty
 MOST_PICTURED: Final = 3  # experiments
 # From so many held-out experiments on a curve says something.
 LEAST_FOR_CURVE: Final = 5
-REFERENCES: Final = ("skilling2006", "speagle2020")
+REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
 def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> Kept:

@@ -130,6 +130,36 @@ WORKS: Final = {
         "2006",
         (("journal", "Bayesian Analysis"), ("volume", "1"), ("pages", "833--859")),
     ),
+    "feroz2009": Work(
+        "article",
+        "Feroz, F. and Hobson, M. P. and Bridges, M.",
+        "MultiNest: an efficient and robust Bayesian inference tool for cosmology and particle"
+        " physics",
+        "2009",
+        (
+            ("journal", "Monthly Notices of the Royal Astronomical Society"),
+            ("volume", "398"),
+            ("pages", "1601--1614"),
+        ),
+    ),
+    "kennedy2001": Work(
+        "article",
+        "Kennedy, M. C. and O'Hagan, A.",
+        "Bayesian calibration of computer models",
+        "2001",
+        (
+            ("journal", "Journal of the Royal Statistical Society B"),
+            ("volume", "63"),
+            ("pages", "425--464"),
+        ),
+    ),
+    "talts2018": Work(
+        "misc",
+        "Talts, S. and Betancourt, M. and Simpson, D. and Vehtari, A. and Gelman, A.",
+        "Validating Bayesian inference algorithms with simulation-based calibration",
+        "2018",
+        (("note", "arXiv:1804.06788"),),
+    ),
     "herman2017": Work(
         "article",
         "Herman, J. and Usher, W.",
