@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fixel.cli.options import AsJson
 from fixel.cli.screen import counting_bar
 
 if TYPE_CHECKING:
@@ -73,9 +74,7 @@ def real(
             file_okay=False,
         ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Calibrate on some recorded pushes and say how far others end from where they should."""
     import json

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.project import AsJson, ProjectFolder
+from fixel.cli.options import (
+    AsJson,
+    DatasetName,
+    Flagged,
+    NoiseMm,
+    NoiseMrad,
+    PictureFolder,
+    ProjectFolder,
+    Seed,
+    Where,
+)
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -26,14 +36,9 @@ def calibrate(
         ),
     ] = None,
     folder: ProjectFolder = Path(),
-    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
-    where: Annotated[
-        list[str] | None,
-        typer.Option(help="Only with this condition; may be repeated.", metavar="CONDITION=VALUE"),
-    ] = None,
-    flagged: Annotated[
-        bool, typer.Option("--all", help="Also those whose data was found wanting.")
-    ] = False,
+    dataset: DatasetName = None,
+    where: Where = None,
+    flagged: Flagged = False,
     mode: Annotated[
         str | None,
         typer.Option(
@@ -95,19 +100,9 @@ def calibrate(
     starts: Annotated[
         int, typer.Option(help="Searches, all but the first from random places.", min=1)
     ] = 1,
-    seed: Annotated[int, typer.Option(help="Of everything random.", min=0)] = 0,
-    noise_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of measured positions [mm].", show_default="found out"
-        ),
-    ] = None,
-    noise_mrad: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of measured angles [mrad].", show_default="found out"
-        ),
-    ] = None,
+    seed: Seed = 0,
+    noise_mm: NoiseMm = None,
+    noise_mrad: NoiseMrad = None,
     level: Annotated[float, typer.Option(help="Of the intervals.")] = 0.95,
     verdicts: Annotated[
         bool, typer.Option("--verdicts/--no-verdicts", help="Find out what the data determine.")
@@ -124,10 +119,7 @@ def calibrate(
     prepare_only: Annotated[
         bool, typer.Option("--prepare", help="Make the job only, for fixel jobs submit.")
     ] = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
-    ] = None,
+    plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the parameters with which simulations meet experiments.

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
+
 
 def data(
     url: Annotated[
@@ -19,9 +21,7 @@ def data(
     sha256: Annotated[
         str | None, typer.Option("--sha256", help="Checksum it must have.", metavar="DIGITS")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the public datasets fixel can import; with an address, fetch a file of one."""
     from fixel.workflows.public_data import datasets, fetch

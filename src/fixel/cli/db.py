@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson, ProjectFolder
+
 if TYPE_CHECKING:
     from fixel.workflows.database import Backup, Checked, Upgraded
 
@@ -17,14 +19,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-
-ProjectFolder = Annotated[
-    Path,
-    typer.Argument(
-        help="Folder of the project.", metavar="PROJECT", show_default="the current folder"
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 
 
 @app.command("upgrade")

@@ -1,18 +1,18 @@
 """`fixel doctor`: is this installation in order?"""
 
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
+
+from fixel.cli.options import AsJson
 
 if TYPE_CHECKING:
     from fixel.workflows.doctor import Diagnosis
 
 
 def doctor(
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check this installation and say what to do about anything that is wrong."""
     from fixel.cli.screen import say

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.growth import growth
-from fixel.cli.project import AsJson, ProjectFolder
+from fixel.cli.options import (
+    AsJson,
+    DatasetName,
+    Flagged,
+    PictureFolder,
+    ProjectFolder,
+    Seed,
+    Where,
+)
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -40,14 +48,9 @@ def domain(
             metavar="NAME[=LOW:HIGH[:START]]",
         ),
     ] = None,
-    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
-    where: Annotated[
-        list[str] | None,
-        typer.Option(help="Only with this condition; may be repeated.", metavar="CONDITION=VALUE"),
-    ] = None,
-    flagged: Annotated[
-        bool, typer.Option("--all", help="Also those whose data was found wanting.")
-    ] = False,
+    dataset: DatasetName = None,
+    where: Where = None,
+    flagged: Flagged = False,
     axes: Annotated[
         str | None,
         typer.Option(
@@ -114,11 +117,8 @@ def domain(
             help="Of the cross-validation.", min=2, show_default="5; 2 for more than 2000"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of everything random.", min=0)] = 0,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
-    ] = None,
+    seed: Seed = 0,
+    plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Map where one parameter set can be trusted, on experiments it was found without.

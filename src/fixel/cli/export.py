@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
+
 if TYPE_CHECKING:
     from fixel.workflows.export import ExportAnswer
 
@@ -37,9 +39,7 @@ def export(
             metavar="HZ",
         ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the experiments of a project for others, flagged ones too."""
     from fixel.cli.screen import progress_bar

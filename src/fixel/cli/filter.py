@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -51,9 +52,7 @@ def filter_(
         Path | None, typer.Option(help="Draw the run: .png, .svg or .pdf.", metavar="FILE")
     ] = None,
     save: Annotated[bool, typer.Option("--save/--no-save", help="Keep the run.")] = True,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Estimate pose and friction while an experiment goes on, with a particle filter."""
     from fixel.cli.screen import progress_bar

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.project import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, DatasetName, ProjectFolder
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def growth(
     folder: ProjectFolder = Path(),
     shape: Annotated[str | None, typer.Option(help="Only this shape.", metavar="NAME")] = None,
-    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
+    dataset: DatasetName = None,
     index: Annotated[
         str,
         typer.Option(

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
+
 if TYPE_CHECKING:
     from fixel.jobs.work import Progress
     from fixel.workflows.jobs import JobStatus
@@ -22,7 +24,6 @@ app = typer.Typer(
 )
 
 JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 Workers = Annotated[
     int | None,
     typer.Option(help="Processes; 0 for this one alone.", min=0, metavar="N", show_default="0"),

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where
+
 if TYPE_CHECKING:
     from fixel.database.query import Summary
     from fixel.database.store import Listing
@@ -15,13 +17,6 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 30
 
-ProjectFolder = Annotated[
-    Path,
-    typer.Option(
-        "--project", "-p", help="Folder of the project.", metavar="FOLDER", show_default="here"
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 
 testbed = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -113,23 +108,18 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
 
 def list_(
     folder: ProjectFolder = Path(),
-    dataset: Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")] = None,
+    dataset: DatasetName = None,
     name: Annotated[
         str | None, typer.Option(help="Only names like this; * for anything.", metavar="PATTERN")
     ] = None,
     real: Annotated[
         bool | None, typer.Option("--real/--simulated", help="Only real, or only simulated ones.")
     ] = None,
-    where: Annotated[
-        list[str] | None,
-        typer.Option(help="Only with this condition; may be repeated.", metavar="CONDITION=VALUE"),
-    ] = None,
+    where: Where = None,
     flag: Annotated[
         str | None, typer.Option(help="Only those with this flag.", metavar="NAME")
     ] = None,
-    flagged: Annotated[
-        bool, typer.Option("--all", help="Also those whose data was found wanting.")
-    ] = False,
+    flagged: Flagged = False,
     deleted: Annotated[bool, typer.Option("--deleted", help="Only those deleted.")] = False,
     limit: Annotated[int, typer.Option(help="Show at most so many.", min=1)] = MOST_ROWS,
     as_json: AsJson = False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from fixel.cli.options import AsJson
 from fixel.cli.screen import counting_bar
 
 if TYPE_CHECKING:
@@ -74,9 +75,7 @@ def replay(
     everything: Annotated[
         bool, typer.Option("--all", help="Keep records of doubtful quality too.")
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
     plot: Annotated[
         Path | None,
         typer.Option(

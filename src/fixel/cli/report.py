@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.project import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder
 
 if TYPE_CHECKING:
     from fixel.workflows.report.write import Report

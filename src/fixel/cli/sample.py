@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
+
 if TYPE_CHECKING:
     from fixel.workflows.sample import SampleAnswer
 
@@ -28,9 +30,7 @@ def sample(
     plot: Annotated[
         Path | None, typer.Option(help="Draw the plan: .png, .svg or .pdf.", metavar="FILE")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
     output: Annotated[
         Path | None, typer.Option(help="Write the plan to this file: .yaml.", metavar="FILE")
     ] = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -80,9 +81,7 @@ def sensitivity(
         Path | None,
         typer.Option(help="Pictures go here, too.", metavar="FOLDER", file_okay=False),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say how errors of the start grow, and which pushes part ways, before they are executed."""
     from fixel.cli.screen import progress_bar, say

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.cli.options import AsJson, ProjectFolder
 from fixel.cli.simulate import NOT_SOLVED, Motion
 from fixel.errors import InvalidInput
 
@@ -23,10 +24,6 @@ Key = Annotated[
     str,
     typer.Argument(help="Experiment: its id, its name, or DATASET/NAME.", show_default=False),
 ]
-ProjectFolder = Annotated[
-    Path, typer.Option("--project", help="Folder of the project.", metavar="FOLDER")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 
 
 def show(

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from fixel.cli.options import AsJson
+
 NOT_SOLVED = 3
 
 
@@ -37,9 +39,7 @@ def simulate(
             show_default=False,
         ),
     ],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the answer as one JSON object.")
-    ] = False,
+    as_json: AsJson = False,
     trajectory: Annotated[
         Path | None,
         typer.Option(help="Write the motion to this file: .csv or .parquet.", metavar="FILE"),

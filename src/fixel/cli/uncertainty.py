@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.project import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, NoiseMm, NoiseMrad, PictureFolder, ProjectFolder, Seed
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -55,18 +55,8 @@ def uncertainty(
             show_default="the calibration's, or dynamic",
         ),
     ] = None,
-    noise_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of measured positions [mm].", show_default="found out"
-        ),
-    ] = None,
-    noise_mrad: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of measured angles [mrad].", show_default="found out"
-        ),
-    ] = None,
+    noise_mm: NoiseMm = None,
+    noise_mrad: NoiseMrad = None,
     model_error: Annotated[
         bool,
         typer.Option(
@@ -74,11 +64,8 @@ def uncertainty(
         ),
     ] = True,
     samples: Annotated[int, typer.Option(help="Effective samples wanted.", min=10)] = 1000,
-    seed: Annotated[int, typer.Option(help="Of everything random.", min=0)] = 0,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
-    ] = None,
+    seed: Seed = 0,
+    plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Say how certain parameters are, and where the next push like this one ends.

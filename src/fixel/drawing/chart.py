@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -147,8 +147,8 @@ def whole_numbers(axes: Axes) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, min_n_ticks=1))
 
 
-def legend_below(figure: Figure, row: Sequence[Axes]) -> None:
-    """One legend for all panels; a label counts once."""
+def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
+    """One legend for all panels, so many labels in a row at most; a label counts once."""
     entries: dict[str, Any] = {}
     for axes in row:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -157,8 +157,9 @@ def legend_below(figure: Figure, row: Sequence[Axes]) -> None:
         list(entries.values()),
         list(entries),
         frameon=False,
-        ncols=len(entries),
+        ncols=min(most, len(entries)),
         loc="outside lower center",
+        handlelength=2.0 if len(entries) <= most else 2.6,
     )
 
 

@@ -5,7 +5,7 @@ Source: RPI thesis (2011), appendix C.6 and figures 6.1 to 6.13.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -21,6 +21,7 @@ from fixel.drawing.chart import (
     Value,
     clean,
     column,
+    legend_below,
     log_scale,
     plain,
     positive,
@@ -149,7 +150,7 @@ class GrowthSteps(AbstractChart):
             axes.set_xlabel("step of the growth")
             whole_numbers(axes)
         row[0].set_ylabel(f"largest error [{written(self.unit)}]")
-        _legend(figure, row)
+        legend_below(figure, row, most=5)
         return figure
 
     def _average(self, own: Sequence[int]) -> FloatArray:
@@ -206,7 +207,7 @@ class AxisChart(AbstractChart):
         grid[0, 0].set_ylabel(f"error [{written(self.unit)}]")
         grid[1, 0].set_ylabel(f"average error [{written(self.unit)}]")
         figure.align_ylabels(grid[:, 0])
-        _legend(figure, grid.ravel())
+        legend_below(figure, grid.ravel(), most=5)
         return figure
 
     def _label(self, axis: str) -> str:
@@ -263,19 +264,3 @@ def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None
 
 def _level(threshold: float, unit: str) -> str:
     return f"threshold {threshold:.3g} {written(unit)}"
-
-
-def _legend(figure: Figure, row: Iterable[Axes]) -> None:
-    """One legend for all panels, in rows that fit the width; a label counts once."""
-    entries: dict[str, Any] = {}
-    for axes in row:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    figure.legend(
-        list(entries.values()),
-        list(entries),
-        frameon=False,
-        ncols=min(5, len(entries)),
-        loc="outside lower center",
-        handlelength=2.6,
-    )
