@@ -10,27 +10,13 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.chart import readable
-from fixel.drawing.coverage import CoverageChart, CoveragePanel
-from fixel.drawing.uncertainty import (
-    Axis,
-    BandsChart,
-    CornerChart,
-    FinalPoseChart,
-    FinalRegion,
-    PathBand,
-)
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Disk
-from fixel.uncertainty.bands import LEVELS, PARTS
-from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
+from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.analysis import Analysis, Kept, TextTable, keep
-from fixel.workflows.pictures import Picture
 from fixel.workflows.uncertainty import Predicted, Uncertainty
+from fixel.workflows.uncertainty_pictures import curves_of, pictures_of, what_of
 
-MOST_PICTURED: Final = 3  # experiments
-# From so many held-out experiments on a curve says something.
-LEAST_FOR_CURVE: Final = 5
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
@@ -39,7 +25,7 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
     posterior = found.posterior
     analysis = Analysis(
         kind="uncertainty",
-        title=f"Uncertainty of {_what(found)}",
+        title=f"Uncertainty of {what_of(found)}",
         question=_question(found),
         headline=tuple(_headline(found)),
         warnings=tuple(_warnings(found)),
@@ -54,7 +40,7 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
         seconds=posterior.seconds,
     )
     arrays = {"samples": posterior.samples, "log_likelihood": posterior.log_likelihood}
-    return keep(project, analysis, list(_pictures(found)), arrays)
+    return keep(project, analysis, list(pictures_of(found)), arrays)
 
 
 def numbers_of(found: Uncertainty) -> dict[str, Any]:
@@ -119,17 +105,8 @@ def _final(one: Predicted) -> dict[str, Any]:
     }
 
 
-def curves(found: Uncertainty) -> tuple[CoverageCurve, CoverageCurve] | None:
-    """Of held-out final positions and angles; none for a few."""
-    held = found.held_out
-    if len(held) < LEAST_FOR_CURVE:
-        return None
-    levels = np.array([one.levels for one in held])
-    return coverage_curve(levels[:, 0]), coverage_curve(levels[:, 1])
-
-
 def _coverage(found: Uncertainty) -> dict[str, Any] | None:
-    both = curves(found)
+    both = curves_of(found)
     if both is None:
         return None
     position, angle = both
@@ -159,11 +136,6 @@ def _near(found: Uncertainty) -> dict[str, Any] | None:
 
 
 # --- sentences ------------------------------------------------------------------------------------
-
-
-def _what(found: Uncertainty) -> str:
-    own = [one.experiment.key for one in found.predicted if not one.held_out]
-    return own[0] if len(own) == 1 else f"{len(own)} experiments"
 
 
 def _question(found: Uncertainty) -> dict[str, Any]:
@@ -205,7 +177,7 @@ def _headline(found: Uncertainty) -> Iterator[str]:
             f"The model's own error at the end of the way is {middle:.3g} mm (95 %: {low:.3g} to"
             f" {high:.3g} mm)."
         )
-    both = curves(found)
+    both = curves_of(found)
     if both is not None:
         at = int(np.argmin(np.abs(both[0].levels - 0.9)))
         yield (
@@ -356,93 +328,3 @@ def _near_table(found: Uncertainty) -> TextTable:
         head=("cluster", "points", "error [mm²]", *found.near_names),
         rows=rows,
     )
-
-
-# --- pictures -------------------------------------------------------------------------------------
-
-
-def _pictures(found: Uncertainty) -> Iterator[Picture]:
-    posterior = found.posterior
-    mode = np.zeros(len(posterior.samples), np.int64)
-    for k, part in enumerate(posterior.modes):
-        mode[part.members] = k
-    axes = [
-        Axis(_shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
-             logarithmic=label == LABEL)
-        for k, label in enumerate(posterior.labels)
-    ]  # fmt: skip
-    weights = [part.weight for part in posterior.modes]
-    corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
-                         title=f"What {_what(found)} leaves open")  # fmt: skip
-    yield Picture("corner", corner, _banner(found.predicted),
-                  "Samples of the posterior over the whole range of the prior.")  # fmt: skip
-    chosen = [*found.predicted[:1], *found.held_out][:MOST_PICTURED]
-    for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
-        one = next(p for p in chosen if p.id == predicted)
-        yield from _of_experiment(one, number)
-    both = curves(found)
-    if both is not None:
-        yield _curve_picture(found, both)
-
-
-def _shown(label: str) -> str:
-    return "model error" if label == LABEL else label
-
-
-def _of_experiment(one: Predicted, number: int) -> Iterator[Picture]:
-    prediction, banner = one.prediction, _banner((one,))
-    what = f"{one.experiment.key}, held out" if one.held_out else one.experiment.key
-    measured = one.target.pose.copy()
-    # Angles on the same turn as the simulated ones.
-    off = prediction.best[:, 2] - measured[:, 2]
-    measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    bands = [PathBand(*band) for band in prediction.bands(LEVELS)]
-    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best, bands=bands,
-                      title=what)  # fmt: skip
-    yield Picture(f"bands-{number}", path, banner,
-                  f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
-    regions = []
-    for level in LEVELS:
-        bounds = prediction.bounds(level)
-        ellipse = bounds.position
-        regions.append(
-            FinalRegion(level, ellipse.centre, ellipse.radii, ellipse.angle, bounds.angle)
-        )
-    final = FinalPoseChart(
-        outline=_outline(one),
-        start=one.target.case.scene.bodies[0].pose,
-        measured=measured[-1],
-        draws=prediction.draws[:, -1],
-        regions=regions,
-        title=what,
-    )
-    yield Picture(f"final-{number}", final, banner,
-                  f"Final pose of {what} with bounds of 50 and 90 %.")  # fmt: skip
-
-
-def _outline(one: Predicted) -> FloatArray:
-    shape = one.target.case.scene.bodies[0].shape
-    if isinstance(shape, Disk):
-        turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
-        return shape.radius * np.column_stack((np.cos(turn), np.sin(turn)))
-    return np.asarray(shape.outline)
-
-
-def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
-    panels = [
-        CoveragePanel(f"final {name}", c.levels, c.held, c.low, c.high,
-                      np.zeros((0, len(c.levels))), c.outcomes)
-        for name, c in zip(("position", "angle"), both, strict=True)
-    ]  # fmt: skip
-    chart = CoverageChart(panels, "What bounds hold of held-out experiments")
-    return Picture("coverage", chart, _banner(found.held_out),
-                   "Share of held-out final poses within bounds of each level.")  # fmt: skip
-
-
-def _banner(predicted: tuple[Predicted, ...]) -> str:
-    makers = [one.experiment.simulated_by for one in predicted if not one.experiment.real]
-    if not makers:
-        return ""
-    if len(makers) < len(predicted):
-        return f"{len(makers)} of {len(predicted)} experiments SIMULATED"
-    return "SIMULATED by " + " and ".join(dict.fromkeys(str(maker) for maker in makers))
