@@ -14,6 +14,7 @@ from fixel.model import Trajectory, UniformPressure
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.calibrated import calibrated, searched_space
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
@@ -81,6 +82,18 @@ def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
     assert totals[1] <= totals[0]
     assert totals[2] <= totals[1]
     assert totals[2] < done.outcome.nominal.sum()
+
+
+def test_the_box_that_was_searched_is_found_again(project, chosen):
+    request = _request(chosen, mode="joint")
+    done = _done(project, chosen, request)
+    with project.store() as store:
+        one = calibrated(store, done.ids[-1])
+    space = searched_space(project, one, [])
+    assert space.labels == request.space.labels
+    np.testing.assert_array_equal(space.low, request.space.low)
+    np.testing.assert_array_equal(space.high, request.space.high)
+    np.testing.assert_array_equal(space.nominal, done.outcome.found[-1].point)
 
 
 def test_verdicts_and_what_they_stand_on(project, chosen):

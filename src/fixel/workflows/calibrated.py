@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
 from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
+from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
+from fixel.model import Scene
 from fixel.model.records import CalibrationRecord
+from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.workflows.calibration.outcome import ALONE, GROWTH, NEIGHBOUR
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.unknowns import default_unknowns
+from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.jobs import JOBS
 
 _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
@@ -37,6 +44,12 @@ class Calibrated:
     def members(self) -> frozenset[int]:
         """Ids of the experiments it was found from."""
         return frozenset(member.experiment_id for member in self.record.members)
+
+    @property
+    def is_for_several(self) -> bool:
+        """Whether its one set of parameters was found for several experiments."""
+        how = self.record.method.get("how")
+        return len(self.record.members) > 1 and how not in (ALONE, NEIGHBOUR)
 
     @cached_property
     def motion(self) -> AbstractMotionModel:
@@ -63,11 +76,6 @@ class Calibrated:
             if where and name not in found and _meets(conditions, where):
                 found[name] = estimate.value
         return found
-
-
-def newest(store: Store) -> int | None:
-    """Id of the calibration that `calibrated` takes where none is named; none without any."""
-    return calibrated(store).id if store.calibrations() else None
 
 
 def parted(label: str) -> tuple[str, dict[str, str]]:
@@ -98,22 +106,37 @@ def calibrated(
     experiment : int, optional
         Id of one that has to be among its members, where no number is given.
     """
-    if number is not None:
-        return Calibrated(number, store.calibration(number))
-    newest: Calibrated | None = None
-    for own in reversed(store.calibrations()):
-        one = Calibrated(own, store.calibration(own))
-        how = one.record.method.get("how")
-        if how == GROWTH or (experiment is not None and experiment not in one.members):
-            continue
-        if len(one.members) > 1 and how not in (ALONE, NEIGHBOUR):
-            return one
-        newest = newest or one
-    if newest is None:
+    own = newest(store, experiment) if number is None else number
+    if own is None:
         raise InvalidInput(
             "calibration",
             found="none stored" + ("" if experiment is None else " for this experiment"),
             expected="one at least",
             hint="calibrate first: fixel calibrate",
         )
-    return newest
+    return Calibrated(own, store.calibration(own))
+
+
+def newest(store: Store, experiment: int | None = None) -> int | None:
+    """Id of the calibration that `calibrated` takes where none is named; none without any."""
+    known = [
+        Calibrated(number, record)
+        for number, record in reversed(store.calibration_summaries().items())
+        if record.method.get("how") != GROWTH
+    ]
+    known = [one for one in known if experiment is None or experiment in one.members]
+    several = [one for one in known if one.is_for_several]
+    return next((one.id for one in (*several, *known)), None)
+
+
+def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -> ParameterSpace:
+    """The box that a calibration searched, started at what it found; the usual one of scenes where
+    its job is gone."""
+    path = project.folder / JOBS / str(one.record.method.get("job", "")) / "inputs" / REQUEST
+    if path.is_file():
+        space = Request.model_validate_json(path.read_bytes()).space
+    else:
+        space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
+    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+    start = zip(space.labels, space.nominal.tolist(), strict=True)
+    return space.started_at([found.get(label, value) for label, value in start])

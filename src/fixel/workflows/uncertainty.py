@@ -28,8 +28,8 @@ from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, Progress
-from fixel.workflows.calibrated import Calibrated, calibrated
-from fixel.workflows.calibration.unknowns import default_unknowns, fitted, usual
+from fixel.workflows.calibrated import Calibrated, calibrated, searched_space
+from fixel.workflows.calibration.unknowns import default_unknowns, fitted
 
 # For the rough fit that tells the noise, before there is one.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
@@ -159,7 +159,7 @@ def find_uncertainty(
             )
         experiments = [store.experiment(number) for number in (*ids, *held)]
     targets = [target_of(experiment) for experiment in experiments]
-    unknowns = _unknowns(request, one, targets[: len(ids)])
+    unknowns = _unknowns(project, request, one, targets[: len(ids)])
     motion = _motion(request, one)
     space = ParameterSpace(unknowns=tuple(unknowns))
     comparer = Comparer(targets, space, motion=_motion_model(motion))
@@ -204,27 +204,19 @@ def _ids(store: Store, request: UncertaintyRequest, one: Calibrated | None) -> l
 
 
 def _unknowns(
-    request: UncertaintyRequest, one: Calibrated | None, targets: Sequence[Target]
+    project: Project,
+    request: UncertaintyRequest,
+    one: Calibrated | None,
+    targets: Sequence[Target],
 ) -> list[Unknown]:
+    """Those asked for, those of the calibration in the box it searched, or the usual ones."""
     scenes = [target.case.scene for target in targets]
     if request.fit:
         return fitted(request.fit, scenes)
     if one is None:
         return default_unknowns(scenes)
-    return [_about(name, value, scenes) for name, value in one.record.parameters.items()]
-
-
-def _about(name: str, value: float, scenes: Sequence[Any]) -> Unknown:
-    """A calibrated parameter within its usual bounds, which give way where it lies outside."""
-    scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
-    found = usual(name, scene)
-    return replace(
-        found,
-        low=min(found.low, value),
-        high=max(found.high, value),
-        nominal=value,
-        scale=None,
-    )
+    space = searched_space(project, one, scenes)
+    return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
 
 
 def _motion(request: UncertaintyRequest, one: Calibrated | None) -> str:

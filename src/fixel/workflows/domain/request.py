@@ -18,13 +18,10 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
-from fixel.workflows.calibrated import Calibrated, calibrated
+from fixel.workflows.calibrated import Calibrated, calibrated, searched_space
 from fixel.workflows.calibration.outcome import ALONE, NEIGHBOUR
-from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.unknowns import default_unknowns, fitted
-from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.domain.held_out import Model
-from fixel.workflows.jobs import JOBS
 
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 
@@ -115,7 +112,7 @@ def model_of(project: Project, store: Store, asked: Asked, targets: Sequence[Tar
         motion, error = (Dynamic(), MeanSquare()) if one is None else (one.motion, one.error)
         said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
         return Started(Model(space=space, motion=motion, error=error), None, said)
-    space = _space(project, one, scenes)
+    space = searched_space(project, one, scenes)
     model = Model(space=space, motion=one.motion, error=one.error)
     return Started(model, one.id, f"calibration {one.id}")
 
@@ -128,18 +125,6 @@ def _calibration(store: Store, asked: Asked) -> Calibrated | None:
     return calibrated(store)
 
 
-def _space(project: Project, one: Calibrated, scenes: Sequence[Any]) -> ParameterSpace:
-    """The box that was searched, started at what was found."""
-    path = project.folder / JOBS / str(one.record.method.get("job", "")) / "inputs" / REQUEST
-    if path.is_file():
-        space = Request.model_validate_json(path.read_bytes()).space
-    else:
-        space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
-    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
-    start = zip(space.labels, space.nominal.tolist(), strict=True)
-    return space.started_at([found.get(label, value) for label, value in start])
-
-
 def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray, list[str]]:
     """(n,) least E of single calibrations of experiments [mm^2], and why there is none.
 
@@ -148,8 +133,7 @@ def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray
     place = {number: k for k, number in enumerate(ids)}
     best = np.full(len(ids), np.nan)
     notes = ["not calibrated by itself"] * len(ids)
-    for number in store.calibrations():
-        record = store.calibration(number)
+    for number, record in store.calibration_summaries().items():
         if record.method.get("how") not in (ALONE, NEIGHBOUR) or len(record.members) != 1:
             continue
         k = place.get(record.members[0].experiment_id)
