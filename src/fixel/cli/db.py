@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson
 
 if TYPE_CHECKING:
     from fixel.workflows.database import Backup, Checked, Upgraded
@@ -20,9 +20,16 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+ProjectPath = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder of the project.", metavar="PROJECT", show_default="the current folder"
+    ),
+]
+
 
 @app.command("upgrade")
-def upgrade(project: ProjectFolder = Path(), as_json: AsJson = False) -> None:
+def upgrade(project: ProjectPath = Path(), as_json: AsJson = False) -> None:
     """Bring the tables up to date, or leave them be."""
     from fixel.workflows import database
 
@@ -33,7 +40,7 @@ def upgrade(project: ProjectFolder = Path(), as_json: AsJson = False) -> None:
 @app.command("backup")
 def backup(
     file: Annotated[Path, typer.Argument(help="Where the copy goes.", metavar="FILE")],
-    project: ProjectFolder = Path(),
+    project: ProjectPath = Path(),
     as_json: AsJson = False,
 ) -> None:
     """Copy the database, while others may go on using it."""
@@ -48,7 +55,7 @@ def backup(
 
 
 @app.command("check")
-def check(project: ProjectFolder = Path(), as_json: AsJson = False) -> None:
+def check(project: ProjectPath = Path(), as_json: AsJson = False) -> None:
     """Read all that is stored; say what is wrong.
 
     Exit code 1 if anything is.
