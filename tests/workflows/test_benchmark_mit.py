@@ -15,11 +15,11 @@ from fixel.cli import main
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.datasets import mit_push
 from fixel.workflows.benchmark import Benchmark, Request, benchmark_real
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.leftover import learned_ends
 from fixel.workflows.benchmark.protocols import PROTOCOLS
 from fixel.workflows.benchmark.pushes import PushGroup, rows_by_key, usable_rows
 from fixel.workflows.benchmark.splits import Split, few_of, folds, random_split
+from fixel.workflows.finished import Finished
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {

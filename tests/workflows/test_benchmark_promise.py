@@ -14,11 +14,11 @@ from fixel.exchange.datasets import mit_push
 from fixel.model import Disk, Polygon
 from fixel.workflows.benchmark import Request
 from fixel.workflows.benchmark.evidence import evidence_of
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.promise import LEVELS, Table, _halves, _rank_correlation
 from fixel.workflows.benchmark.protocols import Bench, full_fit
 from fixel.workflows.benchmark.rates import PAPER_RATE, extent
 from fixel.workflows.benchmark.reproductions import reproduce
+from fixel.workflows.finished import Finished
 
 
 def bench_of(folder: Path) -> Bench:

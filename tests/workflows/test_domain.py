@@ -16,12 +16,12 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.calibration.unknowns import fitted
 from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
 from fixel.workflows.domain.gather import noise_floor
 from fixel.workflows.domain.held_out import Apart, Model, held_out, label_of, stepper_for
 from fixel.workflows.domain.request import Asked, model_of, own_best
+from fixel.workflows.finished import Finished
 
 METHOD = {"how": "alone", "error": "mean-square", "error.angle_scale": 0.035, "motion": "dynamic"}
 

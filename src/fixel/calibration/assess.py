@@ -150,10 +150,7 @@ class Frames:
 
 def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
     """Noise from what the calibrated simulations leave."""
-    points = np.repeat(point[None], len(members), axis=0)
-    difference, good, _ = comparer.differences(members, points)
-    length = comparer.length(members)
-    series = [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
+    series = comparer.residuals_at(members, point)
     if isinstance(comparer.error, EndPose):
         series = [np.concatenate([one[-1:] for one in series])] if series else []
     return noise_from_residuals(series, len(point))

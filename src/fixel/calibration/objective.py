@@ -193,6 +193,17 @@ class Comparer:
             reasons += why
         return Evaluated(error, reasons)
 
+    def residuals_at(
+        self, members: Sequence[int] | IntArray, point: FloatArray
+    ) -> list[FloatArray]:
+        """(n_frame, 3) differences of experiments at one point (n_free,), as `differences` has
+        them; those without a simulation are left out."""
+        own = np.asarray(members, np.int64)
+        points = np.repeat(np.asarray(point, np.float64)[None], len(own), axis=0)
+        difference, good, _ = self.differences(own, points)
+        length = self.length(own)
+        return [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
+
     def length(self, which: IntArray) -> IntArray:
         """(n,) samples that experiments have."""
         return np.asarray(self._length[which])

@@ -63,7 +63,7 @@ def growth(
     from fixel.applicability.places import INDEXES
     from fixel.cli.screen import say
     from fixel.database.project import Project
-    from fixel.workflows.growth.run import Asked, copy_pictures, run_growth
+    from fixel.workflows.growth.run import Asked, run_growth
 
     if index not in INDEXES:
         raise InvalidInput("--index", found=repr(index), expected="corrected or printed")
@@ -89,7 +89,7 @@ def growth(
         where=where,
         say=say if sys.stderr.isatty() else None,
     )
-    copied = [] if plot is None else copy_pictures(kept, plot)
+    copied = [] if plot is None else kept.copy_pictures(plot)
     if as_json:
         typer.echo(json.dumps(_plain(kept, copied), allow_nan=False))
         return

@@ -114,7 +114,9 @@ def sensitivity(
         ready=lambda scene: get_ready(scene, speaks),
     )
     files = []
-    if plot is not None:
+    if plot is not None and answer.kept is not None:
+        files = answer.kept.copy_pictures(plot)
+    elif plot is not None:
         files = [path for picture in answer.pictures for path in write_picture(plot, picture)]
     if as_json:
         from fixel.exchange.trajectory_file import plain_numbers

@@ -94,7 +94,7 @@ def uncertainty(
     project = Project.open(folder)
     found = find_uncertainty(project, request, _bar())
     kept = keep_uncertainty(project, found, "fixel " + shlex.join(sys.argv[1:]))
-    pictures = [] if plot is None else _copied(kept, plot)
+    pictures = [] if plot is None else kept.copy_pictures(plot)
     if as_json:
         answer = kept.analysis.numbers | {
             "folder": str(kept.folder),
@@ -132,19 +132,6 @@ def _bar() -> "Callable[[Progress], None] | None":
         show(highest, 1000)
 
     return tell
-
-
-def _copied(kept: "Kept", folder: Path) -> list[Path]:
-    """The pictures, where they were wanted."""
-    import shutil
-
-    made = []
-    for shown in kept.analysis.pictures:
-        for ending in ("png", "pdf", "csv"):
-            target = folder / f"{shown.name}.{ending}"
-            shutil.copyfile(kept.picture(shown.name, ending), target)
-            made.append(target)
-    return made
 
 
 def _lines(found: "Uncertainty", kept: "Kept", pictures: list[Path], folder: Path) -> list[str]:

@@ -171,15 +171,8 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
     point : (n_free,) float64
         Of a fit; a rough one will do.
     """
-    own = np.asarray(members, np.int64)
-    points = np.repeat(np.asarray(point, np.float64)[None], len(own), axis=0)
-    difference, good, _ = comparer.differences(own, points)
-    length = comparer.length(own)
-    rows = [
-        np.diff(d[:n], n=2, axis=0)
-        for d, n, ok in zip(difference, length, good, strict=True)
-        if ok and n >= 3
-    ]
+    series = comparer.residuals_at(members, point)
+    rows = [np.diff(one, n=2, axis=0) for one in series if len(one) >= 3]
     if not rows:
         raise InvalidInput(
             "noise",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +22,7 @@ from fixel.database.project import Project
 from fixel.exchange.array_bytes import arrays_of, bytes_of
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
-from fixel.workflows.pictures import Picture, make_folder, write_picture
+from fixel.workflows.pictures import ENDINGS, Picture, make_folder, write_picture
 
 Kind = Literal["growth", "domain", "sensitivity", "uncertainty"]
 
@@ -115,6 +116,12 @@ class Kept(NamedTuple):
     def picture(self, name: str, ending: str = "png") -> Path:
         """A file of one of its pictures."""
         return self.folder / f"{name}.{ending}"
+
+    def copy_pictures(self, folder: Path) -> list[Path]:
+        """All files of its pictures once more, in another folder; made where there is none."""
+        make_folder(folder)
+        sources = [self.picture(p.name, end) for p in self.analysis.pictures for end in ENDINGS]
+        return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
 
 
 def keep(

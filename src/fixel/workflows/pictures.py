@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -20,6 +21,14 @@ class Picture(NamedTuple):
     chart: AbstractChart
     banner: str = ""  # across the top, for experiments that no camera has seen
     caption: str = ""  # a sentence that says what to see
+
+
+def banner_of(banners: Sequence[str]) -> str:
+    """One banner for several experiments, from that of each; those of real ones are empty."""
+    some = [banner for banner in banners if banner]
+    if len(some) in (0, len(banners)):
+        return " and ".join(dict.fromkeys(some))
+    return f"{len(some)} of {len(banners)} experiments SIMULATED"
 
 
 def make_folder(folder: Path) -> None:

@@ -251,10 +251,7 @@ def _noise(
 
 def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
     """All that the fit leaves, taken for noise."""
-    points = np.repeat(point[None], len(members), axis=0)
-    difference, good, _ = comparer.differences(members, points)
-    length = comparer.length(members)
-    series = [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
+    series = comparer.residuals_at(members, point)
     if not series:
         raise InvalidInput(
             "noise",
@@ -304,11 +301,7 @@ def _near(
     kept = record.evaluations
     if kept.unit != "mm2" or not np.isfinite(kept.error).any():
         return None, ()
-    own = np.asarray(members, np.int64)
-    points = np.repeat(point[None], len(own), axis=0)
-    difference, good, _ = comparer.differences(own, points)
-    length = comparer.length(own)
-    series = [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
+    series = comparer.residuals_at(members, point)
     if not series:
         return None, ()
     from fixel.calibration.noise import correlation_time

@@ -20,12 +20,12 @@ from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.fitting import ARM, Belief, FittedPushes
 from fixel.workflows.benchmark.protocols import Bench, Request, full_beliefs, full_fit
 from fixel.workflows.benchmark.pushes import Key, PushGroup
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 from fixel.workflows.benchmark.splits import Split
+from fixel.workflows.finished import Finished
 
 NAME: Final = "coverage"
 # Step of the differences, in standard deviations of what was believed; as in the fits.

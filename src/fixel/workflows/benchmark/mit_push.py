@@ -16,10 +16,10 @@ import numpy as np
 from fixel.exchange.datasets.mit_push import MitPushes
 from fixel.kernels.arrays import FloatArray
 from fixel.model import pose_error
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.protocols import PROTOCOLS, RUN, Bench, Piece, Request
 from fixel.workflows.benchmark.pushes import usable_rows
 from fixel.workflows.benchmark.result import Benchmark, Progress, Row, Scored
+from fixel.workflows.finished import Finished
 
 PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
 

@@ -20,9 +20,9 @@ from fixel.exchange.datasets.mit_push import read
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import BoolArray
 from fixel.workflows.benchmark.evidence import Evidence, evidence_of
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.protocols import Bench, Request, full_fit
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
+from fixel.workflows.finished import Finished
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 HALVINGS: Final = 2  # of the held-out pushes of every fit; each counts both ways

@@ -14,7 +14,6 @@ from fixel.exchange.datasets.mit_push import MitPushes
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.model.fields import BoolArray
-from fixel.workflows.benchmark.finished import Finished, listed
 from fixel.workflows.benchmark.fitting import (
     Belief,
     FittedPushes,
@@ -33,6 +32,7 @@ from fixel.workflows.benchmark.leftover import inside_ninety, learned_ends
 from fixel.workflows.benchmark.pushes import Key, PushGroup, rows_by_key, usable_rows
 from fixel.workflows.benchmark.result import Progress, Row
 from fixel.workflows.benchmark.splits import Split, few_of, folds, random_split
+from fixel.workflows.finished import Finished, listed
 
 SHARE: Final = 0.6  # of the pushes for training, where there are no folds
 FEW: Final = 10

@@ -23,11 +23,11 @@ from fixel.exchange.datasets.mit_timeseries import PushRuns
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape, pose_error
 from fixel.workflows.benchmark import cmu_tripod, rpi_141
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.benchmark.protocols import Bench, Request, full_fit
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 from fixel.workflows.benchmark.rpi_141_hypotheses import hypotheses
 from fixel.workflows.benchmark.tripod_pushes import Push, comparer_of, read_pushes, support_of
+from fixel.workflows.finished import Finished
 from fixel.workflows.replay import Choice, replay_dataset
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]

@@ -20,6 +20,7 @@ from fixel.workflows.calibration.outcome import DIRECT, STORED, SUBSET, Found, O
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.retrace import Retraced, retraced
 from fixel.workflows.calibration.run import EXPERIMENTS, Calibration
+from fixel.workflows.pictures import banner_of
 
 # Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
@@ -77,10 +78,7 @@ class Desk:
     @cached_property
     def banner(self) -> str:
         """What stands over pictures of all experiments."""
-        some = [banner for banner in self.banners if banner]
-        if len(some) in (0, len(self.keys)):
-            return " and ".join(dict.fromkeys(some))
-        return f"{len(some)} of {len(self.keys)} experiments SIMULATED"
+        return banner_of(self.banners)
 
     @cached_property
     def groups(self) -> list[str]:

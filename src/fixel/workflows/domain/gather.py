@@ -20,7 +20,6 @@ from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import ANALYSES
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.calibration.run import choose
 from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
 from fixel.workflows.domain.held_out import (
@@ -34,6 +33,7 @@ from fixel.workflows.domain.held_out import (
     label_of,
 )
 from fixel.workflows.domain.request import Asked, model_of, own_best
+from fixel.workflows.finished import Finished
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"

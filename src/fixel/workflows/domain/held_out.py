@@ -26,8 +26,8 @@ from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.domain.coordinates import same_configuration
+from fixel.workflows.finished import Finished
 
 Progress = Callable[[int, int], None]
 

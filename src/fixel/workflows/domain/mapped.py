@@ -29,7 +29,7 @@ from fixel.workflows.domain.held_out import Progress
 from fixel.workflows.domain.pictures import pictures_of
 from fixel.workflows.domain.request import OFFSETS, Asked
 from fixel.workflows.domain.words import headline, methods_of, numbers, tables, warnings_of
-from fixel.workflows.pictures import make_folder, write_picture
+from fixel.workflows.pictures import make_folder
 
 MOST_EXAMPLES: Final = 3
 USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes where nothing was offset
@@ -125,7 +125,7 @@ def map_domain(
     )
     arrays = {"error_mm2": evidence.error_mm2, "fold": evidence.fold, "place": domain.place}
     kept = keep(project, analysis, pictures, arrays)
-    files = [] if plot is None else [path for p in pictures for path in write_picture(plot, p)]
+    files = [] if plot is None else kept.copy_pictures(plot)
     return Mapped(
         gathered=gathered,
         domain=domain,

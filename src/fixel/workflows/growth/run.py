@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, final
 
 from fixel.applicability.along_axis import SIZES
@@ -108,18 +107,3 @@ def _warnings(found: Exploration) -> list[str]:
     banner = found.samples.banner
     simulated = [f"{banner}: no camera has seen these experiments."] if banner else []
     return [*simulated, *found.warnings]
-
-
-def copy_pictures(kept: Kept, folder: Path) -> list[Path]:
-    """The pictures once more, in a folder of one's own."""
-    import shutil
-
-    from fixel.workflows.pictures import ENDINGS, make_folder
-
-    make_folder(folder)
-    found = []
-    for shown in kept.analysis.pictures:
-        for ending in ENDINGS:
-            source = kept.picture(shown.name, ending)
-            found.append(Path(shutil.copyfile(source, folder / source.name)))
-    return found

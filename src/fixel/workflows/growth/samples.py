@@ -12,6 +12,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.database.query import Query, Summary
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
+from fixel.workflows.pictures import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
 
@@ -61,10 +62,7 @@ class Samples:
     @property
     def banner(self) -> str:
         """What stands over pictures of them; nothing where all are real."""
-        some = [f"SIMULATED by {maker}" for maker in self.makers if maker]
-        if len(some) in (0, len(self.ids)):
-            return " and ".join(dict.fromkeys(some))
-        return f"{len(some)} of {len(self.ids)} experiments SIMULATED"
+        return banner_of([f"SIMULATED by {maker}" if maker else "" for maker in self.makers])
 
 
 def read_samples(store: Store, shape: str | None = None, dataset: str | None = None) -> Samples:
