@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from tests.cli.shell import fixel
 
 from fixel.cli.main import run
 
@@ -15,13 +16,6 @@ def project(tmp_path_factory):
             run(arguments)
         assert not end.value.code
     return folder
-
-
-def fixel(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        run([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return end.value.code or 0, out, err
 
 
 QUICK = ("--option", "threshold_delta=0.05", "--no-verdicts")

@@ -3,8 +3,8 @@
 import json
 
 import pytest
+from tests.cli.shell import fixel
 
-from fixel.cli.main import run
 from fixel.database.project import Project
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
@@ -26,13 +26,6 @@ def project(tmp_path_factory):
         for experiment in SimulatedTestbed().run(planned):
             store.add_experiment(experiment)
     return folder
-
-
-def fixel(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        run([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return end.value.code or 0, out, err
 
 
 def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):

@@ -20,6 +20,7 @@ from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import ANALYSES
+from fixel.workflows.calibrated import newest
 from fixel.workflows.calibration.run import choose
 from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
 from fixel.workflows.domain.held_out import (
@@ -86,11 +87,10 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
 
 def _mark(store: Store, asked: Asked, ids: Sequence[int]) -> str:
     """Of everything the numbers depend on; stored records never change."""
-    newest = max(store.calibrations(), default=0)
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
     if asked.calibration is None and not asked.fit:
-        kept["newest"] = newest
+        kept["newest"] = newest(store)
     of = [VERSION, kept, list(ids), repr(SQUARES), MOST_TRAINING]
     return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
 
