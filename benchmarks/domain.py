@@ -22,10 +22,10 @@ from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.benchmark.finished import Finished
 from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
 from fixel.workflows.domain.held_out import Apart, Model, calibrated_on, held_out
+from fixel.workflows.finished import Finished
 
 # Not those on which the settings of the surface were chosen.
 LAYOUTS = ("collinear-wide", "collinear-minus45", "concave-tight", "asymmetric-b")

@@ -3,9 +3,11 @@
 import csv
 import importlib
 import math
+import pkgutil
 from importlib.util import find_spec
 from pathlib import Path
 
+import benchmarks
 import pytest
 from benchmarks import __main__ as command
 from benchmarks import report, work_precision
@@ -25,6 +27,11 @@ def test_scenario_runs(name: str) -> None:
     figures = run(SMALL)
     assert figures
     assert all(math.isfinite(value) for figure in figures for value in figure.values)
+
+
+@pytest.mark.parametrize("name", [m.name for m in pkgutil.iter_modules(benchmarks.__path__)])
+def test_every_module_still_imports_what_it_needs(name: str) -> None:
+    assert importlib.import_module(f"benchmarks.{name}").__doc__
 
 
 @pytest.mark.slow
