@@ -1,0 +1,135 @@
+"""A camera above the plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import Comparable, FloatArray, frozen, settle, vector
+from fixel.vision.lens import Lens
+
+ORTHONORMAL = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera(Comparable):
+    """A lens at a place: between points above the plane and pixels.
+
+    The world has x and y in the plane and z up, towards the camera; heights are z.
+
+    Parameters
+    ----------
+    lens : Lens
+    rotation : (3, 3) array_like
+        `camera_from_world`: the camera's axes are x right, y down, z away from it.
+    translation : (3,) array_like
+        Where the world's origin is, in the camera's axes [m].
+    """
+
+    lens: Lens
+    rotation: FloatArray
+    translation: FloatArray
+
+    def __post_init__(self) -> None:
+        rotation = frozen(self.rotation)
+        if (
+            rotation.shape != (3, 3)
+            or np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL
+        ):
+            raise InvalidInput(
+                "camera.rotation", found=rotation.tolist(), expected="a 3 x 3 rotation matrix"
+            )
+        if np.linalg.det(rotation) < 0.0:
+            raise InvalidInput(
+                "camera.rotation",
+                found="a mirrored frame",
+                expected="a rotation matrix of determinant 1",
+                hint="is the picture mirrored, or is the board's y axis turned round?",
+            )
+        translation = vector(self.translation, "camera.translation", "x [m], y [m], z [m]")
+        settle(self, rotation=rotation, translation=translation)
+        if self.position[2] <= 0.0:
+            raise InvalidInput(
+                "camera.translation",
+                found=f"a camera {self.position[2] * 1e3:.1f} mm above the plane",
+                expected="a camera above the plane: z of the world points towards it",
+            )
+
+    @classmethod
+    def looking_down(
+        cls, lens: Lens, height: float, *, above: ArrayLike = (0.0, 0.0), turned: float = 0.0
+    ) -> Camera:
+        """A camera that looks straight down.
+
+        Parameters
+        ----------
+        lens : Lens
+        height : float
+            Of the camera above the plane [m].
+        above : (2,) array_like
+            The place of the world under it [m].
+        turned : float
+            From the world's x to the picture's right, counter-clockwise from above [rad].
+        """
+        c, s = math.cos(turned), math.sin(turned)
+        rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+        x, y = vector(above, "above", "x [m], y [m]")
+        return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) of the camera in the world [m]."""
+        return -self.rotation.T @ self.translation
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """(..., 2) pixels of points (..., 3) of the world [m].
+
+        Raises
+        ------
+        InvalidInput
+            A point behind the camera.
+        """
+        seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+        depth = seen[..., 2:]
+        if (depth <= 0.0).any():
+            raise InvalidInput(
+                "points", found="a point behind the camera", expected="points in front of it [m]"
+            )
+        return self.lens.pixel(seen[..., :2] / depth)
+
+    def project_at(self, places: ArrayLike, height: float) -> FloatArray:
+        """(..., 2) pixels of places (..., 2) [m] at one height above the plane [m]."""
+        xy = np.asarray(places, dtype=np.float64)
+        return self.project(np.concatenate([xy, np.full((*xy.shape[:-1], 1), height)], axis=-1))
+
+    def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> FloatArray:
+        """(..., 2) places [m] at a height above the plane [m] that pixels (..., 2) show.
+
+        Raises
+        ------
+        InvalidInput
+            A pixel that looks past the plane, or that the lens cannot have light from.
+        """
+        flat = self.lens.direction(pixels)
+        ray = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ self.rotation
+        if (ray[..., 2] >= 0.0).any():
+            raise InvalidInput(
+                "pixels", found="a pixel above the horizon", expected="pixels that show the plane"
+            )
+        eye = self.position
+        reach = (height - eye[2]) / ray[..., 2:]
+        return np.asarray(eye[:2] + reach * ray[..., :2])
+
+    def metres_per_pixel(self, height: float = 0.0) -> float:
+        """How much of the plane one pixel shows in the middle of the picture [m/px]."""
+        middle = (np.array(self.lens.image_size) - 1.0) / 2.0
+        corners = middle + np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5]])
+        a, b, c = self.on_plane(corners, height)
+        across, down = b - a, c - a
+        return math.sqrt(abs(across[0] * down[1] - across[1] * down[0]))
