@@ -56,7 +56,7 @@ class Lens(Comparable):
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        if len(self.image_size) != 2 or min(self.image_size) < 1:
+        if min(self.image_size) < 1:
             raise InvalidInput(
                 "lens.image_size", found=self.image_size, expected="width and height [px]"
             )
@@ -137,7 +137,7 @@ class Lens(Comparable):
         a2 = angle * angle
         seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
         ratio = np.divide(seen, r, out=np.ones_like(r), where=r > 0.0)
-        return xy * ratio[..., None]
+        return np.asarray(xy * ratio[..., None])
 
     def _jacobian(self, xy: FloatArray) -> FloatArray:
         """(..., 2, 2) of `distorted`, by central differences."""
