@@ -126,23 +126,37 @@ class Camera(Comparable):
         xy = np.asarray(places, dtype=np.float64)
         return self.project(np.concatenate([xy, np.full((*xy.shape[:-1], 1), height)], axis=-1))
 
+    def homography(self, height: float = 0.0) -> FloatArray:
+        """(3, 3) from places (x, y, 1) at a height above the plane [m] to directions (x, y, 1).
+
+        Up to scale: the third number is how deep the place lies before the camera [m].
+        """
+        across, down, up = self.rotation.T
+        return np.stack([across, down, up * height + self.translation], axis=1)
+
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> FloatArray:
         """(..., 2) places [m] at a height above the plane [m] that pixels (..., 2) show.
 
         Raises
         ------
         InvalidInput
-            A pixel that looks past the plane, or that the lens cannot have light from.
+            A pixel that looks past the plane, that the lens cannot have light from, or a height
+            that is not below the camera.
         """
-        flat = self.lens.direction(pixels)
-        ray = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ self.rotation
-        if (ray[..., 2] >= 0.0).any():
+        if not height < self.position[2]:
+            raise InvalidInput(
+                "height",
+                found=f"{1e3 * height:.1f} mm",
+                expected=f"a height below the camera, at {1e3 * self.position[2]:.1f} mm",
+            )
+        back = np.linalg.inv(self.homography(height))
+        there = self.lens.direction(pixels) @ back[:, :2].T + back[:, 2]
+        # The third number is one over the depth.
+        if (there[..., 2] <= 0.0).any():
             raise InvalidInput(
                 "pixels", found="a pixel above the horizon", expected="pixels that show the plane"
             )
-        eye = self.position
-        reach = (height - eye[2]) / ray[..., 2:]
-        return np.asarray(eye[:2] + reach * ray[..., :2])
+        return np.asarray(there[..., :2] / there[..., 2:])
 
     def metres_per_pixel(self, height: float = 0.0) -> float:
         """How much of the plane one pixel shows in the middle of the picture [m/px]."""
