@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -63,9 +63,15 @@ class Camera(Comparable):
 
     @classmethod
     def looking_down(
-        cls, lens: Lens, height: float, *, above: ArrayLike = (0.0, 0.0), turned: float = 0.0
+        cls,
+        lens: Lens,
+        height: float,
+        *,
+        above: ArrayLike = (0.0, 0.0),
+        turned: float = 0.0,
+        tilted: ArrayLike = (0.0, 0.0),
     ) -> Camera:
-        """A camera that looks straight down.
+        """A camera that looks down, straight but for a small tilt.
 
         Parameters
         ----------
@@ -76,11 +82,23 @@ class Camera(Comparable):
             The place of the world under it [m].
         turned : float
             From the world's x to the picture's right, counter-clockwise from above [rad].
+        tilted : (2,) array_like
+            Of the axis: towards what the picture shows below its middle, and towards its right;
+            one after the other, about the camera's x and then its y [rad].
         """
         c, s = math.cos(turned), math.sin(turned)
-        rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+        straight = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+        down, right = vector(tilted, "tilted", "downwards [rad], to the right [rad]")
+        (cx, sx), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (down, right))
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+        about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+        rotation = about_y @ about_x @ straight
         x, y = vector(above, "above", "x [m], y [m]")
         return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
+
+    def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Camera:
+        """The same camera, if its lens is for pictures of this size; see `Lens`."""
+        return replace(self, lens=self.lens.for_pictures_of(size, rescale=rescale))
 
     @property
     def position(self) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -116,6 +116,44 @@ class Lens(Comparable):
         """(...) whether pixels (..., 2) lie on the sensor."""
         uv = np.asarray(pixel, dtype=np.float64)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size) - 0.5)).all(axis=-1))
+
+    def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Lens:
+        """The same lens, if it was calibrated for pictures of this size.
+
+        Parameters
+        ----------
+        size : (int, int)
+            Width and height of the pictures [px].
+        rescale : bool
+            Take a picture of the same shape for the same view in other pixels. Wrong where the
+            sensor was cropped, which the picture alone does not tell; so never without asking.
+
+        Raises
+        ------
+        InvalidInput
+            Another size, or with `rescale` another shape.
+        """
+        ours, theirs = self.image_size, (int(size[0]), int(size[1]))
+        if theirs == ours:
+            return self
+        if theirs == ours[::-1]:
+            hint = "is the picture turned by 90 degrees?"
+        elif ours[0] * theirs[1] != ours[1] * theirs[0]:
+            hint = "pictures of another shape are cropped: calibrate the lens at this size"
+        else:
+            hint = (
+                "calibrate the lens at this size, or rescale it if the camera scales whole pictures"
+            )
+        if not rescale or ours[0] * theirs[1] != ours[1] * theirs[0]:
+            raise InvalidInput(
+                "picture",
+                found=f"{theirs[0]} x {theirs[1]} px",
+                expected=f"{ours[0]} x {ours[1]} px, for which the lens is calibrated",
+                hint=hint,
+            )
+        scale = theirs[0] / ours[0]
+        centre = (self.centre + 0.5) * scale - 0.5  # pixel 0 is the middle of the first one
+        return replace(self, image_size=theirs, focal=self.focal * scale, centre=centre)
 
     def _pixels_of(self, apparent: FloatArray) -> FloatArray:
         x, y = apparent[..., 0], apparent[..., 1]
