@@ -280,8 +280,8 @@ def filled(shape: Shape, about: int) -> FloatArray:
 
 def _axis(points: FloatArray) -> float:
     """Angle of the long axis of the ellipse with the moments of points [rad]."""
-    (xx, xy), (_, yy) = np.cov(points.T)
-    return 0.5 * math.atan2(2.0 * float(xy), float(xx - yy))
+    (xx, xy), (_, yy) = np.cov(points.T).tolist()
+    return 0.5 * math.atan2(2.0 * xy, xx - yy)
 
 
 def _dark(picture: Gray) -> NDArray[np.uint8]:
