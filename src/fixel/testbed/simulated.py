@@ -42,7 +42,7 @@ from fixel.model.fields import (
 )
 from fixel.simulation import Simulation, simulate
 from fixel.testbed.actuator import driven_unevenly, with_stall_force
-from fixel.testbed.chance import stream
+from fixel.model.chance import stream
 from fixel.testbed.plate import planned_support, rough_plane, uneven_support
 from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
 
