@@ -104,8 +104,8 @@ def _grain_at(
     """The grain under a pixel, linear between its values."""
     x = grain_from_pixel[0, 0] * u + grain_from_pixel[0, 1] * v + grain_from_pixel[0, 2]
     y = grain_from_pixel[1, 0] * u + grain_from_pixel[1, 1] * v + grain_from_pixel[1, 2]
-    i = int(math.floor(x))
-    j = int(math.floor(y))
+    i = math.floor(x)
+    j = math.floor(y)
     p = x - i
     q = y - j
     i0 = i & wrap
@@ -199,7 +199,7 @@ def _add_within(a: float, b: float, height: float, cover: FloatArray, row: int, 
         b = float(w)
         length = b - a
     i = int(a)
-    j = int(math.ceil(b))
+    j = math.ceil(b)
     if j <= i + 1:
         beyond = 0.5 * (a + b) - i
         cover[row, i] += height * (1.0 - beyond)

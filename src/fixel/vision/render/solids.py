@@ -209,7 +209,8 @@ def _slab_strokes(
     under = high + inward * (OVERLAP / np.maximum(np.hypot(*inward.T), OVERLAP))[:, None]
     n = len(world)
     strokes: list[tuple[Stroke, float | None]] = []
-    for first, last, shade in _seen_faces(slab.outline, world, camera.position):
+    flat = slab.high <= slab.low
+    for first, last, shade in [] if flat else _seen_faces(slab.outline, world, camera.position):
         k = np.arange(first, last + 1) % n
         beyond = (last + 1) % n
         step = _towards(low[k[-1]], low[beyond]), _towards(high[k[-1]], high[beyond])
@@ -222,7 +223,9 @@ def _slab_strokes(
             )
         )
         colour = slab.side * shade
-        strokes.append((Stroke(points, np.array([0, len(points)]), colour, window_of(points, size)), None))
+        strokes.append(
+            (Stroke(points, np.array([0, len(points)]), colour, window_of(points, size)), None)
+        )
     starts = np.array([0, n])
     window = window_of(high, size)
     if slab.rim > 0.0:
