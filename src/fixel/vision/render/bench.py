@@ -12,6 +12,7 @@ from fixel.model.fields import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, Window
+from fixel.vision.render.eye import Eye
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.plate import backdrop, falloff
 from fixel.vision.render.shadows import shade, shadow_window
@@ -49,8 +50,8 @@ class Bench:
 
     def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
         self._rig, self._looks = rig, looks
-        self._camera = rig.camera
-        self._size = rig.camera.lens.image_size
+        self._eye = Eye(rig.camera)
+        self._size = self._eye.size
         pixel = pixel_of(rig)
         dull, turned = grain(seed, "plastic", 0.03), grain(seed, "milled", 0.02)
         self._moving: list[tuple[str, Solid]] = [
@@ -64,9 +65,9 @@ class Bench:
             self._moving += [(pusher.name, solid) for solid in solids]
             resting.append((housing_solid(pusher, pixel), pusher.pose))
         self._hand = hand_solid(4.0 * pixel)
-        self._resting = [place(solid, pose, self._camera) for solid, pose in resting]
-        self._plate = backdrop(rig, seed)
-        self._falloff = falloff(self._camera, looks.vignetting)
+        self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
+        self._plate = backdrop(rig, self._eye, seed)
+        self._falloff = falloff(self._eye, looks.vignetting)
         self._still = self._developed(Window(0, 0, *self._size), self._painted([]))
 
     @property
@@ -88,7 +89,7 @@ class Bench:
         for moving in placed:
             for thing in moving:
                 window = window.joined(thing.window)
-            window = window.joined(shadow_window(moving, self._camera))
+            window = window.joined(shadow_window(moving, self._eye))
         margin = int(np.ceil(3.0 * self._looks.blur)) + 1
         window = window.grown(margin, self._size)
         picture = self._still.copy()
@@ -102,23 +103,23 @@ class Bench:
         return picture
 
     def _placed(self, poses: Poses) -> list[Placed]:
-        placed = [place(solid, poses[name], self._camera) for name, solid in self._moving]
+        placed = [place(solid, poses[name], self._eye) for name, solid in self._moving]
         if HAND in poses:
-            placed.append(place(self._hand, poses[HAND], self._camera))
+            placed.append(place(self._hand, poses[HAND], self._eye))
         return placed
 
     def _painted(self, moving: Sequence[Placed], window: Window | None = None) -> FloatPicture:
         """What rests and what moves, sharp, in a window."""
         window = window or Window(0, 0, *self._size)
-        depth, camera = self._looks.shadows, self._camera
+        depth, eye = self._looks.shadows, self._eye
         things = [*self._resting, *moving]
         picture = self._plate[window.slices].copy()
-        dimmed = shade(window, 0.0, things, camera, depth)
+        dimmed = shade(window, 0.0, things, eye, depth)
         if dimmed is not None:
             picture *= dimmed[..., None]
         canvas = Canvas(window, picture)
         full = np.ones(picture.shape[:2], np.float32)
-        for thing in painting_order(things, camera.position):
+        for thing in painting_order(things, eye.position):
             if not thing.window.meets(window):
                 continue
             shades = self._shades(thing, things, window)
@@ -134,7 +135,7 @@ class Bench:
             return {}
         high = thing.solid.high
         others = [other for other in things if other is not thing and other.solid.high > high]
-        dimmed = shade(window, high, others, self._camera, self._looks.shadows)
+        dimmed = shade(window, high, others, self._eye, self._looks.shadows)
         if dimmed is None:
             return {}
         return {level: dimmed for _, level in thing.strokes if level is not None}

@@ -14,6 +14,7 @@ from fixel.model.shape import placed
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, Stroke, Window, window_of
+from fixel.vision.render.eye import Eye
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.plate import falloff
 from fixel.vision.render.solids import outline_of, polygon
@@ -43,9 +44,9 @@ class BrightField:
     """
 
     def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
-        self._camera, self._looks = rig.camera, looks
-        self._size = rig.camera.lens.image_size
-        pixel = rig.camera.metres_per_pixel()
+        self._eye, self._looks = Eye(rig.camera), looks
+        self._size = self._eye.size
+        pixel = self._eye.pixel_size()
         self._outlines: list[tuple[str, FloatArray, float]] = []
         for body in scene.bodies:
             self._add(rig, body.name, part_outline(body, looks.tab, pixel))
@@ -55,7 +56,7 @@ class BrightField:
         for fixel in scene.fixels:
             self._add(rig, fixel.name, placed(outline_of(fixel.shape, pixel).points, fixel.pose))
         self._ground = _ground(self._size, seed, clean=looks.read_noise == 0.0)
-        self._falloff = falloff(rig.camera, looks.vignetting)[..., None]
+        self._falloff = falloff(self._eye, looks.vignetting)[..., None]
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,7 +84,7 @@ class BrightField:
         full = np.ones(picture.shape[:2], np.float32)
         still = np.zeros(3)
         for name, outline, height in self._outlines:
-            pixels = self._camera.project_at(placed(outline, poses.get(name, still)), height)
+            pixels = self._eye.project_at(placed(outline, poses.get(name, still)), height)
             window = window_of(pixels, self._size)
             canvas.paint(
                 Stroke(pixels, np.array([0, len(pixels)]), np.full(3, BLACK), window), full

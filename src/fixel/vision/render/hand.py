@@ -12,6 +12,7 @@ from fixel.model.fields import FloatArray, frozen
 from fixel.model.shape import placed
 from fixel.vision.marks import Rig
 from fixel.vision.render.canvas import cover
+from fixel.vision.render.eye import Eye
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.solids import outline_of
 from fixel.vision.render.things import OBJECT_HEIGHT, hand_solid, pixel_of
@@ -42,6 +43,7 @@ class Occlusion:
         self, looks: Looks, name: str, shape: Shape, rig: Rig, times: FloatArray, seed: int
     ) -> None:
         self._looks, self._name, self._rig = looks, name, rig
+        self._eye = Eye(rig.camera)
         random = stream(seed, "film", "hand")
         first, last = float(times[0]), float(times[-1])
         spare = max(last - first - looks.occlusion, 0.0)
@@ -75,15 +77,14 @@ class Occlusion:
             return 0.0
         part = self._rig.parts.get(self._name)
         height = part.height if part else OBJECT_HEIGHT
-        camera = self._rig.camera
-        face = camera.project_at(placed(self._outline, object_pose), height)
+        face = self._eye.project_at(placed(self._outline, object_pose), height)
         low = np.floor(face.min(axis=0))
         w, h = (int(n) for n in np.ceil(face.max(axis=0)) - low + 1)
         room = np.zeros((h, w + 2))
         wanted, covered = np.zeros((h, w), np.float32), np.zeros((h, w), np.float32)
         cover(wanted, room, face - low)
         for slab in hand_solid(4.0 * self._pixel).slabs:
-            pixels = camera.project_at(placed(slab.outline.points, hand), slab.high)
+            pixels = self._eye.project_at(placed(slab.outline.points, hand), slab.high)
             cover(covered, room, pixels - low)
         return float(np.minimum(wanted, covered).sum() / wanted.sum())
 

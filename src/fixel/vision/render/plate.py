@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from fixel.model.chance import stream
 from fixel.model.fields import FloatArray
-from fixel.vision.camera import Camera
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, Stroke, Window, window_of
+from fixel.vision.render.eye import Eye
 from fixel.vision.render.ink import inks
 from fixel.vision.render.solids import circle, polygon
 
@@ -27,53 +27,52 @@ WOOD: Final = np.array([66.0, 92.0, 122.0])
 DARK: Final = np.array([34.0, 33.0, 32.0])
 
 
-def plane_places(camera: Camera) -> NDArray[np.float32]:
+def plane_places(eye: Eye) -> NDArray[np.float32]:
     """(h, w, 2) place of the plane under every pixel [m], good enough for textures."""
-    w, h = camera.lens.image_size
+    w, h = eye.size
     u = np.linspace(0.0, w - 1.0, max(2, w // NODES))
     v = np.linspace(0.0, h - 1.0, max(2, h // NODES))
-    nodes = camera.on_plane(np.stack(np.meshgrid(u, v), axis=-1))
+    nodes = eye.camera.on_plane(np.stack(np.meshgrid(u, v), axis=-1))
     across, down = _hats(u, w), _hats(v, h)
     places = np.stack([down @ nodes[..., k] @ across.T for k in (0, 1)], axis=-1)
     return np.asarray(places, dtype=np.float32)
 
 
-def backdrop(rig: Rig, seed: int) -> FloatPicture:
+def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
     """(h, w, 3) table and plate, without any shadow."""
-    camera = rig.camera
-    size = camera.lens.image_size
-    places = plane_places(camera)
-    middle = _middle(camera)
+    size = eye.size
+    places = plane_places(eye)
+    middle = _middle(eye)
     metal = _brushed(places, seed) + _sheen(places, middle)
     picture = np.asarray(WOOD * _planks(places, seed)[..., None], dtype=np.float32)
     canvas = Canvas(Window(0, 0, *size), picture)
     light = np.ones(picture.shape[:2], np.float32)
-    for stroke in _plate_strokes(rig, middle):
+    for stroke in _plate_strokes(eye, middle):
         canvas.paint(stroke, light)
     sheet = np.asarray(METAL * (metal / METAL.mean())[..., None], dtype=np.float32)
-    picture[:] = _over(picture, sheet, _plate_share(camera, middle))
-    for stroke in (*_holes(camera, middle), *_scratches(camera, middle, seed)):
+    picture[:] = _over(picture, sheet, _plate_share(eye, middle))
+    for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
         canvas.paint(stroke, light)
     for tag in rig.plate:
-        for ink in inks(tag, camera.metres_per_pixel()):
-            pixels = camera.project_at(ink.points, ink.height)
+        for ink in inks(tag, eye.pixel_size()):
+            pixels = eye.project_at(ink.points, ink.height)
             window = window_of(pixels, size)
             canvas.paint(Stroke(pixels, ink.starts, ink.colour, window), light)
     return picture
 
 
-def falloff(camera: Camera, vignetting: float) -> FloatPicture:
+def falloff(eye: Eye, vignetting: float) -> FloatPicture:
     """(h, w) share of the light that reaches the sensor: less towards the corners."""
-    w, h = camera.lens.image_size
+    w, h = eye.size
     u, v = np.arange(w) - 0.5 * (w - 1), np.arange(h) - 0.5 * (h - 1)
     out = (u**2 + v[:, None] ** 2) / (0.25 * (w * w + h * h))
     return np.asarray(1.0 - vignetting * out, dtype=np.float32)
 
 
-def _middle(camera: Camera) -> FloatArray:
+def _middle(eye: Eye) -> FloatArray:
     """The place in the middle of the picture, on the grid of holes [m]."""
-    w, h = camera.lens.image_size
-    seen = camera.on_plane([0.5 * (w - 1), 0.5 * (h - 1)])
+    w, h = eye.size
+    seen = eye.camera.on_plane([0.5 * (w - 1), 0.5 * (h - 1)])
     return np.asarray(np.rint(seen / PITCH) * PITCH)
 
 
@@ -81,26 +80,26 @@ def _corners(middle: FloatArray) -> FloatArray:
     return middle + HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
-def _plate_strokes(rig: Rig, middle: FloatArray) -> Iterator[Stroke]:
+def _plate_strokes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
     """The shadow line under the plate, and its milled edge."""
-    pixel = rig.camera.metres_per_pixel()
+    pixel = eye.pixel_size()
     for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
         corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
-        yield _level(rig.camera, polygon(corners, pixel).points, colour)
+        yield _level(eye, polygon(corners, pixel).points, colour)
 
 
-def _plate_share(camera: Camera, middle: FloatArray) -> FloatPicture:
-    size = camera.lens.image_size
+def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
+    size = eye.size
     share = np.zeros((size[1], size[0], 3), np.float32)
-    outline = polygon(_corners(middle), camera.metres_per_pixel()).points
+    outline = polygon(_corners(middle), eye.pixel_size()).points
     canvas = Canvas(Window(0, 0, *size), share)
-    canvas.paint(_level(camera, outline, np.ones(3)), np.ones(share.shape[:2], np.float32))
+    canvas.paint(_level(eye, outline, np.ones(3)), np.ones(share.shape[:2], np.float32))
     return share
 
 
-def _holes(camera: Camera, middle: FloatArray) -> Iterator[Stroke]:
+def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
     """Threaded holes with a countersink that catches the light on one side."""
-    pixel = camera.metres_per_pixel()
+    pixel = eye.pixel_size()
     reach = int((HALF - 0.012) / PITCH)
     rings = (
         (1.45 * HOLE, (0.0, 0.0), 0.80 * METAL),
@@ -111,13 +110,13 @@ def _holes(camera: Camera, middle: FloatArray) -> Iterator[Stroke]:
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
             place = middle + PITCH * np.array([i, j])
-            if not camera.lens.sees(camera.project_at(place, 0.0)):
+            if not eye.camera.lens.sees(eye.project_at(place, 0.0)):
                 continue
             for radius, aside, colour in rings:
-                yield _level(camera, circle(radius, pixel, place + aside).points, colour)
+                yield _level(eye, circle(radius, pixel, place + aside).points, colour)
 
 
-def _scratches(camera: Camera, middle: FloatArray, seed: int) -> Iterator[Stroke]:
+def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
     random = stream(seed, "film", "scratches")
     for _ in range(26):
         place = middle + random.uniform(-HALF, HALF, 2) * 0.97
@@ -127,12 +126,12 @@ def _scratches(camera: Camera, middle: FloatArray, seed: int) -> Iterator[Stroke
         line = np.array([place, place + along, place + along + across, place + across])
         inside = (np.abs(line - middle) < HALF).all()
         if inside:
-            yield _level(camera, line, METAL * random.uniform(1.04, 1.2))
+            yield _level(eye, line, METAL * random.uniform(1.04, 1.2))
 
 
-def _level(camera: Camera, points: FloatArray, colour: FloatArray) -> Stroke:
-    pixels = camera.project_at(points, 0.0)
-    window = window_of(pixels, camera.lens.image_size)
+def _level(eye: Eye, points: FloatArray, colour: FloatArray) -> Stroke:
+    pixels = eye.project_at(points, 0.0)
+    window = window_of(pixels, eye.size)
     return Stroke(pixels, np.array([0, len(pixels)]), colour, window)
 
 

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.model.fields import FloatArray
-from fixel.vision.camera import Camera
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture, Window, cover
+from fixel.vision.render.eye import Eye
 from fixel.vision.render.solids import Placed
 
 COARSE: Final = 4  # [px] a value; shadows are soft
@@ -24,7 +24,7 @@ SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
 REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
 
 
-def shadow_window(things: Sequence[Placed], camera: Camera) -> Window:
+def shadow_window(things: Sequence[Placed], eye: Eye) -> Window:
     """The pixels on which the shadows of solids can fall on the plane."""
     window = Window(0, 0, 0, 0)
     for thing in things:
@@ -32,12 +32,12 @@ def shadow_window(things: Sequence[Placed], camera: Camera) -> Window:
         for piece in thing.footprint:
             low, top = piece.min(axis=0) - REACH * high, piece.max(axis=0) + REACH * high
             corners = np.array([low, [top[0], low[1]], top, [low[0], top[1]]])
-            window = window.joined(_window(camera.project_at(corners, 0.0), camera))
-    return window.grown(2 * COARSE, camera.lens.image_size)
+            window = window.joined(_window(eye.project_at(corners, 0.0), eye))
+    return window.grown(2 * COARSE, eye.size)
 
 
 def shade(
-    window: Window, level: float, casters: Sequence[Placed], camera: Camera, depth: float
+    window: Window, level: float, casters: Sequence[Placed], eye: Eye, depth: float
 ) -> FloatPicture | None:
     """What is left of the light on a level, in a window of the picture.
 
@@ -48,7 +48,7 @@ def shade(
         Height of the face above the plane [m].
     casters : sequence of Placed
         Those below the level throw none.
-    camera : Camera
+    eye : Eye
     depth : float
         Share of the light that a full shadow lacks [-].
 
@@ -62,7 +62,7 @@ def shade(
         for thing in casters
         if depth > 0.0 and thing.solid.high > level + 1e-4
         for piece in thing.footprint
-        for hull in _swept(piece, thing.solid.low, thing.solid.high, level, camera)
+        for hull in _swept(piece, thing.solid.low, thing.solid.high, level, eye)
     ]
     if not hulls:
         return None
@@ -87,14 +87,12 @@ def shade(
     return np.asarray(1.0 - np.float32(depth) * fine[: window.height, : window.width])
 
 
-def _swept(
-    piece: FloatArray, low: float, high: float, level: float, camera: Camera
-) -> list[FloatArray]:
+def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -> list[FloatArray]:
     """A convex polygon [px] for every ray: what lies in the shadow of a piece."""
     cv2 = opencv()
     near, far = max(low - level, 0.0), high - level
     ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)
-    pixels = camera.project_at(ends, level).astype(np.float32)
+    pixels = eye.project_at(ends, level).astype(np.float32)
     return [_hull(cv2, ray) for ray in pixels]
 
 
@@ -102,7 +100,7 @@ def _hull(cv2: Any, points: Any) -> FloatArray:
     return np.asarray(cv2.convexHull(points)[:, 0, :], dtype=np.float64)
 
 
-def _window(pixels: FloatArray, camera: Camera) -> Window:
+def _window(pixels: FloatArray, eye: Eye) -> Window:
     from fixel.vision.render.canvas import window_of
 
-    return window_of(pixels, camera.lens.image_size)
+    return window_of(pixels, eye.size)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.model import Disk, Shape
 from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
-from fixel.vision.camera import Camera
 from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, Stroke, Window, window_of
+from fixel.vision.render.eye import Eye
 
 CHORD: Final = 8.0  # [px] of a straight edge that may be drawn as a line, in spite of the lens
 SAGITTA: Final = 0.004  # [px] by which a circle's polygon may leave it
@@ -180,15 +180,15 @@ class Placed:
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 
-def place(solid: Solid, pose: FloatArray, camera: Camera) -> Placed:
+def place(solid: Solid, pose: FloatArray, eye: Eye) -> Placed:
     """Put a solid at a pose (3,) [m, m, rad]."""
-    size = camera.lens.image_size
+    size = eye.size
     strokes: list[tuple[Stroke, float | None]] = []
-    grain = _grain(solid, pose, camera)
+    grain = _grain(solid, pose, eye)
     for slab in solid.slabs:
-        strokes += _slab_strokes(slab, pose, camera, grain)
+        strokes += _slab_strokes(slab, pose, eye, grain)
     for ink in solid.inks:
-        pixels = camera.project_at(placed(ink.points, pose), ink.height)
+        pixels = eye.project_at(placed(ink.points, pose), ink.height)
         window = window_of(pixels, size)
         strokes.append((Stroke(pixels, ink.starts, ink.colour, window), ink.height))
     window = strokes[0][0].window
@@ -199,18 +199,18 @@ def place(solid: Solid, pose: FloatArray, camera: Camera) -> Placed:
 
 
 def _slab_strokes(
-    slab: Slab, pose: FloatArray, camera: Camera, grain: Grain
+    slab: Slab, pose: FloatArray, eye: Eye, grain: Grain
 ) -> list[tuple[Stroke, float | None]]:
-    size = camera.lens.image_size
+    size = eye.size
     world = placed(slab.outline.points, pose)
-    low, high = camera.project_at(world, slab.low), camera.project_at(world, slab.high)
+    low, high = eye.project_at(world, slab.low), eye.project_at(world, slab.high)
     middle = high.mean(axis=0)
     inward = middle - high
     under = high + inward * (OVERLAP / np.maximum(np.hypot(*inward.T), OVERLAP))[:, None]
     n = len(world)
     strokes: list[tuple[Stroke, float | None]] = []
     flat = slab.high <= slab.low
-    for first, last, shade in [] if flat else _seen_faces(slab.outline, world, camera.position):
+    for first, last, shade in [] if flat else _seen_faces(slab.outline, world, eye.position):
         k = np.arange(first, last + 1) % n
         beyond = (last + 1) % n
         step = _towards(low[k[-1]], low[beyond]), _towards(high[k[-1]], high[beyond])
@@ -231,7 +231,7 @@ def _slab_strokes(
     if slab.rim > 0.0:
         bright = np.minimum(slab.top * 1.25 + 14.0, 250.0)
         strokes.append((Stroke(high, starts, bright, window), slab.high))
-        inner = camera.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
+        inner = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
         strokes.append((Stroke(inner, starts, slab.top, window, grain), slab.high))
     else:
         strokes.append((Stroke(high, starts, slab.top, window, grain), slab.high))
@@ -260,12 +260,12 @@ def _towards(a: FloatArray, b: FloatArray) -> FloatArray:
     return way * (min(OVERLAP, length) / length) if length > 0.0 else way
 
 
-def _grain(solid: Solid, pose: FloatArray, camera: Camera) -> Grain:
+def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
     """The solid's grain, as it lies: near its middle, which is near enough for a texture."""
     if solid.grain is None:
         return PLAIN
     local = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]])
-    pixels = camera.project_at(placed(local, pose), solid.high)
+    pixels = eye.project_at(placed(local, pose), solid.high)
     pixel_from_local = np.column_stack(((pixels[1:] - pixels[0]).T / 0.01, pixels[0]))
     inverse = np.linalg.inv(pixel_from_local[:, :2])
     matrix = np.column_stack((inverse, -inverse @ pixel_from_local[:, 2]))
