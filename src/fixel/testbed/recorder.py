@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
 from fixel.errors import FixelError, InvalidInput
+from fixel.exchange.jpeg import jpeg_size
 from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
-from fixel.testbed.jpeg import jpeg_size
 from fixel.testbed.pace import Pace
 from fixel.testbed.room import SPARE, free_space, refuse_full_disk
 from fixel.testbed.seating import Seating
@@ -283,7 +284,8 @@ class Recorder:
             return ""
         why = self.seating.touched(at, self._bits)
         if not why and self.seating.wants_look(at):
-            why = self.seating.looked(at, arrived.small())
+            with suppress(InvalidInput):  # a spoilt picture shows nothing
+                why = self.seating.looked(at, arrived.small())
         return why
 
     def _show(self, arrived: Arrived, at: float, frames: int, lost: int) -> None:
