@@ -41,15 +41,24 @@ def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
     assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame belongs to its row" in said
 
 
-def test_it_ends_when_the_fixels_say_so(capsys: Any, tmp_path: Path) -> None:
-    played = film(tmp_path / "film", n=200)
+@pytest.mark.parametrize("rig", [None, "thesis-tags"])
+def test_it_ends_when_the_fixels_say_so(
+    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rig: str | None
+) -> None:
+    played = film(tmp_path / "film", n=200, bits=lambda k: 0b100 if k >= 20 else 0)
+    out = tmp_path / "r"
+    monkeypatch.setattr("fixel.workflows.record.refuse_size", lambda *_: None)
     code, said, _ = fixel(
-        capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out",
-        tmp_path / "r", "--until", "seated", "--json",
+        capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out,
+        "--until", "seated", "--mode", "100", "--json", *(["--rig", rig] if rig else []),
     )  # fmt: skip
     answer = json.loads(said)
-    assert (code, answer["lost"], answer["without_reading"]) == (0, 0, 0)
-    assert answer["reason"] == "the file is at its end"
+    assert (code, answer["frames"], answer["without_reading"]) == (0, 71, 0)
+    assert answer["reason"] == "seated: the fixels say 100 for 0.5 s"
+    assert (out / "rig.yaml").exists() == (rig is not None)
+    kept = open_recording(out)
+    assert kept.header.rig == (rig or "")
+    assert kept.reading_time.tolist() == kept.time.tolist()
 
 
 def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> None:

@@ -25,11 +25,17 @@ def picture(k: int, size: tuple[int, int] = SIZE) -> Picture:
     return grain
 
 
-def film(folder: Path, n: int = 30, rate: float = 100.0, codec: str = "near") -> Path:
-    """A recording, whose readings count."""
+def film(
+    folder: Path,
+    n: int = 30,
+    rate: float = 100.0,
+    codec: str = "near",
+    bits: Callable[[int], int] = lambda k: k % 8,
+) -> Path:
+    """A recording, whose readings count unless told otherwise."""
     with RecordingWriter(folder, RecordingHeader(size=SIZE, codec=codec)) as writer:
         for k in range(n):
-            writer.write(Frame(k / rate, picture(k)), k % 8, k / rate)
+            writer.write(Frame(k / rate, picture(k)), bits(k), k / rate)
     return folder
 
 

@@ -24,6 +24,7 @@ from fixel.vision.frame import Frame
 LOOKS_AT_DISK: Final = 0.5  # [s]
 POLL: Final = 0.1  # [s] between two looks at the stop key while no picture comes
 WATCH: Final = 0.1  # [s] between two reports to whoever watches
+BEHIND: Final = 0.1  # [s] a reading later than that does not belong to its frame
 BREATH: Final = 2e-6  # [s] at least, between two frames that came together
 
 
@@ -261,7 +262,10 @@ class Recorder:
         if self.tactile is not None:
             reading = self.tactile.read()
             self._bits = reading.bits
-            when = None if reading.bits is None else max(reading.time - zero, 0.0)
+            # A source that waits for its reader has a clock of its own.
+            when = max(reading.time - zero, 0.0) if self.stream.live else at
+            if when > at + BEHIND:
+                self._problems[f"a reading more than {BEHIND:g} s after its frame"] += 1
             self._without += reading.bits is None
             if reading.problem:
                 self._problems[f"fixels: {reading.problem}"] += 1
