@@ -94,7 +94,9 @@ def find_edges(picture: Gray, line: EdgeLine, reach: float) -> Found:
     inside = np.abs(centre) <= reach - 0.5 * WINDOW
     on_picture = _within(line.pixel, picture.shape, 1.0)
     edge = np.asarray(total > LEAST_RISE)
-    return Found(centre, profile[:, :2].mean(1), profile[:, -2:].mean(1), edge & inside & on_picture)
+    return Found(
+        centre, profile[:, :2].mean(1), profile[:, -2:].mean(1), edge & inside & on_picture
+    )
 
 
 def _strongest(rise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
