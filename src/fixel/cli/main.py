@@ -24,6 +24,7 @@ from fixel.cli import (
     doctor,
     domain,
     export,
+    film,
     filter,
     jobs,
     project,
@@ -64,6 +65,7 @@ app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
+project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")

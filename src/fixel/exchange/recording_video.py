@@ -17,6 +17,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.exchange.recording_rows import MICRO
+from fixel.exchange.video_planes import DecodedPlanes
 from fixel.vision.frame import Picture
 
 if TYPE_CHECKING:
@@ -188,6 +189,11 @@ class PictureDecoder:
 
     def picture(self, data: bytes) -> Picture | None:
         """(height, width, 3) uint8, or None where there is no picture in it."""
+        planes = self.planes(data)
+        return None if planes is None else planes.colour(slice(None), slice(None))
+
+    def planes(self, data: bytes) -> DecodedPlanes | None:
+        """The same, with colours still to be computed."""
         import av
 
         try:
@@ -196,4 +202,4 @@ class PictureDecoder:
             return None
         if len(decoded) != 1 or (decoded[0].width, decoded[0].height) != self._size:
             return None
-        return np.asarray(decoded[0].to_ndarray(format="bgr24"), dtype=np.uint8)
+        return DecodedPlanes(decoded[0])
