@@ -17,8 +17,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.exchange.recording_rows import MICRO
-from fixel.exchange.video_planes import DecodedPlanes
-from fixel.vision.frame import Picture
+from fixel.vision.frame import Frame, Picture
 
 if TYPE_CHECKING:
     import av
@@ -187,14 +186,11 @@ class PictureDecoder:
         self._codec.thread_count = 1
         self._size = size
 
-    def picture(self, data: bytes) -> Picture | None:
-        """(height, width, 3) uint8, or None where there is no picture in it."""
-        planes = self.planes(data)
-        return None if planes is None else planes.colour(slice(None), slice(None))
-
-    def planes(self, data: bytes) -> DecodedPlanes | None:
-        """The same, with colours still to be computed."""
+    def frame(self, time: float, data: bytes) -> Frame | None:
+        """The frame in a packet, None where there is no picture of this size in it."""
         import av
+
+        from fixel.exchange.video_planes import DecodedPlanes
 
         try:
             decoded = self._codec.decode(av.Packet(data))
@@ -202,4 +198,4 @@ class PictureDecoder:
             return None
         if len(decoded) != 1 or (decoded[0].width, decoded[0].height) != self._size:
             return None
-        return DecodedPlanes(decoded[0])
+        return Frame(time, planes=DecodedPlanes(decoded[0]))
