@@ -35,6 +35,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    track,
     uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
@@ -54,6 +55,7 @@ app = typer.Typer(
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
 app.command("sample")(sample.sample)
+app.command("track")(track.track)
 app.command("new")(project.new)
 app.command("import")(project.import_)
 app.command("list")(project.list_)
