@@ -24,6 +24,7 @@ from fixel.cli import (
     doctor,
     domain,
     export,
+    film,
     filter,
     jobs,
     project,
@@ -34,6 +35,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    track,
     uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
@@ -53,6 +55,7 @@ app = typer.Typer(
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
 app.command("sample")(sample.sample)
+app.command("track")(track.track)
 app.command("new")(project.new)
 app.command("import")(project.import_)
 app.command("list")(project.list_)
@@ -65,6 +68,7 @@ app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
+project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(record.app, name="record")
 project.testbed.command("serve")(record.serve)
