@@ -204,7 +204,9 @@ class Lens(Comparable):
                 length = np.hypot(step[..., 0], step[..., 1])[..., None]
                 xy = xy - step * np.minimum(1.0, FARTHEST_STEP / np.maximum(length, 1e-300))
             # Behind a fold of the picture the model goes on, but no light does.
-            found = (off < LOST * (1.0 + np.abs(wanted).max(axis=-1))) & (det > 0.0) & (bottom > 0.0)
+            found = (
+                (off < LOST * (1.0 + np.abs(wanted).max(axis=-1))) & (det > 0.0) & (bottom > 0.0)
+            )
         return np.where(found[..., None], xy, np.nan)
 
     def _seen_angle(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
