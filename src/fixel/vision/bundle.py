@@ -205,7 +205,7 @@ def _together(pulls: FloatArray, inverse: FloatArray, noise: float) -> float:
     if n_view < 2 or not noise > 0.0:
         return 1.0
     found = float(np.sum(pulls @ inverse * pulls)) / (n * noise**2)
-    return max(1.0, found * n_view / (n_view - 1))
+    return float(max(1.0, found * n_view / (n_view - 1)))
 
 
 def _residuals(
