@@ -239,7 +239,7 @@ def _refuse_cropped(raw: dict[str, Any]) -> None:
 def numbers(raw: Any, key: str, count: int | None, within_key: str = "") -> list[float]:
     """A number or row of finite numbers under a key."""
     value = raw.get(key) if isinstance(raw, dict) else None
-    row = value if isinstance(value, list) else [value]
+    row: list[Any] = value if isinstance(value, list) else [value]
     good = [float(n) for n in row if type(n) in (int, float) and abs(n) < 1e30]
     if len(good) < len(row) or (count is not None and len(row) != count):
         raise InvalidInput(
