@@ -1,0 +1,218 @@
+"""A live picture and what there is to say about it, from any thread to any number of browsers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import suppress
+from typing import Any, Final, NamedTuple, final
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse, Response, StreamingResponse
+
+from fixel.errors import InvalidInput
+from fixel.vision.frame import Picture
+from fixel.vision.outlines import vision_library
+
+BOUNDARY: Final = "fixel"
+HEARTBEAT: Final = 1.0  # [s] between two signs of life when nothing changes
+STATUS_PAUSE: Final = 0.05  # [s] least time between two reports: nobody reads faster
+
+
+@final
+class Drawing:
+    """A picture that is drawn and compressed when first asked for, once for all who look."""
+
+    def __init__(self, picture: Picture | Callable[[], Picture], quality: int) -> None:
+        self._picture = picture
+        self._quality = quality
+        self._jpeg: bytes | None = None
+        self._lock = threading.Lock()
+
+    def jpeg(self) -> bytes:
+        """The picture as a JPEG file."""
+        with self._lock:
+            if self._jpeg is None:
+                self._jpeg = self._compressed()
+            return self._jpeg
+
+    def _compressed(self) -> bytes:
+        cv2 = vision_library()
+        picture = self._picture() if callable(self._picture) else self._picture
+        done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
+        if not done:
+            raise InvalidInput("picture", found="one that no JPEG can be made of")
+        return bytes(data)
+
+
+class Shot(NamedTuple):
+    """What is shown at one moment: the number of the change, the picture if any, the status."""
+
+    number: int
+    drawing: Drawing | None
+    report: str
+
+
+@final
+class LiveView:
+    """What a camera sees now.
+
+    A program shows pictures from its own thread and never waits; browsers get the newest when they
+    are ready for one. Nothing is compressed, and nothing drawn, that nobody looks at.
+
+    Parameters
+    ----------
+    quality : int
+        Of the JPEG pictures, from 1 to 100.
+
+    Examples
+    --------
+    >>> view = LiveView()
+    >>> view.show(None, {"frames": 0})
+    >>> view.report
+    '{"frames": 0}'
+    """
+
+    def __init__(self, quality: int = 80) -> None:
+        self._quality = quality
+        self._lock = threading.Lock()
+        self._shot = Shot(0, None, "{}")
+        self._waiting: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
+        self._watchers = 0
+        self._closed = False
+
+    def show(
+        self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
+    ) -> None:
+        """Show this from now on.
+
+        Parameters
+        ----------
+        picture : (h, w, 3) uint8, callable that returns one, or None
+            Not to be written to afterwards. A callable is called, in another thread, only if
+            somebody looks. None: the picture stays and only the report is new.
+        status : mapping
+            Plain values for JSON.
+
+        Raises
+        ------
+        ValueError
+            A status with a number that is not finite.
+        """
+        report = json.dumps(status, allow_nan=False)
+        drawing = None if picture is None else Drawing(picture, self._quality)
+        with self._lock:
+            number, old, _ = self._shot
+            self._shot = Shot(number + 1, drawing or old, report)
+            waiting = list(self._waiting.items())
+        _wake(waiting)
+
+    def close(self) -> None:
+        """End all streams."""
+        with self._lock:
+            self._closed = True
+            waiting = list(self._waiting.items())
+        _wake(waiting)
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody looks at the moving picture."""
+        return self._watchers > 0
+
+    @property
+    def newest(self) -> Shot:
+        """The newest picture and report."""
+        with self._lock:
+            return self._shot
+
+    @property
+    def report(self) -> str:
+        """The newest status, as JSON."""
+        return self.newest.report
+
+    async def after(self, number: int, patience: float) -> Shot | None:
+        """The newest that is newer than this, or the old one after `patience` [s]; None: closed."""
+        event, loop = asyncio.Event(), asyncio.get_running_loop()
+        with self._lock:
+            if self._closed or self._shot.number > number:
+                return self._open_shot()
+            self._waiting[event] = loop
+        try:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(event.wait(), patience)
+        finally:
+            with self._lock:
+                self._waiting.pop(event, None)
+        return self._open_shot()
+
+    def _open_shot(self) -> Shot | None:
+        return None if self._closed else self._shot
+
+    async def pictures(self) -> AsyncIterator[bytes]:
+        """Parts of a `multipart/x-mixed-replace` answer.
+
+        The border is sent right behind each picture: a browser shows a part once it has seen where
+        the next begins.
+        """
+        self._watchers += 1  # of one event loop, so no two at once
+        seen, shown = 0, None
+        try:
+            yield f"--{BOUNDARY}\r\n".encode()
+            while (shot := await self.after(seen, HEARTBEAT)) is not None:
+                silent = shot.number == seen
+                seen = shot.number
+                if shot.drawing is not None and (silent or shot.drawing is not shown):
+                    shown = shot.drawing
+                    yield _part(await asyncio.to_thread(shown.jpeg))
+        finally:
+            self._watchers -= 1
+
+    async def reports(self) -> AsyncIterator[str]:
+        """Server-sent events: the status when it changes, and signs of life."""
+        seen = 0
+        yield "retry: 1000\n\n"
+        while (shot := await self.after(seen, HEARTBEAT)) is not None:
+            yield f"data: {shot.report}\n\n" if shot.number > seen else ": still here\n\n"
+            seen = shot.number
+            await asyncio.sleep(STATUS_PAUSE)
+        yield "event: end\ndata: {}\n\n"
+
+    def router(self) -> APIRouter:
+        """`stream` (MJPEG), `picture.jpg`, `events` (server-sent) and `status` (JSON)."""
+        router = APIRouter()
+
+        @router.get("/stream")
+        def stream() -> StreamingResponse:
+            return StreamingResponse(
+                self.pictures(), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY}"
+            )
+
+        @router.get("/picture.jpg")
+        def picture() -> Response:
+            drawing = self.newest.drawing
+            if drawing is None:
+                return Response(status_code=404, headers={"retry-after": "1"})
+            return Response(drawing.jpeg(), media_type="image/jpeg")
+
+        @router.get("/events")
+        def events() -> StreamingResponse:
+            return StreamingResponse(self.reports(), media_type="text/event-stream")
+
+        @router.get("/status")
+        def status() -> JSONResponse:
+            return JSONResponse(json.loads(self.report))
+
+        return router
+
+
+def _part(jpeg: bytes) -> bytes:
+    head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return b"".join([head.encode(), jpeg, f"\r\n--{BOUNDARY}\r\n".encode()])
+
+
+def _wake(waiting: list[tuple[asyncio.Event, asyncio.AbstractEventLoop]]) -> None:
+    for event, loop in waiting:
+        with suppress(RuntimeError):  # of a server that has ended meanwhile
+            loop.call_soon_threadsafe(event.set)

@@ -1,0 +1,120 @@
+"""The page that shows a recording while it runs, and can end it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, final
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse
+
+from fixel.vision.frame import Picture
+from fixel.web.app import Page
+from fixel.web.live import LiveView
+
+# How many bits of the tactile byte are fixels, and what they are called: blue, red, green.
+FIXELS = ("blue", "red", "green")
+
+
+@final
+class RecordPreview:
+    """What a recording tells the browser, and what the browser tells the recording.
+
+    Parameters
+    ----------
+    heading : str
+        What is recorded, where to.
+    fixels : sequence of str
+        Names of the bits of the tactile byte, the lowest first; empty for a recording without.
+
+    Examples
+    --------
+    >>> preview = RecordPreview("pushes/141", fixels=())
+    >>> preview.show(None, preview.status(elapsed_s=1.0, frames=30, lost=0, disk_free_bytes=5e10))
+    >>> preview.stop_wanted
+    False
+    """
+
+    def __init__(self, heading: str, fixels: Sequence[str] = FIXELS) -> None:
+        self.heading = heading
+        self.fixels = tuple(fixels)
+        self.view = LiveView()
+        self._stop = threading.Event()
+
+    @property
+    def stop_wanted(self) -> bool:
+        """Whether somebody pressed Stop on the page."""
+        return self._stop.is_set()
+
+    def show(
+        self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
+    ) -> None:
+        """Show this from now on; see `LiveView.show`. Never waits."""
+        self.view.show(picture, status)
+
+    def status(
+        self,
+        *,
+        elapsed_s: float,
+        frames: int,
+        lost: int,
+        reading: int = -1,
+        disk_free_bytes: float | None = None,
+        limit_s: float | None = None,
+        state: str = "recording",
+        problems: Sequence[str] = (),
+    ) -> dict[str, Any]:
+        """A status of the page.
+
+        Parameters
+        ----------
+        elapsed_s : float
+            Since the first frame [s].
+        frames, lost : int
+            Kept, and known to be missing.
+        reading : int
+            The newest tactile byte; -1 for none.
+        disk_free_bytes, limit_s : float, optional
+            Space left [byte]; when the recording ends by itself [s].
+        state : str
+            `waiting`, `recording` or `finished`.
+        problems : sequence of str
+            What somebody should look after now.
+        """
+        lamps = [
+            {"name": name, "on": None if reading < 0 else bool(reading >> bit & 1)}
+            for bit, name in enumerate(self.fixels)
+        ]
+        return {
+            "state": state,
+            "elapsed_s": elapsed_s,
+            "limit_s": limit_s,
+            "frames": frames,
+            "lost": lost,
+            "tactile": lamps,
+            "disk_free_gb": None if disk_free_bytes is None else disk_free_bytes / 1e9,
+            "problems": list(problems),
+            "stopping": self.stop_wanted,
+        }
+
+    def page(self, path: str = "/record") -> Page:
+        """The page, for `fixel.web.serve.WebServer`."""
+        return Page(
+            path=path,
+            title="Recording",
+            template="record.html",
+            context={"heading": self.heading, "fixels": self.fixels},
+            router=self._router(),
+            views=(self.view,),
+        )
+
+    def _router(self) -> APIRouter:
+        router: APIRouter = self.view.router()
+
+        @router.post("/stop")
+        def stop() -> JSONResponse:
+            self._stop.set()
+            return JSONResponse({"stopping": True})
+
+        return router

@@ -1,0 +1,146 @@
+"""Who may see and do what: a link with a token, cookies, headers.
+
+The server listens on this machine only, but everything that runs here can reach it: other people's
+programs, and the pages of any site that is open in the browser. So a page opens only with the token
+of the link, which becomes a cookie; requests must name the server as the link does, or a foreign
+name could be made to point here (DNS rebinding); and what changes anything needs a word that only
+our own pages know (CSRF).
+"""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
+from typing import Final, final
+from urllib.parse import parse_qsl, urlencode
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+WORD_HEADER: Final = "x-fixel-word"  # carries the word of our own pages
+SAFE_METHODS: Final = ("GET", "HEAD", "OPTIONS")
+
+HEADERS: Final = {
+    # Everything comes from here, and no script or style is written into a page.
+    "content-security-policy": "default-src 'none'; img-src 'self' data:; style-src 'self'; "
+    "script-src 'self'; connect-src 'self'; form-action 'self'; base-uri 'none'; "
+    "frame-ancestors 'none'",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=()",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+
+
+def _secret() -> str:
+    return secrets.token_urlsafe(32)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """The secrets of one running server.
+
+    Attributes
+    ----------
+    token : str
+        In the link that opens the pages.
+    session : str
+        In the cookie the link is exchanged for.
+    word : str
+        In our own pages, sent back with everything that changes something.
+    cookie : str
+        Name of the cookie: cookies are shared by all servers of a machine.
+    """
+
+    token: str = field(default_factory=_secret, repr=False)
+    session: str = field(default_factory=_secret, repr=False)
+    word: str = field(default_factory=_secret, repr=False)
+    cookie: str = field(default_factory=lambda: f"fixel-{secrets.token_hex(4)}")
+
+    def opens(self, headers: Headers) -> bool:
+        """Whether a request carries the cookie."""
+        try:
+            jar = SimpleCookie(headers.get("cookie", ""))
+        except CookieError:
+            return False
+        morsel = jar.get(self.cookie)
+        return morsel is not None and _same(morsel.value, self.session)
+
+    def admits(self, headers: Headers) -> bool:
+        """Whether a request that changes something comes from one of our own pages."""
+        origin = headers.get("origin")
+        at_home = origin is None or origin == f"http://{headers.get('host', '')}"
+        return at_home and _same(headers.get(WORD_HEADER, ""), self.word)
+
+
+class SecurityHeaders:
+    """Adds `HEADERS` to every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self.app(scope, receive, with_headers)
+
+
+class Guard:
+    """Lets through what carries the cookie, and exchanges the token of the link for it."""
+
+    def __init__(self, app: ASGIApp, gate: Gate) -> None:
+        self.app = app
+        self.gate = gate
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        refused = self._refused(scope)
+        await (refused or self.app)(scope, receive, send)
+
+    def _refused(self, scope: Scope) -> Response | None:
+        if scope["type"] != "http":
+            return PlainTextResponse("Not found", status_code=404)
+        headers, query = Headers(scope=scope), parse_qsl(scope["query_string"].decode("latin-1"))
+        safe = scope["method"] in SAFE_METHODS
+        tokens = [value for name, value in query if name == "token"]
+        if safe and len(tokens) == 1 and _same(tokens[0], self.gate.token):
+            return self._let_in(scope["path"], [pair for pair in query if pair[0] != "token"])
+        if not self.gate.opens(headers):
+            return PlainTextResponse(
+                "This page opens with the link that fixel printed when it started. "
+                "If fixel was started anew, use the new link.\n",
+                status_code=403,
+            )
+        if not safe and not self.gate.admits(headers):
+            return PlainTextResponse(
+                "Only fixel's own pages may do this: reload the page and try again.\n",
+                status_code=403,
+            )
+        return None
+
+    def _let_in(self, path: str, query: list[tuple[str, str]]) -> Response:
+        # Two slashes at the start would name another machine.
+        address = "/" + path.lstrip("/\\") + (f"?{urlencode(query)}" if query else "")
+        response = RedirectResponse(address, status_code=303)
+        response.set_cookie(
+            self.gate.cookie, self.gate.session, httponly=True, samesite="lax", path="/"
+        )
+        return response
+
+
+def _same(given: str, wanted: str) -> bool:
+    return secrets.compare_digest(given.encode(), wanted.encode())

@@ -1,0 +1,80 @@
+// What all pages with a live picture share: the status stream, and saying so when it falls silent.
+
+const SILENT_AFTER = 3000; // [ms]
+
+export const path = document.body.dataset.path;
+export const at = (id) => document.getElementById(id);
+
+export function write(id, text) {
+  const node = at(id);
+  if (node.textContent !== text) node.textContent = text;
+}
+
+export function list(id, sentences) {
+  const node = at(id);
+  const key = sentences.join("\n");
+  if (node.dataset.key === key) return;
+  node.dataset.key = key;
+  node.replaceChildren(...sentences.map((sentence) => {
+    const item = document.createElement("li");
+    item.textContent = sentence;
+    return item;
+  }));
+  node.hidden = sentences.length === 0;
+}
+
+export function verdict(state, mark, words) {
+  at("verdict").dataset.state = state;
+  document.body.dataset.state = state;
+  write("mark", mark);
+  write("verdict-words", words);
+}
+
+export async function tell(address) {
+  const word = document.querySelector('meta[name="fixel-word"]').content;
+  const answer = await fetch(address, { method: "POST", headers: { "X-Fixel-Word": word } });
+  if (!answer.ok) throw new Error(await answer.text());
+  return answer.json();
+}
+
+function silence(sentence) {
+  const node = at("silence");
+  node.hidden = !sentence;
+  if (sentence && node.textContent !== sentence) node.textContent = sentence;
+  document.body.classList.toggle("silent", Boolean(sentence));
+}
+
+// Calls `show(status)` with every report.
+export function follow(show) {
+  let newest = performance.now();
+  let ended = false;
+  let lost = false;
+  const source = new EventSource(`${path}/events`);
+  source.onmessage = (event) => {
+    newest = performance.now();
+    if (lost) at("picture").src = `${path}/stream?again=${Math.round(newest)}`;
+    lost = false;
+    silence("");
+    write("link-state", "live");
+    const status = JSON.parse(event.data);
+    if (Object.keys(status).length) show(status);
+  };
+  source.addEventListener("end", () => {
+    ended = true;
+    source.close();
+    write("link-state", "ended");
+    silence("fixel has ended. Start it again and use its new link.");
+  });
+  source.onerror = () => {
+    lost = true;
+    if (!ended) write("link-state", "no connection");
+  };
+  setInterval(() => {
+    const quiet = performance.now() - newest;
+    if (ended || quiet < SILENT_AFTER) return;
+    const seconds = Math.round(quiet / 1000);
+    silence(lost
+      ? `No connection to fixel for ${seconds} s: has it ended?`
+      : `No new picture for ${seconds} s: is the camera still connected?`);
+  }, 500);
+}

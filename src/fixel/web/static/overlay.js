@@ -1,0 +1,58 @@
+import { at, follow, list, verdict, write } from "./live.js";
+
+const MARKS = { placed: "\u2713", off: "\u2192", "not-seen": "?", trouble: "!" };
+
+const signed = (value, digits) => {
+  if (value === null) return "\u2013";
+  const text = Math.abs(value).toFixed(digits);
+  if (Number(text) === 0) return text;
+  return (value < 0 ? "\u2212" : "+") + text;
+};
+
+function cell(text, kind = "td") {
+  const node = document.createElement(kind);
+  node.textContent = text;
+  return node;
+}
+
+function row(part) {
+  const node = document.createElement("tr");
+  node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
+  const name = cell(part.name, "th");
+  name.scope = "row";
+  const words = part.seen ? (part.within ? "\u2713 in place" : "\u2717 off") : "? not seen";
+  node.append(
+    name,
+    cell(signed(part.dx_mm, 2)), cell(signed(part.dy_mm, 2)), cell(signed(part.angle_deg, 2)),
+    cell(words),
+  );
+  return node;
+}
+
+function guide(part, within) {
+  at("guide").hidden = !part || !part.seen;
+  if (!part || !part.seen) return;
+  const moved = part.distance_mm <= within.mm;
+  write("push", part.distance_mm.toFixed(1));
+  write("push-what", moved ? "position is right" : "push");
+  // Angles of a picture grow downwards, as those of SVG do.
+  at("push-arrow").setAttribute("transform", `rotate(${part.push_screen_deg.toFixed(0)})`);
+  at("push-arrow").toggleAttribute("hidden", moved);
+  at("push-done").toggleAttribute("hidden", !moved);
+  const turned = Math.abs(part.angle_deg) <= within.deg;
+  const clockwise = part.angle_deg > 0;
+  write("turn", Math.abs(part.angle_deg).toFixed(1));
+  write("turn-what", turned ? "angle is right" : clockwise ? "turn clockwise" : "turn counter-clockwise");
+  at("turn-arrow").setAttribute("transform", clockwise ? "" : "scale(-1 1)");
+  at("turn-arrow").toggleAttribute("hidden", turned);
+  at("turn-done").toggleAttribute("hidden", !turned);
+}
+
+follow((status) => {
+  verdict(status.state, MARKS[status.state] ?? "", status.sentence);
+  const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
+  write("tolerance", `${within.mm} mm, ${within.deg} deg`);
+  guide(status.parts.find((part) => part.name === status.to_place), within);
+  at("parts").replaceChildren(...status.parts.map(row));
+  list("problems", status.problems);
+});
