@@ -17,11 +17,12 @@ from fixel.model.fields import FloatArray, vector
 from fixel.vision.boards import Board, Picture
 from fixel.vision.bundle import Fit, Sight, fit, slopes_of
 from fixel.vision.camera import Camera
-from fixel.vision.find_tags import find_tags, tag_corners
+from fixel.vision.find_tags import find_tags
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
 from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.opencv import opencv
+from fixel.vision.tracking.tag_reader import tag_corners
 
 LEAST_TAGS: Final = 2
 WRONG: Final = 3e-3  # [m] from here on a point is not where it is said to be
