@@ -8,7 +8,7 @@ from tests.vision.rendered import AWAY, bare_scene, small_rig, still
 
 from fixel.errors import InvalidInput
 from fixel.model import Trajectory
-from fixel.vision.render import Looks, film_scene, frame_times, looks_named
+from fixel.vision.render import Looks, changed, film_scene, frame_times, looks_named
 from fixel.vision.render.film import occlusion_of
 from fixel.vision.render.looks import PRESETS, light
 from fixel.vision.render.sensor import Sensor
@@ -188,6 +188,17 @@ def test_presets_have_names_and_strangers_are_refused():
         Looks(dropped=1.5)
     with pytest.raises(InvalidInput, match=r"looks.lighting"):
         Looks(lighting="below")
+
+
+def test_numbers_of_looks_are_changed_by_name():
+    looks = changed(looks_named("hard"), ["occlusion=1.5", "light_change=0.2"])
+
+    assert (looks.occlusion, looks.light_change, looks.blur) == (1.5, 0.2, 1.1)
+    for text in ("occlusion", "colour=3", "tab=1"):
+        with pytest.raises(InvalidInput, match="expected NAME=VALUE, the name one of"):
+            changed(looks, [text])
+    with pytest.raises(InvalidInput, match=r"looks.blur: found 'much', expected a number"):
+        changed(looks, ["blur=much"])
 
 
 def test_a_motion_that_lacks_a_body_is_refused():

@@ -16,8 +16,9 @@ from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp, micro_push
-from fixel.workflows.film import TRUTH, TRUTH_ARRAYS, Shooting, film
+from fixel.workflows.film import Shooting, film
 from fixel.workflows.film_shots import SAMPLE
+from fixel.workflows.film_truth import ABOUT, ARRAYS
 from fixel.workflows.project import new_project, run_testbed
 
 
@@ -37,8 +38,8 @@ def scene(tmp_path):
 
 
 def truth_of(folder) -> tuple[dict, dict]:
-    with np.load(folder / TRUTH_ARRAYS) as arrays:
-        return dict(arrays), json.loads((folder / TRUTH).read_text())
+    with np.load(folder / ARRAYS) as arrays:
+        return dict(arrays), json.loads((folder / ABOUT).read_text())
 
 
 def test_a_scene_becomes_a_recording_with_its_truth_beside_it(tmp_path, rig, scene):
