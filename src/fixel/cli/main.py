@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from fixel.cli import (
+    actuator,
     benchmark,
     calibrate,
     data,
@@ -33,6 +34,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    tactile,
     uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
@@ -65,6 +67,8 @@ app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
 app.add_typer(project.testbed, name="testbed")
+app.add_typer(tactile.app, name="tactile")
+app.add_typer(actuator.app, name="actuator")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
