@@ -2,7 +2,7 @@ import pickle
 
 import pytest
 
-from fixel.errors import DatasetMissing, FixelError, InvalidInput, SolveFailed
+from fixel.errors import DatasetMissing, DeviceFailed, FixelError, InvalidInput, SolveFailed
 
 ERRORS = [
     InvalidInput(
@@ -11,6 +11,7 @@ ERRORS = [
     InvalidInput("the scene is empty"),
     SolveFailed("the pusher is jammed", status="jammed", stopped_at=1.25),
     DatasetMissing("pushes", expected="an inputs.csv", hint="set FIXEL_DATA"),
+    DeviceFailed("a limit switch was hit", hint="home the drive"),
 ]
 
 

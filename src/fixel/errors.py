@@ -6,7 +6,8 @@
     ├── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
     ├── NotStored(LookupError)          a project has no such record
     ├── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
-    └── JobRefused(RuntimeError)        a job cannot be started, continued or read, and why
+    ├── JobRefused(RuntimeError)        a job cannot be started, continued or read, and why
+    └── DeviceFailed(RuntimeError)      a device on the bench stopped, or was stopped, and why
 
 Numerical failure is a value first: `simulate(...)` records a status, and raises `SolveFailed` only
 when asked.
@@ -209,6 +210,27 @@ class JobRefused(FixelError, RuntimeError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return JobRefused, (self.reason, self.hint)
+
+
+@final
+class DeviceFailed(FixelError, RuntimeError):
+    """A device on the bench stopped, or was stopped, before it had done its work.
+
+    Parameters
+    ----------
+    reason : str
+        What happened: `"hard limit: a limit switch was hit"`.
+    hint : str
+        What to do.
+    """
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        self.reason = reason
+        self.hint = hint
+        super().__init__(f"{reason}; {hint}" if hint else reason)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return DeviceFailed, (self.reason, self.hint)
 
 
 def _invalid_input(

@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from fixel.cli import (
+    actuator,
     benchmark,
     calibrate,
     camera,
@@ -36,6 +37,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    tactile,
     track,
     uncertainty,
 )
@@ -74,6 +76,8 @@ project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(record.app, name="record")
 project.testbed.command("serve")(record.serve)
+app.add_typer(tactile.app, name="tactile")
+app.add_typer(actuator.app, name="actuator")
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")

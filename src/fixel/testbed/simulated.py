@@ -42,9 +42,9 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.simulation import Simulation, simulate
-from fixel.testbed.actuator import driven_unevenly, with_stall_force
 from fixel.testbed.plate import planned_support, rough_plane, uneven_support
 from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
+from fixel.testbed.uneven_drive import driven_unevenly, with_stall_force
 
 Progress = Callable[[int, int], None]
 

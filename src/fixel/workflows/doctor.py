@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, final
 
+from fixel.errors import InvalidInput
 from fixel.kernels.jit import cache_folder
 from fixel.simulation import Lemke
 from fixel.testing import scenes
@@ -66,7 +67,7 @@ def examine(say: Say | None = None) -> Diagnosis:
     warm = not engine_is_cold()
     get_ready(scenes.sliding_block(), say)
     get_ready(scenes.grasp(support_directions=8), say, Lemke())
-    checks = [_cache_check(), _film_check(), *self_test()]
+    checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
     return Diagnosis(_versions(), _machine(), cache, checks, time.perf_counter() - start)
 
@@ -117,3 +118,23 @@ def _film_check() -> Check:
             continue
         return Check(name, True, what)
     return Check(name, False, "PyAV came without H.264 and MPEG-4; write .gif files")
+
+
+def _bench_check() -> Check:
+    """What could be a bench; having none is in order."""
+    name = "cameras and serial ports"
+    found = _cameras() + _serial_ports()
+    return Check(name, True, ", ".join(found) if found else "none, fine")
+
+
+def _cameras() -> list[str]:
+    return [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
+
+
+def _serial_ports() -> list[str]:
+    from fixel.testbed.serial_port import found_ports
+
+    try:
+        return [port.port for port in found_ports()]
+    except InvalidInput:
+        return []  # pyserial is an extra

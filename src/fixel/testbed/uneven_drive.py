@@ -41,14 +41,18 @@ def driven_unevenly(
     """
     if speed_ratio == 1.0 and ripple == 0.0:
         return pusher
-    time = WAYPOINT_INTERVAL * np.arange(math.ceil(duration / WAYPOINT_INTERVAL) + 1)
-    turn = 2.0 * math.pi * frequency
-    wobble = ripple / turn * (np.sin(turn * time + phase) - math.sin(phase))
-    poses = _planned_poses(pusher, speed_ratio * (time + wobble))
+    time = np.arange(math.ceil(duration / WAYPOINT_INTERVAL) + 1.0) * WAYPOINT_INTERVAL
+    poses = _planned_poses(pusher, speed_ratio * uneven_time(time, ripple, frequency, phase))
     drive = PathDrive(
         waypoints=np.column_stack((time, poses)), force_limit=pusher.drive.force_limit
     )
     return replace(pusher, drive=drive)
+
+
+def uneven_time(time: FloatArray, ripple: float, frequency: float, phase: float) -> FloatArray:
+    """When the drive, were it even, would be where it is at these instants [s]."""
+    turn = 2.0 * math.pi * frequency
+    return np.asarray(time + ripple / turn * (np.sin(turn * time + phase) - math.sin(phase)))
 
 
 def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:

@@ -1,0 +1,199 @@
+"""Stopping a drive from wherever one is: the guard beside its program, and any other process."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+from fixel.errors import DeviceFailed
+
+GUARD: Final = Path(__file__).with_name("stop_guard.py")
+STOP: Final = b"!\x18"
+START_TIME: Final = 5.0  # [s] the guard has for starting, on a loaded computer
+
+
+class Running(NamedTuple):
+    """A program that drives an actuator.
+
+    Attributes
+    ----------
+    port : str
+    pid : int
+        Of the program.
+    guard : int
+        Of its guard; 0 for none.
+    """
+
+    port: str
+    pid: int
+    guard: int
+
+
+@final
+class StopGuard:
+    """The process that stops the drive when this one cannot.
+
+    Parameters
+    ----------
+    port : str
+        As other processes can open it.
+    descriptor : int
+        Of the open port.
+    keys : bool
+        Whether any key on this terminal is to stop the drive.
+    """
+
+    def __init__(self, port: str, descriptor: int, *, keys: bool = False) -> None:
+        self._entry: Path | None = None
+        self._previous_wakeup: int | None = None
+        terminal = _terminal() if keys else -1
+        shared = [descriptor] + [terminal] * (terminal >= 0)
+        command = [sys.executable, "-I", "-S", str(GUARD), str(descriptor), str(terminal)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=shared
+        )
+        if terminal >= 0:
+            os.close(terminal)
+        self._to_guard, self._from_guard = self._process.stdin, self._process.stdout
+        assert self._to_guard is not None
+        assert self._from_guard is not None
+        self._pipe = self._to_guard.fileno()
+        if self._from_guard.readline() != b"ready\n":
+            self._process.kill()
+            self._process.wait()
+            raise DeviceFailed("the guard that stops the drive in an emergency did not start")
+        os.set_blocking(self._pipe, False)
+        self._hear_signals()
+        self._announce(port)
+
+    @property
+    def pid(self) -> int:
+        """Of the guard's process."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """Stop the drive at once."""
+        with contextlib.suppress(OSError):
+            os.write(self._pipe, b"s")
+
+    def release(self) -> None:
+        """End the guard; the drive is not touched."""
+        if self._previous_wakeup is not None:
+            signal.set_wakeup_fd(self._previous_wakeup)
+            self._previous_wakeup = None
+        if self._entry is not None:
+            self._entry.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            os.write(self._pipe, b"q")
+        for pipe in (self._to_guard, self._from_guard):
+            assert pipe is not None
+            with contextlib.suppress(OSError):
+                pipe.close()
+        self._process.wait()
+
+    def _hear_signals(self) -> None:
+        # The interpreter writes a signal's number here at once, also while the main thread is deep
+        # in a computation and no Python code runs.
+        if threading.current_thread() is not threading.main_thread():
+            return
+        previous = signal.set_wakeup_fd(self._pipe, warn_on_full_buffer=False)
+        if previous != -1:
+            signal.set_wakeup_fd(previous)  # an event loop needs it more
+            return
+        self._previous_wakeup = previous
+
+    def _announce(self, port: str) -> None:
+        target = os.path.realpath(port)
+        folder = announcements()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        name = hashlib.sha256(target.encode()).hexdigest()[:16]
+        self._entry = folder / f"{name}.json"
+        entry = Running(target, os.getpid(), self.pid)._asdict()
+        self._entry.write_text(json.dumps(entry), encoding="utf-8")
+
+
+def announcements() -> Path:
+    """The folder in which programs that drive something say so, one for each user."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    return Path(base) / f"fixel-actuators-{user}"
+
+
+def running() -> list[Running]:
+    """The programs of this user that drive an actuator now."""
+    found = []
+    for path in sorted(announcements().glob("*.json")):
+        try:
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            program = Running(str(entry["port"]), int(entry["pid"]), int(entry["guard"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        # The guard outlives its program until the drive has been told to stop.
+        if _alive(program.pid) or _alive(program.guard):
+            found.append(program)
+    return found
+
+
+def stop_drive(port: str) -> float:
+    """Write the stop to a port that another program may have open.
+
+    Returns
+    -------
+    float
+        When it was written, on `time.monotonic` [s].
+
+    Raises
+    ------
+    DeviceFailed
+        The port cannot be written to.
+    """
+    try:
+        # Neither the lock that keeps other programs out nor whatever they do stands in the way.
+        descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            _drop_unsent(descriptor)
+            os.write(descriptor, STOP)
+            return time.monotonic()
+        finally:
+            os.close(descriptor)
+    except OSError as problem:
+        raise DeviceFailed(
+            f"{port} cannot be written to: {problem.strerror}",
+            hint="switch the drive's power off",
+        ) from None
+
+
+def _drop_unsent(descriptor: int) -> None:
+    import termios
+
+    with contextlib.suppress(termios.error):
+        termios.tcflush(descriptor, termios.TCOFLUSH)
+
+
+def _terminal() -> int:
+    try:
+        return os.open("/dev/tty", os.O_RDWR)
+    except OSError:
+        return -1
+
+
+def _alive(pid: int) -> bool:
+    if pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,86 @@
+"""Who is behind this port? A GRBL controller, or something else."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final
+
+from fixel.errors import InvalidInput
+from fixel.testbed import grbl_lines as grbl
+from fixel.testbed.serial_port import quoted, resets_on_opening
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+BOOT_TIME: Final = 3.0  # [s] an Arduino that carries a controller restarts when it is opened
+PATIENCE: Final = 0.25  # [s] a question, until it is asked again
+QUESTIONS: Final = 4
+
+
+def greet(link: Serial, port: str) -> None:
+    """See that a controller is there.
+
+    A question for the status, `?`, is all that is sent: it moves no controller, and is a harmless
+    byte to most other things.
+
+    Raises
+    ------
+    InvalidInput
+        Something else answers, or nothing does.
+    """
+    heard = _until(link, b"Grbl", BOOT_TIME) if resets_on_opening(link) else b""
+    for _ in range(QUESTIONS):
+        link.write(grbl.STATUS)
+        answer = _until(link, b">", PATIENCE)
+        heard += answer
+        if any(_is_status(line) for line in answer.splitlines()):
+            return
+        if answer and b"Grbl" not in heard and b"<" not in answer:
+            break  # somebody else speaks
+    raise _refusal(port, heard)
+
+
+def _until(link: Serial, end: bytes, patience: float) -> bytes:
+    heard = b""
+    until = time.monotonic() + patience
+    while end not in heard and (left := until - time.monotonic()) > 0.0:
+        link.timeout = left
+        arrived = link.read(1)
+        heard += arrived + (link.read(link.in_waiting) if arrived else b"")
+    return heard
+
+
+def _is_status(line: bytes) -> bool:
+    return grbl.status_of(line.decode("ascii", "replace").strip()) is not None
+
+
+def _refusal(port: str, heard: bytes) -> InvalidInput:
+    where, expected = f"port {port}", "the actuator's controller (GRBL)"
+    if not heard:
+        return InvalidInput(
+            where,
+            found="no answer",
+            expected=expected,
+            hint="is it the right port (fixel actuator ports), the controller's power on, its speed"
+            " 115200 baud?",
+        )
+    if len(heard) == 1 and heard[0] <= 7:
+        return InvalidInput(
+            where,
+            found=f"one byte, {heard[0]}: the tactile board, it seems",
+            expected=expected,
+            hint="it is for fixel tactile; the controller is on another port",
+        )
+    if heard.strip() == grbl.STATUS:
+        return InvalidInput(
+            where,
+            found="an echo of every byte: a modem, a console or a looped cable",
+            expected=expected,
+            hint="choose another port: fixel actuator ports",
+        )
+    return InvalidInput(
+        where,
+        found=f"something that says {quoted(heard)}",
+        expected=expected,
+        hint="choose another port: fixel actuator ports",
+    )

@@ -1,0 +1,173 @@
+"""What a GRBL controller says, and how it is told where to go. Versions 0.9 and 1.1."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+from fixel.errors import InvalidInput
+
+BAUD: Final = 115200
+BUFFER: Final = 127  # bytes of lines that may be on their way, of its 128
+STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+AXES: Final = "XYZ"
+INCH: Final = 25.4  # [mm]
+
+ALARMS: Final[Mapping[int, str]] = {
+    1: "a limit switch was hit; its position is lost",
+    2: "the move would have left its travel",
+    3: "it was reset while moving; its position is lost",
+    4: "the probe was not ready",
+    5: "the probe touched nothing",
+    6: "it was reset while homing",
+    7: "its door opened while homing",
+    8: "homing could not leave the limit switch",
+    9: "homing found no limit switch",
+}
+ERRORS: Final[Mapping[int, str]] = {
+    1: "a line without a letter",
+    2: "a number it cannot read",
+    3: "a $ command it does not know",
+    5: "homing is not enabled ($22=1)",
+    8: "a $ command while moving",
+    9: "locked until homed or unlocked",
+    15: "a place beyond its travel",
+    20: "a command it does not know",
+    22: "no feed rate",
+    33: "a place it cannot go to",
+}
+
+_STATUS = re.compile(r"<([A-Za-z]+)(?::(\d+))?[|,](.*)>")
+_FIELD = re.compile(r"(MPos|WPos|WCO):([-\d.,]+)")
+
+
+class Status(NamedTuple):
+    """A status report.
+
+    Attributes
+    ----------
+    state : str
+        `Idle`, `Run`, `Hold`, `Alarm`, ...
+    part : int, optional
+        `Hold:0` has come to rest, `Hold:1` not yet; version 0.9 does not tell.
+    machine, work, offset : tuple of float, optional
+        Coordinates as reported; which of them are there depends on its settings.
+    """
+
+    state: str
+    part: int | None
+    machine: tuple[float, ...] | None
+    work: tuple[float, ...] | None
+    offset: tuple[float, ...] | None
+
+
+def status_of(line: str) -> Status | None:
+    """The report in a line; None if there is none, or it is damaged."""
+    found = _STATUS.fullmatch(line)
+    if found is None:
+        return None
+    values: dict[str, tuple[float, ...]] = {}
+    try:
+        for name, numbers in _FIELD.findall(found[3]):
+            values[name] = tuple(float(number) for number in numbers.split(",") if number)
+    except ValueError:
+        return None
+    if any(len(place) < len(AXES) for place in values.values()):
+        return None
+    part = int(found[2]) if found[2] else None
+    return Status(found[1], part, values.get("MPos"), values.get("WPos"), values.get("WCO"))
+
+
+def number_after(line: str, word: str) -> int | None:
+    """The number of `error:9` or `ALARM:3`; None if the line is no such thing, 0 without one."""
+    if not line.startswith(word):
+        return None
+    digits = line[len(word) :].strip()
+    return int(digits) if digits.isdigit() else 0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What the controller says about one of its axes; millimetres and seconds.
+
+    Attributes
+    ----------
+    fastest : float
+        [mm/s].
+    acceleration : float
+        [mm/s^2].
+    travel : float
+        [mm].
+    homing : bool
+        Whether it has end switches, and asks for them.
+    soft_limits : bool
+        Whether it refuses to leave its travel.
+    inches : bool
+        Whether it reports inches.
+    zero : float
+        Machine coordinate of position 0 [mm].
+    direction : int
+        Sign of the machine coordinate as the drive extends.
+    """
+
+    fastest: float
+    acceleration: float
+    travel: float
+    homing: bool
+    soft_limits: bool
+    inches: bool
+    zero: float
+    direction: int
+
+    def coordinate(self, position: float) -> float:
+        """The machine coordinate [mm] of a position [m]."""
+        return self.zero + self.direction * 1e3 * position
+
+    def position(self, coordinate: float) -> float:
+        """The position [m] at a machine coordinate [mm]."""
+        return self.direction * (coordinate - self.zero) * 1e-3
+
+
+def settings_of(lines: list[str], axis: str) -> Settings:
+    """From the answers to `$$` and `$I`.
+
+    Machine coordinates are from `-travel` to 0 where it homes (unless built to count from the
+    switch), and the switch is taken to be at the withdrawn end; without homing, they count from
+    where the drive stood when the controller was switched on.
+    """
+    values: dict[int, float] = {}
+    for line in lines:
+        found = re.match(r"\$(\d+)\s*=\s*([-\d.]+)", line)
+        if found:
+            values[int(found[1])] = float(found[2])
+    number = AXES.index(axis)
+    missing = [n for n in (110 + number, 120 + number, 130 + number) if n not in values]
+    if missing:
+        raise InvalidInput(
+            "the controller", found=f"no setting ${missing[0]}", expected="GRBL 0.9 or later"
+        )
+    travel = abs(values[130 + number])
+    homing = bool(values.get(22, 0))
+    at_low_end = bool(int(values.get(23, 0)) >> number & 1)
+    options = next((line for line in lines if line.startswith("[OPT:")), "")
+    counts_from_switch = "Z" in options.split(",")[0]
+    zero = -travel if homing and at_low_end and not counts_from_switch else 0.0
+    direction = -1 if homing and not at_low_end else 1
+    return Settings(
+        fastest=values[110 + number] / 60.0,
+        acceleration=values[120 + number],
+        travel=travel,
+        homing=homing,
+        soft_limits=bool(values.get(20, 0)),
+        inches=bool(values.get(13, 0)),
+        zero=zero,
+        direction=direction,
+    )
+
+
+def move_line(axis: str, coordinate: float, speed: float) -> str:
+    """To a machine coordinate [mm] at a speed [mm/s], whatever was said before."""
+    return f"G21G90G94G53G1{axis}{coordinate:.3f}F{60.0 * speed:.2f}"

@@ -1,0 +1,227 @@
+"""The conversation with a GRBL controller: one thread that reads, asks and sends."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from fixel.errors import DeviceFailed
+from fixel.testbed import grbl_lines as grbl
+from fixel.testbed.grbl_lines import Status
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+ASKING: Final = 0.04  # [s] between two questions for the status
+TURN: Final = 0.01  # [s] the thread looks at what is to be sent at least that often
+SILENCE: Final = 1.0  # [s] without a status report, the controller counts as gone
+ANSWER: Final = 2.0  # [s] for a command that takes no time
+
+
+@final
+class GrblLink:
+    """Lines to a controller and what comes back; every method may be called from any thread.
+
+    Lines are counted (the controller's buffer holds 128 bytes), so that none is ever lost.
+
+    Parameters
+    ----------
+    port : serial.Serial
+        Open, and found to be a GRBL controller's.
+    next_line : callable
+        Asked for the next line of a move, again and again; None for no more at present. Called in
+        the link's own thread, with its `changed` held.
+
+    Attributes
+    ----------
+    changed : threading.Condition
+        Notified when anything below changes; hold it to read more than one of them.
+    status : Status, optional
+        The last report.
+    reported : float
+        When it came, on `time.monotonic` [s].
+    current : bool
+        Whether the question for it was asked after the last line was accepted.
+    trouble : str
+        Why a move cannot go on: an alarm, a reset, a refused line, a lost connection.
+    lost : bool
+        Whether the controller is no longer there.
+    """
+
+    def __init__(self, port: Serial, next_line: Callable[[], str | None]) -> None:
+        self.changed = threading.Condition(threading.RLock())
+        self.status: Status | None = None
+        self.reported = time.monotonic()
+        self.current = False
+        self.trouble = ""
+        self.lost = False
+        self.resets = 0
+        self.offset: tuple[float, ...] = (0.0, 0.0, 0.0)  # of work coordinates
+        self._port = port
+        self._next_line = next_line
+        self._partial = b""
+        self._unanswered: deque[int] = deque()  # lengths of lines
+        self._answers: list[str] | None = None  # of the command that is waited for
+        self._verdict = ""
+        self._asked = self._accepted = 0.0
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="grbl", daemon=True)
+        self._thread.start()
+
+    def at_once(self, realtime: bytes) -> None:
+        """Send a byte that takes effect ahead of everything queued."""
+        with contextlib.suppress(OSError):
+            self._port.write(realtime)
+
+    def command(self, line: str, patience: float = ANSWER) -> list[str]:
+        """Send one line and wait until it is done; what was said in between.
+
+        Raises
+        ------
+        DeviceFailed
+            It was refused, an alarm came instead, or nothing.
+        """
+        with self.changed:
+            self._answers, self._verdict, self.trouble = [], "", ""
+            self._send(line)
+            until = time.monotonic() + patience
+            while not self._verdict and not self.trouble and time.monotonic() < until:
+                self.changed.wait(until - time.monotonic())
+            answers, self._answers = self._answers, None
+            if self._verdict == "ok":
+                return answers
+            why = self._verdict or self.trouble or f"no answer to {line} in {patience:.3g} s"
+            raise DeviceFailed(why)
+
+    def fresh_status(self, patience: float = SILENCE) -> Status:
+        """A report that was asked for after the call.
+
+        Raises
+        ------
+        DeviceFailed
+            None came.
+        """
+        with self.changed:
+            called = time.monotonic()
+            while not self.lost and (self.status is None or self.reported < called):
+                if not self.changed.wait(max(0.0, called + patience - time.monotonic())):
+                    break
+            if self.status is None or self.reported < called:
+                raise DeviceFailed(self.trouble or f"no status report in {patience:.3g} s")
+            return self.status
+
+    def idle(self) -> bool:
+        """Whether everything that was sent was accepted and done."""
+        return (
+            not self._unanswered
+            and self.current
+            and self.status is not None
+            and self.status.state == "Idle"
+        )
+
+    def reset(self, patience: float = 1.0) -> None:
+        """Let the controller forget what it was told, and return when it has."""
+        with self.changed:
+            before, until = self.resets, time.monotonic() + patience
+            self.at_once(grbl.RESET)
+            while self.resets == before and time.monotonic() < until and not self.lost:
+                self.changed.wait(0.05)
+            self._unanswered.clear()
+            if not self.lost:
+                self.trouble = ""
+
+    def close(self) -> None:
+        """End the conversation; the port is closed."""
+        self._ended = True
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        self._port.close()
+
+    # --- the thread ---------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self._port.timeout = TURN
+        while not self._ended and not self.lost:
+            try:
+                self._ask()
+                arrived = self._port.read(1)
+                arrived += self._port.read(self._port.in_waiting) if arrived else b""
+                with self.changed:
+                    for line in self._lines(arrived):
+                        self._hear(line)
+                    self._feed()
+            except (OSError, TypeError) as problem:  # TypeError: closed under pyserial's hands
+                self._lose(f"the controller went away: {problem}")
+
+    def _ask(self) -> None:
+        now = time.monotonic()
+        if now - self._asked > ASKING:
+            self._asked = now
+            self._port.write(grbl.STATUS)
+        if now - self.reported > SILENCE and not self._unanswered:
+            with self.changed:
+                self.trouble = self.trouble or f"the controller says nothing for {SILENCE:.3g} s"
+                self.changed.notify_all()
+
+    def _lines(self, arrived: bytes) -> list[str]:
+        *whole, self._partial = (self._partial + arrived).split(b"\n")
+        lines = [line.decode("ascii", "replace").strip() for line in whole]
+        return [line for line in lines if line]
+
+    def _hear(self, line: str) -> None:
+        status = grbl.status_of(line)
+        if status is not None:
+            self.offset = status.offset or self.offset
+            self.current = self._asked > self._accepted
+            self.status, self.reported = status, time.monotonic()
+        elif line == "ok":
+            self._accept("ok")
+        elif (number := grbl.number_after(line, "error:")) is not None:
+            why = f"the controller refused a line: {grbl.ERRORS.get(number, f'error {number}')}"
+            if self._answers is None:
+                self.trouble = self.trouble or why
+            self._accept(why)
+        elif (number := grbl.number_after(line, "ALARM:")) is not None:
+            self.trouble = f"alarm of the controller: {grbl.ALARMS.get(number, f'{number}')}"
+        elif line.startswith("Grbl "):
+            self.resets += 1
+            self._unanswered.clear()
+            self.trouble = self.trouble or "the controller was reset"
+        elif self._answers is not None:
+            self._answers.append(line)
+        self.changed.notify_all()
+
+    def _accept(self, verdict: str) -> None:
+        if self._unanswered:
+            self._unanswered.popleft()
+        self._accepted = time.monotonic()
+        self.current = False
+        if self._answers is not None and not self._unanswered:
+            self._verdict = verdict
+
+    def _feed(self) -> None:
+        while not self.trouble and self._answers is None:
+            room = grbl.BUFFER - sum(self._unanswered)
+            # No line of ours is longer; asking first would make one that cannot be sent.
+            line = self._next_line() if room > 60 else None
+            if line is None:
+                return
+            self._send(line)
+
+    def _send(self, line: str) -> None:
+        data = line.encode("ascii") + b"\n"
+        self._unanswered.append(len(data))
+        self.current = False
+        try:
+            self._port.write(data)
+        except OSError as problem:
+            self._lose(f"the controller went away: {problem}")
+
+    def _lose(self, why: str) -> None:
+        with self.changed:
+            self.lost, self.trouble = True, why
+            self.changed.notify_all()

@@ -1,0 +1,147 @@
+"""Moving the pusher: what every actuator does, whatever drives it."""
+
+from __future__ import annotations
+
+import abc
+from typing import ClassVar, Final, Self
+
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.model.fields import finite, positive
+
+REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
+SPEED: Final = 0.0135  # [m/s] in all its experiments
+NEAR: Final = 2e-5  # [m] closer than that, the drive is there
+
+
+class AbstractActuator(abc.ABC):
+    """A drive on a straight line.
+
+    Positions are distances along its stroke [m]: 0 where it is fully withdrawn, growing as it
+    extends. Use it as a context manager; leaving that stops a drive that still moves.
+
+    Attributes
+    ----------
+    name : str
+        On the command line.
+    reach : (float, float)
+        Positions it may be sent to [m].
+    """
+
+    name: ClassVar[str]
+    reach: tuple[float, float]
+
+    @abc.abstractmethod
+    def connect(self) -> Self:
+        """Get hold of the drive; it does not move."""
+
+    @abc.abstractmethod
+    def disconnect(self) -> None:
+        """Let go of it, having stopped it if it moved. Without a connection, nothing happens."""
+
+    @property
+    @abc.abstractmethod
+    def connected(self) -> bool:
+        """Whether it can be asked to move."""
+
+    @abc.abstractmethod
+    def home(self) -> None:
+        """Find out where it is: go to the end switch, or ask. Returns when done."""
+
+    @abc.abstractmethod
+    def position(self) -> float:
+        """Where it is now [m]."""
+
+    @property
+    @abc.abstractmethod
+    def moving(self) -> bool:
+        """Whether a move is under way."""
+
+    @abc.abstractmethod
+    def wait(self) -> None:
+        """Return when the move is done.
+
+        Raises
+        ------
+        DeviceFailed
+            It ended early, and why.
+        """
+
+    @abc.abstractmethod
+    def stop(self) -> None:
+        """End the move, slowing down as the drive can without losing its place, and return when at
+        rest. May be called from any thread, and when nothing moves."""
+
+    @abc.abstractmethod
+    def _begin(self, target: float, speed: float) -> None:
+        """Start towards a position within reach [m] at a speed [m/s]; returns at once."""
+
+    def move(
+        self,
+        *,
+        to: float | None = None,
+        by: float | None = None,
+        speed: float = SPEED,
+        wait: bool = True,
+    ) -> None:
+        """Go somewhere.
+
+        Parameters
+        ----------
+        to : float, optional
+            The position to go to [m].
+        by : float, optional
+            How much further than now [m]; one of the two.
+        speed : float
+            [m/s].
+        wait : bool
+            Whether to return when there, or at once; then see `wait`. Whatever interrupts the
+            waiting, Ctrl-C too, stops the drive.
+
+        Raises
+        ------
+        InvalidInput
+            The place is out of reach, or the speed cannot be.
+        DeviceFailed
+            The drive is not ready, or ended the move early.
+        """
+        speed = positive(speed, "speed", "m/s")
+        if not self.connected:
+            raise DeviceFailed("the actuator is not connected", hint="call connect first")
+        if self.moving:
+            raise DeviceFailed("the actuator is moving already", hint="wait, or stop it")
+        target = self._place_meant(to, by)
+        try:
+            self._begin(target, speed)
+            if wait:
+                self.wait()
+        except BaseException:
+            self.stop()
+            raise
+
+    def _place_meant(self, to: float | None, by: float | None) -> float:
+        if (to is None) == (by is None):
+            found = "both" if to is not None else None
+            raise InvalidInput("move", found=found, expected="a place to go to, or by how much")
+        target = finite(to, "to", "m") if by is None else self.position() + finite(by, "by", "m")
+        low, high = self.reach
+        if not low - NEAR <= target <= high + NEAR:
+            raise InvalidInput(
+                "to" if by is None else "by",
+                found=f"{1e3 * target:.2f} mm",
+                expected=f"a position from {1e3 * low:.4g} to {1e3 * high:.4g} mm",
+            )
+        return min(max(target, low), high)
+
+    def __enter__(self) -> Self:
+        return self if self.connected else self.connect()
+
+    def __exit__(self, *_: object) -> None:
+        self.disconnect()
+
+
+def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
+    """Two positions in ascending order [m]."""
+    low, high = (finite(end, "reach", "m") for end in reach)
+    if low >= high:
+        raise InvalidInput("reach", found=reach, expected="two positions in ascending order [m]")
+    return low, high

@@ -1,0 +1,111 @@
+"""A drive with a program of its own, which a person operates, as in the thesis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar, Self, final
+
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.model.fields import finite
+from fixel.testbed.motion import REACH, AbstractActuator, checked_reach
+
+
+@final
+class ManualActuator(AbstractActuator):
+    """Tells a person what to set and when to start, and believes what it is told.
+
+    It cannot stop the drive: it can only ask for that.
+
+    Parameters
+    ----------
+    reach : (float, float)
+        Positions it may be sent to [m].
+    ask : callable
+        Shows a sentence, returns the line the person types; `input` by default.
+    say : callable
+        Shows a sentence.
+    """
+
+    name: ClassVar[str] = "manual"
+
+    def __init__(
+        self,
+        *,
+        reach: tuple[float, float] = REACH,
+        ask: Callable[[str], str] = input,
+        say: Callable[[str], None] = print,
+    ) -> None:
+        self.reach = checked_reach(reach)
+        self._ask, self._say = ask, say
+        self._connected = False
+        self._at: float | None = None
+        self._heading: float | None = None  # [m] where it is going, if it is
+        self._stopped = ""
+
+    def connect(self) -> Self:
+        self._answered("Switch the drive on and wait until it is ready (Servo ON). Then Enter: ")
+        self._connected = True
+        return self
+
+    def disconnect(self) -> None:
+        self.stop()
+        self._connected = False
+
+    @property
+    def connected(self) -> bool:
+        return self._connected
+
+    def home(self) -> None:
+        self._answered("Send the drive to its origin. When it stands there, Enter: ")
+        self._at = self.reach[0]
+
+    def position(self) -> float:
+        if self._at is None:
+            self._at = self._asked_for_position()
+        return self._at
+
+    @property
+    def moving(self) -> bool:
+        return self._heading is not None
+
+    def wait(self) -> None:
+        if self._heading is not None:
+            self._answered("When the drive has come to rest, Enter: ")
+            self._at, self._heading = self._heading, None
+        why, self._stopped = self._stopped, ""
+        if why:
+            raise DeviceFailed(why)
+
+    def stop(self) -> None:
+        if self._heading is None:
+            return
+        self._say("STOP THE DRIVE NOW, with the stop button of its program or its power switch.")
+        self._at, self._heading = None, None
+        self._stopped = "the operator was asked to stop the drive"
+
+    def _begin(self, target: float, speed: float) -> None:
+        here = self.position()
+        self._stopped = ""
+        self._say(
+            f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * target:.2f} mm"
+            f" (by {1e3 * (target - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
+        )
+        self._answered("Click its start button and press Enter at the same moment: ")
+        self._heading = target
+
+    def _asked_for_position(self) -> float:
+        for _ in range(3):
+            typed = self._answered("Where does the drive stand, in mm? ")
+            try:
+                return finite(float(typed.replace(",", ".")) * 1e-3, "position", "m")
+            except (ValueError, InvalidInput):
+                self._say(f"{typed!r} is no number.")
+        raise DeviceFailed("nobody knows where the drive stands")
+
+    def _answered(self, sentence: str) -> str:
+        try:
+            return self._ask(sentence)
+        except EOFError:
+            raise DeviceFailed(
+                "nobody is there to operate the drive", hint="run it in a terminal"
+            ) from None

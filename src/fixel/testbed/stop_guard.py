@@ -1,0 +1,97 @@
+"""Stops a drive when the program that drives it cannot: a process that does nothing else.
+
+Run as a script, without site packages and without fixel, so that it is there in some milliseconds
+and nothing can keep it busy. It shares the open port with its owner and writes a feed hold and a
+soft reset to it
+
+- when a byte that is a signal's number, or `s`, comes from its owner;
+- when the owner's pipe closes: the owner has died, of whatever;
+- on SIGINT (Ctrl-C reaches every process of the terminal), SIGTERM and SIGHUP;
+- when a key is pressed, if it was given a terminal.
+
+`q` from its owner ends it without a word to the drive.
+
+    python -I -S stop_guard.py PORT_FD KEYS_FD(or -1)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import termios
+import time
+
+STOP = b"!\x18"  # GRBL: feed hold, soft reset; both take effect ahead of anything that is queued
+RELEASE = b"q"
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def stop(port: int) -> None:
+    """Write the stop ahead of whatever else is on its way."""
+    with contextlib.suppress(termios.error):
+        termios.tcflush(port, termios.TCOFLUSH)
+    for _ in range(100):
+        try:
+            os.write(port, STOP)
+            break
+        except BlockingIOError:
+            time.sleep(0.001)
+        except OSError:
+            return  # there is no drive any more
+    print(f"stopped {time.monotonic():.6f}", flush=True)
+
+
+def watch(port: int, keys: int) -> None:
+    """Until released, or until the owner is gone."""
+    heard, woken = os.pipe()
+    os.set_blocking(woken, False)
+    os.set_blocking(0, False)
+    signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: None)
+    print("ready", flush=True)
+    sources = [0, heard] + [keys] * (keys >= 0)
+    while True:
+        ready = select.select(sources, [], [])[0]
+        said = os.read(0, 64) if 0 in ready else None
+        if said is not None and RELEASE in said:
+            return
+        # Ctrl-Z, a resized window: they concern nobody.
+        stops = said is not None and (not said or b"s" in said or any(n in said for n in SIGNALS))
+        if heard in ready:
+            os.read(heard, 64)
+            stops = True
+        if keys in ready and os.read(keys, 64):
+            stops = True
+        if stops:
+            stop(port)
+        if said == b"":
+            return
+
+
+def main() -> None:
+    port, keys = int(sys.argv[1]), int(sys.argv[2])
+    before = None
+    if keys >= 0:
+        before = termios.tcgetattr(keys)
+        quiet = termios.tcgetattr(keys)
+        quiet[3] &= ~(termios.ICANON | termios.ECHO)  # keys at once, and unseen
+        termios.tcsetattr(keys, termios.TCSANOW, quiet)
+    try:
+        watch(port, keys)
+    except BrokenPipeError:
+        pass  # the owner, who would have read this, is gone
+    finally:
+        if before is not None:
+            # The owner may have been killed, and no longer be the terminal's program.
+            signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+            termios.tcsetattr(keys, termios.TCSANOW, before)
+    # Nothing is left to say, and the pipe may be gone.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""What every actuator promises, as a test suite to inherit from.
+
+Subclass it, override its one fixture, and pytest runs the suite on your driver, which should be
+behind an emulated drive: the suite moves it by some millimetres at up to 50 mm/s.
+
+    class TestMyDrive(ActuatorContract):
+        @pytest.fixture
+        def actuator(self):
+            return MyDrive()
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.testbed.motion import AbstractActuator
+
+SPEED = 0.05  # [m/s]
+EXACT = 5e-5  # [m]
+
+
+class ActuatorContract:
+    """Arrives, refuses, stops, and says where it is."""
+
+    @pytest.fixture
+    def actuator(self) -> AbstractActuator:
+        """The driver under test, not connected, its drive withdrawn or nearly so."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def ready(self, actuator: AbstractActuator) -> Iterator[AbstractActuator]:
+        """The driver, connected and homed."""
+        with actuator:
+            actuator.home()
+            yield actuator
+
+    def test_does_not_move_without_a_connection(self, actuator: AbstractActuator) -> None:
+        assert not actuator.connected
+        assert not actuator.moving
+        with pytest.raises(DeviceFailed, match="not connected"):
+            actuator.move(to=0.001)
+        actuator.disconnect()
+
+    def test_connects_and_lets_go_again(self, actuator: AbstractActuator) -> None:
+        for _ in range(2):
+            with actuator as same:
+                assert same is actuator
+                assert actuator.connected
+            assert not actuator.connected
+
+    def test_goes_to_a_place(self, ready: AbstractActuator) -> None:
+        for place in (0.006, 0.003):
+            ready.move(to=place, speed=SPEED)
+            assert ready.position() == pytest.approx(place, abs=EXACT)
+            assert not ready.moving
+
+    def test_goes_by_a_distance(self, ready: AbstractActuator) -> None:
+        before = ready.position()
+        ready.move(by=0.004, speed=SPEED)
+        ready.move(by=-0.001, speed=SPEED)
+        assert ready.position() == pytest.approx(before + 0.003, abs=EXACT)
+
+    def test_going_where_it_is_takes_no_time(self, ready: AbstractActuator) -> None:
+        ready.move(to=ready.position(), speed=SPEED)
+        assert not ready.moving
+
+    @pytest.mark.parametrize(
+        "asked",
+        [
+            {},
+            {"to": 0.001, "by": 0.001},
+            {"to": 1.0},
+            {"to": -0.01},
+            {"by": -1.0},
+            {"to": float("nan")},
+            {"to": 0.001, "speed": 0.0},
+            {"to": 0.001, "speed": -1.0},
+            {"to": 0.001, "speed": float("inf")},
+        ],
+    )
+    def test_refuses_what_cannot_be(self, ready: AbstractActuator, asked: dict[str, float]) -> None:
+        before = ready.position()
+        with pytest.raises(InvalidInput):
+            ready.move(**{"speed": SPEED, **asked})  # type: ignore[arg-type]
+        assert not ready.moving
+        assert ready.position() == pytest.approx(before, abs=EXACT)
+
+    def test_does_one_thing_at_a_time(self, ready: AbstractActuator) -> None:
+        ready.move(to=0.1, speed=SPEED, wait=False)
+        assert ready.moving
+        with pytest.raises(DeviceFailed, match="moving already"):
+            ready.move(to=0.002, speed=SPEED)
+        ready.stop()
+
+    def test_stops_on_the_way_and_goes_on_from_there(self, ready: AbstractActuator) -> None:
+        ready.move(to=0.1, speed=SPEED, wait=False)
+        time.sleep(0.05)
+        ready.stop()
+        there = ready.position()
+        assert not ready.moving
+        with pytest.raises(DeviceFailed, match="stop"):
+            ready.wait()
+        time.sleep(0.02)
+        assert ready.position() == pytest.approx(there, abs=EXACT)
+        assert there < 0.09
+        ready.move(by=0.002, speed=SPEED)
+        assert ready.position() == pytest.approx(there + 0.002, abs=EXACT)
+
+    def test_stopping_twice_or_at_rest_harms_nothing(self, ready: AbstractActuator) -> None:
+        ready.stop()
+        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.stop()
+        ready.stop()
+        assert not ready.moving
+
+    def test_may_be_stopped_from_another_thread(self, ready: AbstractActuator) -> None:
+        other = threading.Timer(0.05, ready.stop)
+        other.start()
+        with pytest.raises(DeviceFailed, match="stop"):
+            ready.move(to=0.1, speed=SPEED)
+        other.join()
+        assert ready.position() < 0.09
+
+    def test_ctrl_c_stops_it(self, ready: AbstractActuator) -> None:
+        pressed = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
+        pressed.start()
+        with pytest.raises(KeyboardInterrupt):
+            ready.move(to=0.1, speed=SPEED)
+        pressed.join()
+        assert not ready.moving
+
+    def test_leaving_the_context_stops_it(self, ready: AbstractActuator) -> None:
+        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.disconnect()
+        assert not ready.moving
+        assert not ready.connected

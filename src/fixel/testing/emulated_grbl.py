@@ -1,0 +1,495 @@
+"""A GRBL 1.1 controller without the controller: one axis that moves in real time, on a port.
+
+    python -m fixel.testing.emulated_grbl --link /tmp/grbl
+
+For tests, and for trying `fixel actuator` without hardware. It does what matters for one drive:
+realtime characters, the receive buffer, the planner's look-ahead, holds that slow down, alarms,
+limit switches, soft limits, homing. It does not do arcs, spindles, overrides, probing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import select
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple, Self, final
+
+BUFFER: Final = 128  # bytes
+PLANNER: Final = 15  # moves
+TURN: Final = 0.001  # [s]
+SUBSTEP: Final = 0.001  # [s]
+PULL_OFF: Final = 1.0  # [mm] from the switch, after homing
+HOMING_SPEED: Final = 25.0  # [mm/s]
+NO_SPACE: Final = b" \t"
+WORDS: Final = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
+
+
+class Event(NamedTuple):
+    """Something that happened.
+
+    Attributes
+    ----------
+    what : str
+        `hold`, `reset`, `rest` (the drive came to rest), `alarm 3`, ...
+    time : float
+        On `time.monotonic` [s].
+    speed : float
+        Of the drive at that moment [mm/s].
+    """
+
+    what: str
+    time: float
+    speed: float
+
+
+@final
+class EmulatedGrbl:
+    """A controller with one axis, X.
+
+    Parameters
+    ----------
+    travel : float
+        Between the limit switches [mm].
+    start : float
+        Where the drive stands at first, from the withdrawn end [mm].
+    acceleration : float
+        [mm/s^2].
+    fastest : float
+        [mm/s].
+    homing : bool
+        Whether it has switches, and asks to be homed first.
+    inches : bool
+        Whether it reports inches.
+    rate : float
+        Its seconds over ours: 10 is ten times as fast.
+
+    Attributes
+    ----------
+    port : str
+        What to open.
+    lines : list of str
+        All it was sent.
+    events : list of Event
+    lost : int
+        Bytes that did not fit into its buffer.
+    trace : list of (float, float)
+        Place from the withdrawn end [mm] and speed [mm/s], as long as it moved.
+    """
+
+    def __init__(
+        self,
+        *,
+        travel: float = 150.0,
+        start: float = 40.0,
+        acceleration: float = 500.0,
+        fastest: float = 50.0,
+        homing: bool = False,
+        inches: bool = False,
+        rate: float = 1.0,
+    ) -> None:
+        import pty
+        import tty
+
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self.lines: list[str] = []
+        self.events: list[Event] = []
+        self.lost = 0
+        self.mute = False  # fault: says nothing
+        self.garble = 0  # fault: so many of the next bytes are damaged
+        self.refuse = 0  # fault: so many of the next lines are not understood
+        self._rate = rate
+        self._travel, self._end = travel, start  # the withdrawn end is at 0, where the switch is
+        self._homing = homing
+        self._settings = {
+            10: 1.0, 13: float(inches), 20: float(homing), 21: float(homing), 22: float(homing),
+            23: 0.0, 110: 60.0 * fastest, 120: acceleration, 130: travel,
+        }  # fmt: skip
+        # Machine coordinates fall as the drive extends, as GRBL has it after homing to the switch.
+        self._shift = -start if not homing else 0.0
+        self._sign = -1.0 if homing else 1.0
+        self.state = "Alarm" if homing else "Idle"
+        self._critical = False
+        self._speed = 0.0
+        self._blocks: deque[tuple[float, float]] = deque()  # end of stroke [mm], speed [mm/s]
+        self._planned = start
+        self._partial = bytearray()
+        self._waiting: deque[bytes] = deque()
+        self._feed = 0.0
+        self._relative = False
+        self._units = 1.0
+        self._ended = False
+        self._errands: deque[Callable[[], object]] = deque()
+        self.trace: list[tuple[float, float]] = []
+        self._say("", "Grbl 1.1h ['$' for help]", *self._lock_words())
+        self._thread = threading.Thread(target=self._run, name="emulated-grbl", daemon=True)
+        self._thread.start()
+
+    # --- for tests ----------------------------------------------------------------------------
+
+    @property
+    def place(self) -> float:
+        """Where the drive truly is, from the withdrawn end [mm]."""
+        return self._end
+
+    def slowest(self, begin: float, end: float) -> float:
+        """The least speed [mm/s] so far between two places [mm]."""
+        low, high = sorted((begin, end))
+        return min(speed for place, speed in self.trace if low < place < high)
+
+    @property
+    def speed(self) -> float:
+        """How fast it truly moves [mm/s], without sign."""
+        return abs(self._speed)
+
+    @property
+    def queued(self) -> float:
+        """How long it would go on if nothing more came [s]."""
+        total, here = 0.0, self._end
+        for end, speed in list(self._blocks):
+            total, here = total + abs(end - here) / speed, end
+        return total
+
+    def wait_for(self, what: str, patience: float = 5.0) -> Event:
+        """The first event of a name, waited for."""
+        until = time.monotonic() + patience
+        while time.monotonic() < until:
+            found = next((event for event in self.events if event.what == what), None)
+            if found:
+                return found
+            time.sleep(0.001)
+        raise TimeoutError(f"no {what!r} among {[event.what for event in self.events]}")
+
+    def unplug(self) -> None:
+        """The port goes away; what the drive was told it does to the end."""
+        self._do(self._unplug)
+
+    def power_cycle(self) -> None:
+        """Off and on again: it stops, and knows nothing."""
+        self._do(lambda: self._reset(cold=True))
+
+    def hit_switch(self) -> None:
+        """A limit switch closes."""
+        self._do(lambda: self._alarm(1))
+
+    def press_hold(self) -> None:
+        """Somebody presses the hold button on the controller."""
+        self._do(lambda: self._take(b"!"))
+
+    def obey(self, line: str) -> None:
+        """Do as a line from elsewhere says."""
+        self._do(lambda: self._motion(line))
+
+    def _do(self, errand: Callable[[], object]) -> None:
+        """In its own thread, and return when that is done."""
+        done = threading.Event()
+        self._errands += [errand, done.set]
+        done.wait(5.0)
+
+    def _unplug(self) -> None:
+        for descriptor in (self._master, self._slave):
+            os.close(descriptor)
+        self._master = -1
+
+    def close(self) -> None:
+        """End it; the port goes away."""
+        self._ended = True
+        self._thread.join()
+        if self._master >= 0:
+            self._unplug()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- the loop -----------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        while not self._ended:
+            while self._errands:
+                self._errands.popleft()()
+            self._listen()
+            now = time.monotonic()
+            # A loaded computer lets it sleep; a drive does not make up for that in one leap.
+            left = min(now - last, 0.25) * self._rate
+            last = now
+            while left > 0.0:
+                self._move(min(SUBSTEP, left))
+                left -= SUBSTEP
+            self._work()
+
+    def _listen(self) -> None:
+        if self._master < 0:
+            time.sleep(TURN)
+            return
+        try:
+            if not select.select([self._master], [], [], TURN)[0]:
+                return
+            for value in os.read(self._master, 1024):
+                self._take(bytes([value]))
+        except OSError:
+            time.sleep(TURN)  # nobody has the port open, or it was unplugged
+
+    def _take(self, byte: bytes) -> None:
+        if byte == b"?":
+            self._report()
+        elif byte == b"!":
+            self._event("hold")
+            if self.state in ("Run", "Idle"):
+                self.state = "Hold"
+        elif byte == b"~":
+            if self.state == "Hold" and self._speed == 0.0:
+                self.state = "Run" if self._blocks else "Idle"
+        elif byte == b"\x18":
+            self._reset()
+        elif byte in (b"\n", b"\r"):
+            if self._partial or byte == b"\n":
+                self._waiting.append(bytes(self._partial))
+            self._partial.clear()
+        elif byte[0] < 0x80 and byte not in NO_SPACE:
+            if len(self._partial) + sum(len(line) + 1 for line in self._waiting) >= BUFFER:
+                self.lost += 1
+            else:
+                self._partial += byte
+
+    def _work(self) -> None:
+        """Lines, as long as the planner has room for what they ask."""
+        while self._waiting and len(self._blocks) < PLANNER and self.state != "Home":
+            if self._critical or (self.state == "Hold" and not self._waiting[0].startswith(b"$")):
+                return
+            line = self._waiting.popleft().decode("ascii").upper()
+            self.lines.append(line)
+            verdict = self._command(line) if line.startswith("$") else self._motion(line)
+            if verdict:
+                self._say(verdict)
+
+    # --- lines --------------------------------------------------------------------------------
+
+    def _command(self, line: str) -> str:
+        if line == "$H":
+            if not self._homing:
+                return "error:5"
+            self.state, self._planned = "Home", 0.0
+            return ""
+        if line == "$X":
+            if self.state == "Alarm":
+                self.state, self._planned = "Idle", self._end
+                self._say("[MSG:Caution: Unlocked]")
+            return "ok"
+        if self.state not in ("Idle", "Alarm"):
+            return "error:8"
+        if line == "$$":
+            self._say(*(f"${number}={value:g}" for number, value in self._settings.items()))
+        elif line == "$I":
+            self._say("[VER:1.1h.20190825:]", "[OPT:V,15,128]")
+        else:
+            return "error:3"
+        return "ok"
+
+    def _motion(self, line: str) -> str:
+        if self.state == "Alarm":
+            return "error:9"
+        if self.refuse:
+            self.refuse -= 1
+            return "error:20"
+        words = WORDS.findall(line)
+        if "".join(letter + number for letter, number in words) != line:
+            return "error:1"
+        if any(number in ("", "-", "+", ".") for _, number in words):
+            return "error:2"
+        target, machine, moves = None, False, False
+        for letter, number in words:
+            value = float(number)
+            if letter == "G" and value in (0, 1):
+                moves = True
+            elif letter == "G" and value in (20, 21):
+                self._units = 25.4 if value == 20 else 1.0
+            elif letter == "G" and value in (90, 91):
+                self._relative = value == 91
+            elif letter == "G" and value in (53, 94):
+                machine = machine or value == 53
+            elif letter == "F":
+                self._feed = value * self._units / 60.0
+            elif letter == "X":
+                target = value * self._units
+            elif letter not in "NS":
+                return "error:20"
+        if target is None:
+            return "ok"
+        if self._feed <= 0.0 or not moves:
+            return "error:22"
+        return self._plan(target, relative=self._relative and not machine)
+
+    def _plan(self, target: float, *, relative: bool) -> str:
+        end = self._planned + self._sign * target if relative else self._stroke(target)
+        if self._settings[20] and not 0.0 <= end <= self._travel:
+            self._alarm(2)
+            self._critical = True
+            return ""
+        if end != self._planned:
+            self._blocks.append((end, min(self._feed, self._settings[110] / 60.0)))
+            self._planned = end
+            if self.state == "Idle":
+                self.state = "Run"
+        return "ok"
+
+    def _stroke(self, coordinate: float) -> float:
+        """From the withdrawn end [mm], of a machine coordinate [mm]."""
+        return self._sign * coordinate - self._shift
+
+    def _coordinate(self) -> float:
+        return self._sign * (self._end + self._shift)
+
+    # --- motion -------------------------------------------------------------------------------
+
+    def _move(self, step: float) -> None:
+        if self.state == "Home":
+            self._move_home(step)
+        elif self.state in ("Run", "Hold"):
+            self._move_on(step)
+
+    def _move_home(self, step: float) -> None:
+        self._end = max(0.0, self._end - HOMING_SPEED * step)
+        if self._end == 0.0:
+            self._end, self._shift, self._planned = PULL_OFF, 0.0, PULL_OFF
+            self.state = "Idle"
+            self._event("homed")
+            self._say("ok")
+
+    def _move_on(self, step: float) -> None:
+        slowing = self._settings[120] * step
+        if not self._blocks:
+            self._come_to_rest()
+            return
+        end, full = self._blocks[0]
+        way = 1.0 if end > self._end else -1.0
+        wanted = 0.0 if self.state == "Hold" else min(full, self._speed_for(self._ahead(way)))
+        before = self._speed
+        self._speed = min(max(wanted, self._speed - slowing), self._speed + slowing)
+        if self._speed == 0.0 and self.state == "Hold":
+            if before:
+                self._event("rest", before)
+            return
+        self.trace.append((self._end, self._speed))
+        self._end += way * max(self._speed, 1e-3) * step
+        while self._blocks and way * (self._end - self._blocks[0][0]) >= -1e-9:
+            past = self._blocks.popleft()[0]
+            turns = not self._blocks or way * (self._blocks[0][0] - past) <= 0.0
+            if turns:
+                self._end = past
+        self._look_for_trouble()
+        if not self._blocks:
+            self._come_to_rest()
+
+    def _ahead(self, way: float) -> float:
+        """How far it can go on in this direction [mm]."""
+        here = self._end
+        for end, _ in list(self._blocks):
+            if way * (end - here) < 0.0:
+                break
+            here = end
+        return abs(here - self._end)
+
+    def _speed_for(self, distance: float) -> float:
+        """From which it can still come to rest within a distance."""
+        return float((2.0 * self._settings[120] * distance) ** 0.5)
+
+    def _come_to_rest(self) -> None:
+        if self._speed:
+            self._event("rest", self._speed)
+        self._speed = 0.0
+        if self.state == "Run":
+            self.state = "Idle"
+
+    def _look_for_trouble(self) -> None:
+        if self._homing and not 0.0 <= self._end <= self._travel:
+            self._alarm(1)
+            self._critical = True
+
+    def _alarm(self, number: int) -> None:
+        self._event(f"alarm {number}")
+        self._blocks.clear()
+        self._speed = 0.0
+        self._planned = self._end
+        self.state = "Alarm"
+        self._say(f"ALARM:{number}")
+
+    def _reset(self, *, cold: bool = False) -> None:
+        self._event("reset")
+        if self._speed > 0.0 or self.state == "Home":
+            self._alarm(6 if self.state == "Home" else 3)
+        elif self.state != "Alarm":
+            self.state = "Idle"
+        if cold:
+            self.state = "Alarm" if self._homing else "Idle"
+            self._shift = -self._end
+        self._blocks.clear()
+        self._waiting.clear()
+        self._partial.clear()
+        self._planned, self._critical = self._end, False
+        self._feed, self._relative, self._units = 0.0, False, 1.0
+        self._say("", "Grbl 1.1h ['$' for help]", *self._lock_words())
+
+    # --- words --------------------------------------------------------------------------------
+
+    def _lock_words(self) -> list[str]:
+        return ["[MSG:'$H'|'$X' to unlock]"] if self.state == "Alarm" else []
+
+    def _report(self) -> None:
+        state = self.state
+        if state == "Hold":
+            state += ":0" if self._speed == 0.0 else ":1"
+        unit = 25.4 if self._settings[13] else 1.0
+        place = f"{self._coordinate() / unit:.{4 if unit > 1.0 else 3}f}"
+        room = PLANNER - len(self._blocks)
+        speed = round(60.0 * self._speed)
+        self._say(f"<{state}|MPos:{place},0.000,0.000|Bf:{room},{BUFFER}|FS:{speed},0>")
+
+    def _say(self, *lines: str) -> None:
+        if self.mute or self._master < 0:
+            return
+        data = bytearray("".join(f"{line}\r\n" for line in lines).encode("ascii"))
+        for k in range(min(self.garble, len(data))):
+            data[k] ^= 0x2A
+            self.garble -= 1
+        try:
+            os.write(self._master, data)
+        except OSError:
+            return
+
+    def _event(self, what: str, speed: float | None = None) -> None:
+        moved = self._speed if speed is None else speed
+        self.events.append(Event(what, time.monotonic(), moved))
+
+
+def main() -> None:
+    """Run one until Ctrl-C."""
+    parser = argparse.ArgumentParser(description="An emulated GRBL controller.")
+    parser.add_argument("--link", type=Path, required=True, help="name the port gets")
+    parser.add_argument("--homing", action="store_true", help="wants to be homed first")
+    parser.add_argument("--rate", type=float, default=1.0, help="its seconds over ours")
+    chosen = parser.parse_args()
+    with EmulatedGrbl(homing=chosen.homing, rate=chosen.rate) as controller:
+        chosen.link.unlink(missing_ok=True)
+        chosen.link.symlink_to(controller.port)
+        print(f"{chosen.link}: a GRBL controller; Ctrl-C ends it", flush=True)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            chosen.link.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""The actuator from the command line: home it, move it, stop it, ask where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
+
+from fixel.errors import InvalidInput
+from fixel.testbed.emergency import running, stop_drive
+from fixel.testbed.motion import SPEED, AbstractActuator
+from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testbed.motion_manual import ManualActuator
+from fixel.testbed.motion_simulated import SimulatedActuator
+
+Say = Callable[[str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActuatorAnswer:
+    """Where the drive is after what was asked.
+
+    Attributes
+    ----------
+    driver : str
+    position : float
+        [m].
+    reach : (float, float)
+        [m].
+    state : str
+        As the controller names it; empty where it does not.
+    seconds : float
+        What it took [s].
+    """
+
+    driver: str
+    position: float
+    reach: tuple[float, float]
+    state: str
+    seconds: float
+
+    def summary(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "driver": self.driver,
+            "position_m": self.position,
+            "reach_m": list(self.reach),
+            "state": self.state,
+            "seconds": self.seconds,
+        }
+
+
+def chosen_actuator(
+    driver: str, port: str | None, *, say: Say = print, dead_man: float | None = None
+) -> AbstractActuator:
+    """The driver of a name: `grbl`, `manual`, `simulated`."""
+    if driver == GrblActuator.name:
+        return GrblActuator(port, keys=True, dead_man=dead_man)
+    if driver == ManualActuator.name:
+        return ManualActuator(say=say)
+    if driver == SimulatedActuator.name:
+        return SimulatedActuator()
+    names = ", ".join(member.name for member in (GrblActuator, ManualActuator, SimulatedActuator))
+    raise InvalidInput("--driver", found=repr(driver), expected=f"one of {names}")
+
+
+def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
+    """Let it find its place."""
+    start = time.perf_counter()
+    with actuator:
+        actuator.home()
+        return _answer(actuator, start)
+
+
+def move_actuator(
+    actuator: AbstractActuator,
+    *,
+    to: float | None,
+    by: float | None,
+    speed: float = SPEED,
+    unlock: bool = False,
+) -> ActuatorAnswer:
+    """Move it, and return when it is there [m, m/s]."""
+    start = time.perf_counter()
+    with actuator:
+        if unlock and isinstance(actuator, GrblActuator):
+            actuator.unlock()
+        actuator.move(to=to, by=by, speed=speed)
+        return _answer(actuator, start)
+
+
+def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
+    """Ask it."""
+    start = time.perf_counter()
+    with actuator:
+        return _answer(actuator, start)
+
+
+def stop_actuators(port: str | None) -> list[str]:
+    """Stop the drive at a port, or every drive that a program of this user moves; which ports.
+
+    It writes to the port without asking the program that has it open.
+    """
+    ports = [port] if port else [program.port for program in running()]
+    if not ports:
+        raise InvalidInput(
+            "--port",
+            found="no program of yours that drives an actuator",
+            expected="one, or the port of the drive",
+            hint="if something moves, switch its power off",
+        )
+    for one in ports:
+        stop_drive(one)
+    return ports
+
+
+def _answer(actuator: AbstractActuator, start: float) -> ActuatorAnswer:
+    return ActuatorAnswer(
+        driver=actuator.name,
+        position=actuator.position(),
+        reach=actuator.reach,
+        state=actuator.state if isinstance(actuator, GrblActuator) else "",
+        seconds=time.perf_counter() - start,
+    )

@@ -1,0 +1,61 @@
+"""Every actuator keeps the contract of its family, on an emulated drive."""
+
+import time
+
+import pytest
+
+from fixel.testbed.motion import AbstractActuator
+from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testbed.motion_manual import ManualActuator
+from fixel.testbed.motion_simulated import SimulatedActuator
+from fixel.testing.actuator_contract import ActuatorContract
+from fixel.testing.emulated_grbl import EmulatedGrbl
+
+
+class Operator:
+    """Does as told, with a drive of its own."""
+
+    def __init__(self) -> None:
+        self.drive = SimulatedActuator().connect()
+        self.set_to = 0.0
+
+    def ask(self, sentence: str) -> str:
+        if "origin" in sentence:
+            self.drive.home()
+        elif "start button" in sentence:
+            self.drive.move(to=self.set_to, speed=0.05, wait=False)
+        elif "come to rest" in sentence:
+            while self.drive.moving:
+                time.sleep(0.002)
+        elif "Where" in sentence:
+            return f"{1e3 * self.drive.position():.3f}"
+        return ""
+
+    def say(self, sentence: str) -> None:
+        if "Set in" in sentence:
+            self.set_to = 1e-3 * float(sentence.split(" to ")[1].split(" mm")[0])
+        elif "STOP" in sentence:
+            self.drive.stop()
+
+
+class TestSimulated(ActuatorContract):
+    @pytest.fixture(params=[0.0, 0.2], ids=["even", "with ripple"])
+    def actuator(self, request) -> AbstractActuator:
+        return SimulatedActuator(ripple=request.param, speed_ratio=1.1, phase=0.3)
+
+
+class TestManual(ActuatorContract):
+    @pytest.fixture
+    def actuator(self) -> AbstractActuator:
+        operator = Operator()
+        return ManualActuator(ask=operator.ask, say=operator.say)
+
+
+class TestGrbl(ActuatorContract):
+    @pytest.fixture
+    def actuator(self):
+        with EmulatedGrbl(homing=True, acceleration=2000.0, start=3.0) as controller:
+            driver = GrblActuator(controller.port)
+            yield driver
+            driver.disconnect()
+            assert controller.lost == 0

@@ -1,0 +1,141 @@
+"""The drive stops when the program that drives it cannot do that any more.
+
+The program is another process, its drive an emulated controller in this one, and what counts is
+when the controller came to rest.
+"""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from fixel.testbed import emergency
+from fixel.testing.emulated_grbl import EmulatedGrbl
+
+PROGRAM = """
+import sys, time
+from fixel.testbed.motion_grbl import GrblActuator
+drive = GrblActuator(sys.argv[1], dead_man=0.8, keys=True)
+drive.connect()
+drive.move(by=0.1, speed=0.02, wait=False)
+time.sleep(0.1)
+print(drive._guard.pid, flush=True)
+{then}
+"""
+BUSY = "sum(range(10**10))"  # minutes during which no other Python code runs
+BLOCKED = "import os; os.read(os.pipe()[0], 1)"
+WAITING = "drive.wait()"
+AT_ONCE = 0.15  # [s] on a computer with other things to do
+DEAD_MAN = 0.8
+
+
+@pytest.fixture(autouse=True)
+def own_announcements(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+@contextmanager
+def program(then: str):
+    """A program that moves the drive of a controller; yields both, and the guard's process id."""
+    with EmulatedGrbl(acceleration=2000.0) as controller:
+        command = [sys.executable, "-c", PROGRAM.format(then=then), controller.port]
+        running = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+        try:
+            guard = int(running.stdout.readline())
+            time.sleep(0.02)  # it is deep in it now
+            assert controller.speed > 0.0
+            yield controller, running, guard
+        finally:
+            running.kill()
+            running.wait()
+            running.stdout.close()
+
+
+def time_to_rest(controller: EmulatedGrbl, since: float, patience: float = 3.0) -> float:
+    while controller.speed > 0.0 and time.monotonic() < since + patience:
+        time.sleep(0.0005)
+    took = time.monotonic() - since
+    time.sleep(0.05)
+    assert controller.speed == 0.0, "it did not stop, or went on again"
+    return took
+
+
+@pytest.mark.parametrize("then", [BUSY, BLOCKED, WAITING], ids=["busy", "blocked", "waiting"])
+def test_a_signal_stops_the_drive_whatever_the_program_does(then):
+    with program(then) as (controller, running, _):
+        since = time.monotonic()
+        os.kill(running.pid, signal.SIGINT)
+
+        assert time_to_rest(controller, since) < AT_ONCE
+
+
+def test_another_process_stops_the_drive_of_a_busy_program():
+    with program(BUSY) as (controller, running, _):
+        (found,) = emergency.running()
+        since = time.monotonic()
+        emergency.stop_drive(found.port)
+
+        assert time_to_rest(controller, since) < AT_ONCE
+        assert found.pid == running.pid
+        assert os.path.samefile(found.port, controller.port)
+
+
+def test_a_killed_program_leaves_no_moving_drive():
+    with program(BUSY) as (controller, running, _):
+        since = time.monotonic()
+        running.kill()
+
+        assert time_to_rest(controller, since) < AT_ONCE
+
+
+def test_a_killed_program_with_a_killed_guard_leaves_no_moving_drive():
+    with program(BUSY) as (controller, running, guard):
+        since = time.monotonic()
+        os.kill(guard, signal.SIGKILL)
+        running.kill()
+
+        assert time_to_rest(controller, since) < DEAD_MAN + AT_ONCE
+
+
+def test_a_hung_program_leaves_no_moving_drive():
+    with program(WAITING) as (controller, running, _):
+        since = time.monotonic()
+        os.kill(running.pid, signal.SIGSTOP)
+
+        assert time_to_rest(controller, since) < DEAD_MAN + AT_ONCE
+
+
+def test_any_key_stops_the_drive_of_a_busy_program():
+    with EmulatedGrbl(acceleration=2000.0) as controller:
+        child, terminal = pty.fork()
+        if child == 0:
+            command = [sys.executable, "-c", PROGRAM.format(then=BUSY), controller.port]
+            os.execv(sys.executable, command)
+        try:
+            until = time.monotonic() + 5.0
+            while controller.place < 43.0 and time.monotonic() < until:
+                time.sleep(0.002)
+            since = time.monotonic()
+            os.write(terminal, b" ")
+
+            assert time_to_rest(controller, since) < AT_ONCE
+        finally:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            os.close(terminal)
+
+
+def test_nothing_runs_where_nothing_was_announced(tmp_path):
+    assert emergency.running() == []
+    folder = emergency.announcements()
+    folder.mkdir()
+    (folder / "dead.json").write_text(json.dumps({"port": "x", "pid": 2**22 + 1, "guard": 0}))
+    (folder / "damaged.json").write_text("{")
+
+    assert emergency.running() == []

@@ -1,0 +1,235 @@
+import time
+
+import pytest
+
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.testbed import grbl_lines as grbl
+from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testing.emulated_grbl import EmulatedGrbl
+
+from .boards import stranger
+
+FAST = {"acceleration": 2000.0}
+
+
+@pytest.fixture
+def controller():
+    with EmulatedGrbl(**FAST) as emulated:
+        yield emulated
+
+
+@pytest.fixture
+def drive(controller):
+    # The guard has tests of its own.
+    with GrblActuator(controller.port, guard=False) as connected:
+        yield connected
+
+
+def moves(controller: EmulatedGrbl) -> None:
+    """Return when it does."""
+    until = time.monotonic() + 5.0
+    while controller.speed < 5.0:
+        assert time.monotonic() < until
+        time.sleep(0.001)
+
+
+# --- moves ----------------------------------------------------------------------------------------
+
+
+def test_the_drive_keeps_its_speed_from_piece_to_piece(controller, drive):
+    drive.move(by=0.02, speed=0.03)
+
+    assert controller.place == pytest.approx(60.0, abs=0.01)
+    assert controller.slowest(41.0, 59.0) == pytest.approx(30.0, rel=1e-3)
+    moves = [line for line in controller.lines if line.startswith("G")]
+    assert len(moves) > 5
+    assert all(line.startswith("G21G90G94G53G1X") for line in moves)
+
+
+def test_never_more_is_queued_than_the_dead_man_allows(controller, drive):
+    drive.dead_man = 0.3
+    most = 0.0
+    drive.move(by=0.02, speed=0.03, wait=False)
+    while drive.moving:
+        most = max(most, controller.queued)
+        time.sleep(0.005)
+
+    assert 0.15 < most <= 0.31
+    assert controller.slowest(41.0, 59.0) == pytest.approx(30.0, rel=1e-3)
+
+
+def test_millimetres_are_sent_to_a_controller_that_reports_inches():
+    with (
+        EmulatedGrbl(inches=True, **FAST) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        drive.move(to=0.005, speed=0.05)
+
+        assert controller.place == pytest.approx(45.0, abs=0.01)
+        assert drive.position() == pytest.approx(0.005, abs=1e-5)
+
+
+def test_a_slow_drive_gets_a_longer_queue():
+    with (
+        EmulatedGrbl(acceleration=10.0) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        assert drive._queue_for(13.5) > 0.9
+        drive.dead_man = 0.5
+        with pytest.raises(InvalidInput, match=r"raise that"):
+            drive.move(by=0.01, speed=0.0135)
+        drive.dead_man = None
+        with pytest.raises(InvalidInput, match=r"\$120"):
+            drive.move(by=0.01, speed=0.05)
+
+
+def test_a_speed_beyond_the_controllers_is_refused_not_cut(drive):
+    with pytest.raises(InvalidInput, match=r"at most 50 mm/s"):
+        drive.move(by=0.01, speed=0.06)
+
+
+def test_stopping_keeps_the_place(controller, drive):
+    drive.move(by=0.05, speed=0.05, wait=False)
+    time.sleep(0.1)
+    drive.stop()
+
+    assert drive.state == "Idle"
+    assert not [event for event in controller.events if event.what.startswith("alarm")]
+    assert 1e3 * drive.position() == pytest.approx(controller.place - 40.0, abs=0.01)
+
+
+# --- alarms and limits ----------------------------------------------------------------------------
+
+
+def test_a_drive_that_must_be_homed_says_so():
+    with (
+        EmulatedGrbl(homing=True, start=5.0, **FAST) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        assert drive.state == "Alarm"
+        with pytest.raises(DeviceFailed, match="fixel actuator home"):
+            drive.move(to=0.01)
+
+        drive.home()
+
+        assert drive.position() == pytest.approx(0.001)
+        drive.move(to=0.005, speed=0.05)
+        assert controller.place == pytest.approx(5.0, abs=0.01)
+
+
+def test_reach_is_cut_to_the_travel_of_the_controller():
+    with (
+        EmulatedGrbl(homing=True, travel=80.0) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        assert drive.reach == (0.0, 0.08)
+
+
+def test_homing_without_switches_is_refused(drive):
+    with pytest.raises(DeviceFailed, match="not enabled"):
+        drive.home()
+
+
+@pytest.mark.parametrize(
+    ("happens", "why"),
+    [
+        (lambda controller: controller.hit_switch(), "a limit switch was hit"),
+        (lambda controller: controller.power_cycle(), "reset"),
+        (lambda controller: controller.unplug(), "went away"),
+        (lambda controller: setattr(controller, "mute", True), "says nothing"),
+        (lambda controller: controller.press_hold(), "in the state Hold"),
+        (lambda controller: setattr(controller, "refuse", 1), "a command it does not know"),
+    ],
+    ids=["limit switch", "power", "plug", "silence", "hold button", "refused line"],
+)
+def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why, monkeypatch):
+    monkeypatch.setattr("fixel.testbed.grbl_link.SILENCE", 0.3)
+    drive.move(by=0.05, speed=0.03, wait=False)
+    moves(controller)
+    happens(controller)
+
+    with pytest.raises(DeviceFailed, match=why):
+        drive.wait()
+    drive.stop()
+    assert not drive.moving
+
+
+def test_damaged_reports_are_passed_over(controller, drive):
+    controller.garble = 200
+    drive.move(by=0.005, speed=0.03)
+
+    assert controller.place == pytest.approx(45.0, abs=0.01)
+
+
+def test_whoever_finds_a_drive_moving_stops_it_first(controller):
+    controller.obey("G1X60F600")
+    moves(controller)
+
+    with GrblActuator(controller.port, guard=False) as drive:
+        assert drive.state == "Idle"
+        assert controller.speed == 0.0
+
+
+# --- the wrong port -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("says", "found"),
+    [
+        pytest.param(lambda heard: heard, "echo of every byte", id="echo"),
+        pytest.param(lambda heard: b"\x05" * len(heard), "the tactile board", id="tactile board"),
+        pytest.param(lambda heard: b"ERROR\r\n", '"ERROR"', id="modem"),
+        pytest.param(lambda heard: b"\x80\x91\xf0" * 4, "80 91 f0", id="garbage"),
+        pytest.param(lambda heard: b"", "no answer", id="silence"),
+    ],
+)
+def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monkeypatch):
+    monkeypatch.setattr("fixel.testbed.grbl_handshake.PATIENCE", 0.03)
+    with stranger(says) as port, pytest.raises(InvalidInput, match=found):
+        GrblActuator(port).connect()
+
+
+def test_a_port_that_is_in_use_is_refused(controller, drive):
+    with pytest.raises(InvalidInput, match="in use by"):
+        GrblActuator(controller.port).connect()
+
+
+# --- lines ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "state", "place"),
+    [
+        ("<Idle|MPos:1.000,2.000,3.000|FS:0,0>", ("Idle", None), (1.0, 2.0, 3.0)),
+        ("<Hold:0|MPos:-1.5,0.0,0.0|Bf:15,128|FS:0,0|WCO:1,2,3>", ("Hold", 0), (-1.5, 0.0, 0.0)),
+        ("<Run,MPos:1.0,2.0,3.0,WPos:4.0,5.0,6.0>", ("Run", None), (1.0, 2.0, 3.0)),
+    ],
+)
+def test_status_reports_of_both_versions(line, state, place):
+    status = grbl.status_of(line)
+
+    assert status[:2] == state
+    assert status.machine == place
+
+
+@pytest.mark.parametrize(
+    "line", ["", "ok", "<Idle", "<Idle|MPos:1.0,2.0|>", "<Idle|MPos:1..0,2,3|>", "[MSG:x]"]
+)
+def test_anything_else_is_no_report(line):
+    assert grbl.status_of(line) is None
+
+
+@pytest.mark.parametrize(
+    ("more", "coordinate_at_10_mm"),
+    [
+        (["$22=1", "$23=0"], -10.0),
+        (["$22=1", "$23=1"], -140.0),
+        (["$22=1", "$23=1", "[OPT:VZ,15,128]"], 10.0),
+        (["$22=0"], 10.0),
+    ],
+)
+def test_machine_coordinates_follow_where_the_controller_homes(more, coordinate_at_10_mm):
+    settings = grbl.settings_of(["$110=600", "$120=10", "$130=150", *more], "X")
+
+    assert settings.coordinate(0.010) == pytest.approx(coordinate_at_10_mm)
+    assert settings.position(coordinate_at_10_mm) == pytest.approx(0.010)
