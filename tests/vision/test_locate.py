@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from tests.vision.plate import plate_picture, small_rig
 
 from fixel.vision.locate import TagLocator, fitted_pose
-from tests.vision.plate import plate_picture, small_rig
 
 RIG = small_rig()
 

@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from tests.web.client import Client
 
 from fixel.web.app import create_app
 from fixel.web.live import LiveView
 from fixel.web.overlay_page import overlay_page
 from fixel.web.record_page import RecordPreview
 from fixel.web.security import HEADERS, WORD_HEADER, Gate
-from tests.web.client import Client
 
 HERE = "http://127.0.0.1:8000"
 GET = (

@@ -6,13 +6,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.workflows.overlay import Overlay, Tolerance, watch, write_picture
-from tests.vision.plate import plate_picture, small_rig
 
 RIG = small_rig()
 WANTED = (0.11, -0.01, 0.35)
@@ -136,7 +136,7 @@ def test_a_mirrored_picture():
 
 def test_a_rig_that_knows_none_of_the_parts():
     rig = small_rig(parts={"probe": RIG.parts["object"]})
-    with pytest.raises(InvalidInput, match="marks on probe, expected .*object, actuator"):
+    with pytest.raises(InvalidInput, match=r"marks on probe, expected .*object, actuator"):
         Overlay(rig, SCENE)
 
 
@@ -174,11 +174,12 @@ def test_watching_shows_every_frame():
                 for dx in (0.01, 0.005, 0.0)]  # fmt: skip
     shown = []
     frames = (Frame(0.1 * k, picture) for k, picture in enumerate(pictures))
-    last = watch(Overlay(RIG, SCENE, TOLERANCE), frames, lambda draw, status: shown.append(status))
+    overlay = Overlay(RIG, SCENE, TOLERANCE)
+    *_, last = watch(overlay, frames, lambda draw, status: shown.append(status))
     assert [status["state"] for status in shown] == ["off", "off", "placed"]
     errors = [status["parts"][0]["distance_mm"] for status in shown]
     assert errors == sorted(errors, reverse=True)
-    assert last is not None and last.placed
+    assert last.placed
 
 
 def test_a_picture_is_written_as_it_is(tmp_path):

@@ -106,7 +106,7 @@ def _key(mark: Any) -> Any:
 def _detector(family: str) -> Any:
     cv2 = vision_library()
     parameters = cv2.aruco.DetectorParameters()
-    # Lines along whole sides: what refines single corners is pulled aside by the cells next to them.
+    # Lines along whole sides: single corners are pulled aside by the cells next to them.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
     return cv2.aruco.ArucoDetector(dictionary, parameters)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Protocol, final
 
 import numpy as np
 
+from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
+from fixel.exchange.scene_file import load_scene
 from fixel.model import Body, Fixel, Pusher, Scene
 from fixel.model.fields import FloatArray, positive
 from fixel.model.trajectory import wrapped
+from fixel.testbed.frame_queue import FrameQueue
+from fixel.testbed.frame_source import FrameSource
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.locate import Located, TagLocator
 from fixel.vision.marks import Rig
@@ -23,6 +28,11 @@ from fixel.workflows.overlay_drawing import draw_look
 
 ACTUATOR_HEIGHT: Final = 0.03  # [m] of one that the rig does not know
 LOOKS_BETWEEN_FLIPS: Final = 10  # a mirrored picture is looked for in every so many without a mark
+TRIES: Final = 10  # pictures that one look may take
+HELD: Final = 2  # pictures that wait; of a live camera the older of them are late
+BETWEEN_SIGNS: Final = 0.2  # [s] of waiting for a picture before looking whether there will be any
+
+Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
 
 
 @final
@@ -314,11 +324,49 @@ class Overlay:
         return ["The picture is mirrored: turn mirroring off in the settings of the camera"]
 
 
-def watch(
-    overlay: Overlay,
-    frames: Iterable[Frame],
-    show: Callable[[Callable[[], Picture], dict[str, Any]], None],
-) -> Look | None:
+def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
+    """The scene of a file, or of a stored experiment.
+
+    Raises
+    ------
+    InvalidInput
+        Neither or both are given, or not all is known of what was on the plate.
+    """
+    if (path is None) == (key is None):
+        raise InvalidInput(
+            "fixel overlay",
+            found="both a scene and an experiment" if path else "neither scene nor experiment",
+            expected="a scene file, or --experiment with the name of a stored one",
+        )
+    if path is not None:
+        return load_scene(path).scene
+    with Project.open(project).store() as store:
+        experiment = store.experiment(store.find(str(key)))
+    if experiment.scene is None:
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found="no scene: not all is known of what was on the plate",
+            expected="an experiment with a scene",
+        )
+    return experiment.scene
+
+
+def frames_of(source: FrameSource, live: bool) -> Iterator[Frame]:
+    """Pictures of an open source as they are wanted now: of a live one only ever the newest."""
+    queue = FrameQueue(source, live=live, held=HELD)
+    queue.start()
+    try:
+        while not queue.over:
+            arrived = queue.get(BETWEEN_SIGNS)
+            while live and (newer := queue.get(0.0)) is not None:
+                arrived = newer
+            if arrived is not None:
+                yield Frame(arrived.time, arrived.picture())
+    finally:
+        queue.close()
+
+
+def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:
     """Look at frames until they end, and show each with its outlines.
 
     Parameters
@@ -329,16 +377,36 @@ def watch(
         Told a function that draws the picture, to be called only if somebody looks, and the status:
         `LiveView.show`.
 
-    Returns
-    -------
-    Look or None
-        The last; None without any frame.
+    Yields
+    ------
+    Look
+        After it was shown.
     """
-    look = None
     for frame in frames:
         look = overlay.look(frame.picture)
         show(partial(overlay.drawn, frame.picture, look), look.summary())
-    return look
+        yield look
+
+
+def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]:
+    """The first picture that shows all that has marks, of a few; else the last of them.
+
+    Raises
+    ------
+    InvalidInput
+        No picture at all, or one that nothing can be measured in.
+    """
+    answer = None
+    for frame in islice(frames, TRIES):
+        look = overlay.look(frame.picture)
+        answer = frame.picture, look
+        if all(part.measured is not None for part in look.checked):
+            break
+    if answer is None:
+        raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
+    if answer[1].problems:
+        raise InvalidInput(answer[1].problems[0])
+    return answer
 
 
 def write_picture(path: Path, picture: Picture) -> None:
