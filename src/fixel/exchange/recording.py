@@ -115,8 +115,8 @@ class Recording:
         for k, packet in enumerate(packets(self.video)):
             if k == self.n_frames:
                 return
-            picture = decoder.picture(packet.data)
-            if picture is None:
+            frame = decoder.frame(float(self.time[k]), packet.data)
+            if frame is None:
                 width, height = self.header.size
                 raise InvalidInput(
                     f"{self.video}, frame {k}",
@@ -124,7 +124,7 @@ class Recording:
                     expected=f"a picture of {width} x {height} pixels",
                     hint="the camera sent it so",
                 )
-            yield Frame(float(self.time[k]), picture)
+            yield frame
 
 
 class _Check(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.exchange.recording_rows import MICRO
-from fixel.vision.frame import Picture
+from fixel.vision.frame import Frame, Picture
 
 if TYPE_CHECKING:
     import av
@@ -186,9 +186,11 @@ class PictureDecoder:
         self._codec.thread_count = 1
         self._size = size
 
-    def picture(self, data: bytes) -> Picture | None:
-        """(height, width, 3) uint8, or None where there is no picture in it."""
+    def frame(self, time: float, data: bytes) -> Frame | None:
+        """The frame in a packet, None where there is no picture of this size in it."""
         import av
+
+        from fixel.exchange.video_planes import DecodedPlanes
 
         try:
             decoded = self._codec.decode(av.Packet(data))
@@ -196,4 +198,4 @@ class PictureDecoder:
             return None
         if len(decoded) != 1 or (decoded[0].width, decoded[0].height) != self._size:
             return None
-        return np.asarray(decoded[0].to_ndarray(format="bgr24"), dtype=np.uint8)
+        return Frame(time, planes=DecodedPlanes(decoded[0]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
 
 import numpy as np
@@ -47,7 +47,7 @@ class Sighting:
     pose: FloatArray | None = None
     residual: float = 0.0
     scale: float = 0.0
-    sd: FloatArray = np.zeros(3)  # noqa: RUF009 -- never written to
+    sd: FloatArray = field(default_factory=lambda: np.zeros(3))
     marks: int = 0
     share: float = 0.0
     reason: str = ""

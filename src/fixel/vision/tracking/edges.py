@@ -19,6 +19,7 @@ from fixel.vision.frame import Gray
 STEP: Final = 0.5  # [px] between readings along a normal
 WINDOW: Final = 2.6  # [px] to either side of an edge that its rise is looked for in
 SHIFTS: Final = 4  # of that window onto the centre of what is in it
+BESIDE: Final = 2.5  # [px] from an edge to where its dark and its bright side are judged
 LEAST_RISE: Final = 12.0  # of brightness, of 255, below which nothing is an edge
 
 
@@ -45,7 +46,7 @@ class Found(NamedTuple):
     offset : (n,) float64
         Of the edge along its normal [px].
     dark, bright : (n,) float64
-        Brightness at the ends of what was read.
+        Brightness a little to either side of it.
     clear : (n,) bool
         Whether there is an edge at all, well inside what was read.
     """
@@ -94,9 +95,16 @@ def find_edges(picture: Gray, line: EdgeLine, reach: float) -> Found:
     inside = np.abs(centre) <= reach - 0.5 * WINDOW
     on_picture = _within(line.pixel, picture.shape, 1.0)
     edge = np.asarray(total > LEAST_RISE)
-    return Found(
-        centre, profile[:, :2].mean(1), profile[:, -2:].mean(1), edge & inside & on_picture
-    )
+    dark, bright = (_level(profile, centre + side) for side in (-BESIDE, BESIDE))
+    return Found(centre, dark, bright, edge & inside & on_picture)
+
+
+def _level(profile: FloatArray, place: FloatArray) -> FloatArray:
+    """(n,) brightness of profiles at places along them."""
+    n, m = profile.shape
+    index = np.clip(np.rint(place / STEP + (m - 1) / 2).astype(np.intp), 1, m - 2)
+    row = np.arange(n)
+    return np.asarray((profile[row, index - 1] + profile[row, index] + profile[row, index + 1]) / 3)
 
 
 def _strongest(rise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

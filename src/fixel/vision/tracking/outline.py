@@ -84,6 +84,7 @@ def fit_pose(
     reach: float,
     turns: bool = True,
     rounds: int = 4,
+    corner: tuple[int, int] = (0, 0),
 ) -> Fit | None:
     """Move a pose until the edges lie where the picture has them.
 
@@ -100,6 +101,8 @@ def fit_pose(
         Whether the angle is looked for too.
     rounds : int
         Looks at the picture, at most.
+    corner : (int, int)
+        Where the upper left of `picture` is in the camera's, if it is a window of that [px].
 
     Returns
     -------
@@ -110,7 +113,7 @@ def fit_pose(
     for round_ in range(rounds):
         line, slope = _expected(camera, edges, pose)
         look = reach if round_ == 0 else min(reach, NEAR)
-        found = find_edges(picture, line, look)
+        found = find_edges(picture, line._replace(pixel=line.pixel - corner), look)
         usable = found.clear & _plausible(found, edges.group)
         solved = _solved(slope[:, :n_unknown], found.offset, usable)
         if solved is None:
@@ -123,6 +126,18 @@ def fit_pose(
         if round_ > 0 and np.abs(slope[:, :n_unknown] @ step).max() < SETTLED:
             break
     return fit
+
+
+def circle_edges(radius: float, height: float, *, dark_inside: bool, points: int = 40) -> Edges:
+    """Points on a circle about the origin."""
+    angle = 2.0 * np.pi * np.arange(points) / points
+    outward = np.column_stack((np.cos(angle), np.sin(angle)))
+    return Edges(
+        point=radius * outward,
+        outward=outward if dark_inside else -outward,
+        height=np.full(points, height),
+        group=np.zeros(points, dtype=np.int64),
+    )
 
 
 def _expected(camera: Camera, edges: Edges, pose: FloatArray) -> tuple[EdgeLine, FloatArray]:
