@@ -147,7 +147,7 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     [
         (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
         (["--rig", "thesis-tags"], "neither scene nor experiment"),
-        (["scene.yaml", "--rig", "microscope"], "marks on no part"),
+        (["scene.yaml", "--rig", "microscope"], "knows part, probe"),
         (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
         (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
         (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),

@@ -17,7 +17,8 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
     from fixel.vision.marks import Rig
-    from fixel.workflows.overlay import Look, Overlay, Tolerance
+    from fixel.workflows.overlay import Overlay
+    from fixel.workflows.overlay_look import Look, Tolerance
 
 HERE = Path()
 NOT_IN_PLACE = 4
@@ -126,7 +127,7 @@ def _errors(look: "Look") -> list[str]:
     for part in look.checked:
         error = part.error
         if error is None:
-            rows.append((part.name, "-", "-", "-", "not seen"))
+            rows.append((part.name, "-", "-", "-", f"not seen: {part.reason}"))
             continue
         x, y, turn = 1e3 * error[0], 1e3 * error[1], degrees(error[2])
         verdict = "in place" if part.within else "off"
@@ -146,7 +147,7 @@ def _next(look: "Look", rig: str) -> str:
 
 
 def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
-    from fixel.workflows.overlay import Tolerance
+    from fixel.workflows.overlay_look import Tolerance
 
     return Tolerance(
         distance=rig.position_tolerance if mm is None else 1e-3 * mm,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.vision.frame import Gray, Picture
-from fixel.vision.outlines import vision_library
+from fixel.vision.opencv import opencv
 
 BEGIN: Final = b"\xff\xd8"
 END: Final = b"\xff\xd9"
@@ -33,12 +33,12 @@ def jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 def decoded(data: bytes) -> Picture:
     """(height, width, 3) uint8, blue, green, red."""
-    return _decoded(data, vision_library().IMREAD_COLOR)
+    return _decoded(data, opencv().IMREAD_COLOR)
 
 
 def decoded_small(data: bytes) -> Gray:
     """(height / 8, width / 8) uint8 of brightness: the decoder averages 8 x 8 pixels."""
-    return _decoded(data, vision_library().IMREAD_REDUCED_GRAYSCALE_8)
+    return _decoded(data, opencv().IMREAD_REDUCED_GRAYSCALE_8)
 
 
 def shrunk(picture: Picture | None) -> Gray:
@@ -52,7 +52,7 @@ def shrunk(picture: Picture | None) -> Gray:
 
 
 def _decoded(data: bytes, how: int) -> Picture:
-    pixels = vision_library().imdecode(np.frombuffer(data, np.uint8), how) if data else None
+    pixels = opencv().imdecode(np.frombuffer(data, np.uint8), how) if data else None
     if pixels is None:
         raise InvalidInput("picture", found="JPEG data that cannot be decoded", expected="JPEG")
     return np.asarray(pixels, dtype=np.uint8)

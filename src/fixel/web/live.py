@@ -14,7 +14,7 @@ from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from fixel.errors import InvalidInput
 from fixel.vision.frame import Picture
-from fixel.vision.outlines import vision_library
+from fixel.vision.opencv import opencv
 
 BOUNDARY: Final = "fixel"
 HEARTBEAT: Final = 1.0  # [s] between two signs of life when nothing changes
@@ -39,7 +39,7 @@ class Drawing:
             return self._jpeg
 
     def _compressed(self) -> bytes:
-        cv2 = vision_library()
+        cv2 = opencv()
         picture = self._picture() if callable(self._picture) else self._picture
         done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
         if not done:

@@ -20,7 +20,7 @@ from fixel.vision.outlines import (
 )
 
 if TYPE_CHECKING:
-    from fixel.workflows.overlay import Look, PartLook
+    from fixel.workflows.overlay_look import Look, PartLook
 
 WANTED: Final = bgr(TRAIL)
 ACTUATOR: Final = bgr(PUSHER)
@@ -110,7 +110,7 @@ def _words(canvas: Picture, look: Look) -> None:
 def _line(part: PartLook) -> str:
     error = part.error
     if error is None:
-        return f"{part.name}: not seen"
+        return f"{part.name}: not seen, {part.reason}"
     x, y, turn = 1e3 * error[0], 1e3 * error[1], np.degrees(error[2])
     verdict = "in place" if part.within else "off"
     return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, angle {turn:+.2f} deg, {verdict}"

@@ -3,7 +3,6 @@ import { at, follow, list, verdict, write } from "./live.js";
 const MARKS = { placed: "\u2713", off: "\u2192", "not-seen": "?", trouble: "!" };
 
 const signed = (value, digits) => {
-  if (value === null) return "\u2013";
   const text = Math.abs(value).toFixed(digits);
   if (Number(text) === 0) return text;
   return (value < 0 ? "\u2212" : "+") + text;
@@ -20,11 +19,17 @@ function row(part) {
   node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
   const name = cell(part.name, "th");
   name.scope = "row";
-  const words = part.seen ? (part.within ? "\u2713 in place" : "\u2717 off") : "? not seen";
+  if (!part.seen) {
+    const reason = cell(part.reason, "td");
+    reason.colSpan = 3;
+    reason.className = "reason";
+    node.append(name, reason, cell("? not seen"));
+    return node;
+  }
   node.append(
     name,
     cell(signed(part.dx_mm, 2)), cell(signed(part.dy_mm, 2)), cell(signed(part.angle_deg, 2)),
-    cell(words),
+    cell(part.within ? "\u2713 in place" : "\u2717 off"),
   );
   return node;
 }
@@ -55,4 +60,5 @@ follow((status) => {
   guide(status.parts.find((part) => part.name === status.to_place), within);
   at("parts").replaceChildren(...status.parts.map(row));
   list("problems", status.problems);
+  list("remarks", status.remarks);
 });
