@@ -1,6 +1,6 @@
 import { at, follow, list, verdict, write } from "./live.js";
 
-const MARKS = { placed: "\u2713", off: "\u2192", "not-seen": "?", trouble: "!" };
+const MARKS = { placed: "\u2713", off: "\u2717", "not-seen": "?", trouble: "!" };
 
 const signed = (value, digits) => {
   const text = Math.abs(value).toFixed(digits);
@@ -57,7 +57,8 @@ follow((status) => {
   verdict(status.state, MARKS[status.state] ?? "", status.sentence);
   const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
   write("tolerance", `${within.mm} mm, ${within.deg} deg`);
-  guide(status.parts.find((part) => part.name === status.to_place), within);
+  const part = status.parts.find((one) => one.name === status.to_place);
+  guide(status.state === "trouble" ? null : part, within);
   at("parts").replaceChildren(...status.parts.map(row));
   list("problems", status.problems);
   list("remarks", status.remarks);
