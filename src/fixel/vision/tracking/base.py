@@ -10,9 +10,11 @@ from typing import ClassVar, Final, final
 import numpy as np
 
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Shape
+from fixel.model import Body, Pusher
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
+
+Thing = Body | Pusher
 
 FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
 
@@ -71,18 +73,19 @@ class AbstractTracking(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def parts(self, rig: Rig, shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Names of the parts it can follow."""
 
     @abstractmethod
-    def follow(self, rig: Rig, shapes: Mapping[str, Shape]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film.
 
         Parameters
         ----------
         rig : Rig
-        shapes : dict of str to Shape
-            Outlines of the parts, in their own frames, where the scene tells them.
+        things : dict of str to Thing
+            Bodies and pushers of the scene, where there is one: what outlines they have, and about
+            how they lie at the start.
 
         Raises
         ------

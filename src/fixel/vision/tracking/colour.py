@@ -10,8 +10,8 @@ from fixel.kernels.arrays import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray, Picture
 from fixel.vision.marks import Sticker
+from fixel.vision.opencv import opencv
 from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose
-from fixel.vision.tracking.tag_reader import opencv
 
 # Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
 HUES: Final = {

@@ -10,10 +10,10 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Scene, Shape
+from fixel.model import Scene
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting
+from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
 from fixel.vision.tracking.checks import (
     MOVED,
     plate_offsets,
@@ -69,7 +69,7 @@ def track(
         Pictures of another size than the rig's camera, mirrored or turned ones, a camera that was
         moved, a part that shows in no frame, or no frame at all.
     """
-    shapes = {} if scene is None else shapes_of(scene)
+    things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []
     finder: FixelFinder | None = None
     sightings: dict[str, list[Sighting]] = {}
@@ -79,7 +79,7 @@ def track(
     for index, frame in enumerate(frames):
         if index == 0:
             rig, remarks = _checked(rig, frame, register=register)
-            names, followers = followers_of(rig, shapes, method)
+            names, followers = followers_of(rig, things, method)
             sightings = {name: [] for name in names}
             finder = FixelFinder(rig, scene.fixels) if scene is not None else None
         times.append(frame.time)
@@ -107,10 +107,10 @@ def track(
     )
 
 
-def shapes_of(scene: Scene) -> dict[str, Shape]:
-    """Outlines of bodies and pushers, by name."""
-    bodies = {body.name: body.shape for body in scene.bodies}
-    return bodies | {pusher.name: pusher.shape for pusher in scene.pushers}
+def things_of(scene: Scene) -> dict[str, Thing]:
+    """Bodies and pushers, by name."""
+    bodies: dict[str, Thing] = {body.name: body for body in scene.bodies}
+    return bodies | {pusher.name: pusher for pusher in scene.pushers}
 
 
 def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
@@ -126,23 +126,23 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
 
 
 def followers_of(
-    rig: Rig, shapes: Mapping[str, Shape], method: str | AbstractTracking
+    rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
 ) -> tuple[tuple[str, ...], list[AbstractFollower]]:
     """Which parts are followed, and by what."""
     if method != AUTO:
         chosen = METHODS.get(method) if isinstance(method, str) else method
         if chosen is None:
             raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
-        follower = chosen.follow(rig, shapes)
-        return chosen.parts(rig, shapes), [follower]
+        follower = chosen.follow(rig, things)
+        return chosen.parts(rig, things), [follower]
     names: list[str] = []
     followers = []
     for member in METHODS.values():
         left = {name: part for name, part in rig.parts.items() if name not in names}
         own = replace(rig, parts=left)
-        found = member.parts(own, shapes)
+        found = member.parts(own, things)
         if found:
-            followers.append(member.follow(own, shapes))
+            followers.append(member.follow(own, things))
             names += found
     if not names:
         raise InvalidInput(

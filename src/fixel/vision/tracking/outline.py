@@ -7,11 +7,11 @@ The pose is planar: what moves on the plate cannot flip.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import BoolArray, Comparable
@@ -21,6 +21,9 @@ from fixel.vision.tracking.edges import EdgeLine, Found, find_edges
 
 NUDGE: Final = 1e-5  # [m], for derivatives of pixels by places
 ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
+ROUNDS: Final = 8  # of weighting, at most
+SAME: Final = 0.01  # [px] of change between them that ends it
+OPEN: Final = 1e-3  # least over largest eigenvalue, below which the edges tell no pose
 LEAST_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
 LEVEL: Final = 0.35  # how far from the usual, as a share of the contrast, brightness may be
 LEAST_SHARE: Final = 0.25  # of all points that must show an edge
@@ -189,31 +192,47 @@ def _plausible(found: Found, group: np.ndarray[tuple[int], np.dtype[np.int64]]) 
 def _solved(
     slope: FloatArray, offset: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, FloatArray, float, BoolArray] | None:
-    """Step of the pose, its covariance, scatter and the edges used; or none."""
+    """Step of the pose, its covariance, scatter and the edges used; or none.
+
+    Weights of Cauchy find the edges that agree, whatever the others are; these alone then count.
+    """
     n = slope.shape[1]
     if usable.mean() < LEAST_SHARE or usable.sum() < 2 * n + 2:
         return None
-    scale = np.array([1.0, 1.0, np.abs(slope[:, -1]).max() / np.abs(slope[:, :2]).max()])[:n]
-    rows = slope / scale
-    used = usable
-    step = np.zeros(n)
-    scatter = np.inf
-    for _ in range(4):
-        a, b = rows[used], offset[used]
-        normal = a.T @ a
-        if np.linalg.eigvalsh(normal)[0] < 1e-3 * np.trace(normal):
+    size = np.abs(slope).max(axis=0)
+    rows, right = slope[usable] / size, offset[usable]
+    weight = np.ones(len(right))
+    scatter = LEAST_SCATTER
+    rest = right
+    for _ in range(ROUNDS):
+        step = _least_squares(rows, right, weight)
+        if step is None:
             return None
-        step = np.asarray(cho_solve(cho_factor(normal), a.T @ b))
-        rest = offset - rows @ step
-        scatter = max(1.4826 * float(np.median(np.abs(rest[used]))), LEAST_SCATTER)
-        kept = usable & (np.abs(rest) < ROBUST * scatter)
-        if kept.sum() < 2 * n + 2:
-            return None
-        if (kept == used).all():
+        before, rest = rest, right - rows @ step
+        scatter = max(1.4826 * float(np.median(np.abs(rest))), LEAST_SCATTER)
+        if np.abs(rest - before).max() < SAME:
             break
-        used = kept
-    a, rest = rows[used], (offset - rows @ step)[used]
-    residual = float(np.sqrt(np.mean(rest**2)))
+        weight = 1.0 / (1.0 + (rest / scatter) ** 2)
+    kept = np.abs(rest) < ROBUST * scatter
+    step = _least_squares(rows[kept], right[kept], None) if kept.sum() >= 2 * n + 2 else None
+    if step is None:
+        return None
+    rest = right[kept] - rows[kept] @ step
+    residual = math.sqrt(float(rest @ rest) / len(rest))
     variance = max(residual, LEAST_SCATTER) ** 2
-    covariance = variance * np.linalg.inv(a.T @ a) / np.outer(scale, scale)
-    return step / scale, covariance, residual, used
+    covariance = variance * np.linalg.inv(rows[kept].T @ rows[kept]) / np.outer(size, size)
+    used = usable.copy()
+    used[usable] = kept
+    return step / size, covariance, residual, used
+
+
+def _least_squares(
+    rows: FloatArray, right: FloatArray, weight: FloatArray | None
+) -> FloatArray | None:
+    """Solution of an overdetermined system; none where the rows leave something open."""
+    weighted = rows if weight is None else rows * weight[:, None]
+    normal = weighted.T @ rows
+    spread = np.linalg.eigvalsh(normal)
+    if spread[0] < OPEN * spread[-1]:
+        return None
+    return np.asarray(np.linalg.solve(normal, weighted.T @ right))

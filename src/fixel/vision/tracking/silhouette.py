@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, final
+from typing import ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,21 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape
 from fixel.model.shape import placed
+from fixel.model.trajectory import wrapped
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig
+from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
     Prediction,
     Sighting,
+    Thing,
     vague,
 )
+from fixel.vision.tracking.needle import NeedleFollower
 from fixel.vision.tracking.outline import Edges, fit_pose
-from fixel.vision.tracking.tag_reader import opencv
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
@@ -33,6 +36,7 @@ REACH: Final = 8.0  # [px] from where an outline is expected
 REACH_FIRST: Final = 20.0  # [px] from where moments put it
 MOST_RESIDUAL: Final = 0.7  # [px]
 LEAST_SHARE: Final = 0.3
+ALIKE: Final = 0.1  # [-] of shares and [px] of residuals, that do not tell two poses apart
 NEEDLE: Final = 0.3  # of the part's narrower side: what is thinner is taken for the probe
 CONTRAST: Final = 25.0  # of 255 between part and field
 AREA: Final = (0.6, 1.5)  # of what it should be, for what might be the part
@@ -57,14 +61,14 @@ class Silhouette(AbstractTracking):
 
     name: ClassVar[str] = "silhouette"
 
-    def parts(self, rig: Rig, shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those without marks whose outline is known; the larger one is the part."""
-        bare = [name for name in rig.parts if not rig.parts[name].marks and name in shapes]
-        return tuple(sorted(bare, key=lambda name: -shapes[name].area))
+        bare = [name for name in rig.parts if not rig.parts[name].marks and name in things]
+        return tuple(sorted(bare, key=lambda name: -things[name].shape.area))
 
-    def follow(self, rig: Rig, shapes: Mapping[str, Shape]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
-        names = self.parts(rig, shapes)
+        names = self.parts(rig, things)
         if not names:
             raise InvalidInput(
                 f"rig {rig.name!r}",
@@ -78,32 +82,38 @@ class Silhouette(AbstractTracking):
                 found=f"{len(names)} parts without marks",
                 expected="a part and a probe: more outlines cannot be told apart",
             )
-        return _SilhouetteFollower(rig, {name: shapes[name] for name in names})
+        return _SilhouetteFollower(rig, {name: things[name] for name in names})
 
 
 @final
 class _SilhouetteFollower(AbstractFollower):
-    def __init__(self, rig: Rig, shapes: Mapping[str, Shape]) -> None:
-        part, *probe = shapes
-        self._camera = rig.camera
-        self._part = _Outlined(rig, part, shapes[part], turns=True)
-        self._probe = _Outlined(rig, probe[0], shapes[probe[0]], turns=False) if probe else None
+    def __init__(self, rig: Rig, things: Mapping[str, Thing]) -> None:
+        part, *probe = things
+        self._part = _Outlined(rig, part, things[part])
+        self._probe = (
+            NeedleFollower(
+                camera=rig.camera,
+                name=probe[0],
+                shape=things[probe[0]].shape,
+                height=rig.parts[probe[0]].height,
+            )
+            if probe
+            else None
+        )
 
     def see(self, frame: Frame) -> dict[str, Sighting]:
-        picture = frame.luma
         part = self._part.followed(frame)
         dark: NDArray[np.uint8] | None = None
         if part.pose is None:
-            dark = _dark(picture)
+            dark = _dark(frame.luma)
             part = self._part.found(frame, dark)
         sights = {self._part.name: part}
         if self._probe is not None:
-            probe = self._probe.followed(frame)
-            if probe.pose is None and part.pose is not None:
-                dark = _dark(picture) if dark is None else dark
-                probe = self._probe.found_beside(frame, dark, self._part, part.pose)
-            elif probe.pose is None:
-                probe = Sighting(reason="where the part is was not found")
+            outline = None if part.pose is None else self._part.in_picture(part.pose)
+            probe = self._probe.see(frame, outline, None)
+            if probe.pose is None and outline is not None:
+                dark = _dark(frame.luma) if dark is None else dark
+                probe = self._probe.see(frame, outline, _without(dark, outline))
             sights[self._probe.name] = probe
         return sights
 
@@ -112,34 +122,34 @@ class _SilhouetteFollower(AbstractFollower):
 class _Outlined:
     """One outline, from frame to frame."""
 
-    def __init__(self, rig: Rig, name: str, shape: Shape, *, turns: bool) -> None:
+    def __init__(self, rig: Rig, name: str, thing: Thing) -> None:
         self.name = name
         self._camera: Camera = rig.camera
-        self._shape = shape
+        self._shape = thing.shape
+        self._angle = float(thing.pose[2])
         self._height = rig.parts[name].height
-        self._turns = turns
         self._scale = rig.camera.metres_per_pixel(self._height)
-        self._edges = outline_edges(shape, self._height, CORNER * self._scale)
+        self._edges = outline_edges(thing.shape, self._height, CORNER * self._scale)
         self._prediction = Prediction()
 
     def followed(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
         if expected is None:
             return Sighting(reason="not found yet")
-        return self._fitted(frame, expected, REACH)
+        sight = self._fitted(frame, expected, REACH)
+        if sight.pose is not None:
+            self._prediction.seen(frame.time, sight.pose)
+        return sight
 
     def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
-        fit = fit_pose(
-            frame.luma, self._camera, self._edges, pose, reach=reach, turns=self._turns, rounds=6
-        )
-        if fit is None or fit.share < LEAST_SHARE * (1.0 if self._turns else 0.5):
+        fit = fit_pose(frame.luma, self._camera, self._edges, pose, reach=reach, rounds=6)
+        if fit is None or fit.share < LEAST_SHARE:
             return Sighting(reason=f"too little of the outline of {self.name} shows")
         if fit.residual > MOST_RESIDUAL:
             return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
         sd = np.sqrt(np.diag(fit.covariance))
         if vague(sd, self._scale):
             return Sighting(reason=f"too little of the outline of {self.name} shows")
-        self._prediction.seen(frame.time, fit.pose)
         return Sighting(
             pose=fit.pose,
             residual=fit.residual,
@@ -157,12 +167,26 @@ class _Outlined:
         best = Sighting(reason="nothing in the picture has its outline")
         for start in self._starts(blob):
             sight = self._fitted(frame, start, REACH_FIRST)
-            if sight.pose is not None and (best.pose is None or _better(sight, best)):
+            if sight.pose is not None and self._better(sight, best):
                 best = sight
-        if best.pose is not None:  # trials have left their traces
-            self._prediction = Prediction()
+        self._prediction = Prediction()
+        if best.pose is not None:
             self._prediction.seen(frame.time, best.pose)
         return best
+
+    def _better(self, sight: Sighting, best: Sighting) -> bool:
+        """Whether a pose fits better; of two that fit alike, the one nearer to the scene's."""
+        if best.pose is None or sight.pose is None:
+            return best.pose is None
+        gain = (sight.share - sight.residual) - (best.share - best.residual)
+        if abs(gain) > ALIKE:
+            return gain > 0.0
+        off = [abs(float(wrapped(pose[2] - self._angle))) for pose in (sight.pose, best.pose)]
+        return off[0] < off[1]
+
+    def in_picture(self, pose: FloatArray) -> FloatArray:
+        """(n, 2) the outline at a pose [px]."""
+        return self._camera.project_at(placed(self._shape.outline, pose), self._height)
 
     def _blob(self, dark: NDArray[np.uint8]) -> tuple[NDArray[np.bool_] | None, str]:
         """Pixels of the part, without those of a needle."""
@@ -182,7 +206,7 @@ class _Outlined:
         return labels == own[0], ""
 
     def _starts(self, blob: NDArray[np.bool_]) -> list[FloatArray]:
-        """Poses that give the outline the same ellipse: there are two, half a turn apart."""
+        """Poses that give the outline the same ellipse: two, half a turn apart."""
         rows, columns = np.nonzero(blob)
         step = max(len(rows) // 4000, 1)
         pixels = np.column_stack((columns, rows))[::step].astype(np.float64)
@@ -195,45 +219,6 @@ class _Outlined:
             pose[:2] = seen.mean(0) - placed(own.mean(0), pose)
             starts.append(pose)
         return starts
-
-    def found_beside(
-        self, frame: Frame, dark: NDArray[np.uint8], part: _Outlined, pose: FloatArray
-    ) -> Sighting:
-        """The probe: what is dark, is not the part, and reaches the border."""
-        cv2 = opencv()
-        outline = self._camera.project_at(placed(part._shape.outline, pose), part._height)
-        rest = dark.copy()
-        corners = np.rint(outline).astype(np.int32)
-        cv2.fillPoly(rest, [corners], 0)
-        cv2.polylines(rest, [corners], True, 0, thickness=5)
-        n, labels, boxes, _ = cv2.connectedComponentsWithStats(rest)
-        height, width = rest.shape
-        at_border = [
-            k
-            for k in range(1, n)
-            if boxes[k][0] == 0
-            or boxes[k][1] == 0
-            or boxes[k][0] + boxes[k][2] == width
-            or boxes[k][1] + boxes[k][3] == height
-        ]
-        if not at_border:
-            return Sighting(reason="no probe reaches into the picture")
-        probe = max(at_border, key=lambda k: int(boxes[k][4]))
-        tip = _tip(labels == probe)
-        centre = self._camera.on_plane(tip, self._height)
-        back = self._camera.on_plane(_root(labels == probe), self._height)
-        away = (centre - back) / max(float(np.hypot(*(centre - back))), 1e-12)
-        size = self._shape.radius
-        best = Sighting(reason="the tip of the probe does not show")
-        for shift in (0.0, 0.5, 1.0):
-            start = np.append(centre - shift * size * away, 0.0)
-            sight = self._fitted(frame, start, REACH)
-            if sight.pose is not None and (best.pose is None or _better(sight, best)):
-                best = sight
-        if best.pose is not None:
-            self._prediction = Prediction()
-            self._prediction.seen(frame.time, best.pose)
-        return best
 
 
 def outline_edges(shape: Shape, height: float, corner: float) -> Edges:
@@ -295,21 +280,11 @@ def _dark(picture: Gray) -> NDArray[np.uint8]:
     return np.asarray(mask, dtype=DARK)
 
 
-def _root(mask: NDArray[np.bool_]) -> FloatArray:
-    """(2,) middle of where a thing leaves the picture [px]."""
-    height, width = mask.shape
-    rows, columns = np.nonzero(mask)
-    border = (rows == 0) | (columns == 0) | (rows == height - 1) | (columns == width - 1)
-    return np.array([columns[border].mean(), rows[border].mean()])
-
-
-def _tip(mask: NDArray[np.bool_]) -> FloatArray:
-    """(2,) its place farthest from there [px]."""
-    rows, columns = np.nonzero(mask)
-    root: Any = _root(mask)
-    far = int(np.argmax(np.hypot(columns - root[0], rows - root[1])))
-    return np.array([columns[far], rows[far]], dtype=np.float64)
-
-
-def _better(a: Sighting, b: Sighting) -> bool:
-    return a.share - a.residual > b.share - b.residual
+def _without(dark: NDArray[np.uint8], outline: FloatArray) -> NDArray[np.uint8]:
+    """What is dark beside an outline."""
+    cv2 = opencv()
+    rest = dark.copy()
+    corners = np.rint(outline).astype(np.int32)
+    cv2.fillPoly(rest, [corners], 0)
+    cv2.polylines(rest, [corners], True, 0, thickness=5)
+    return rest

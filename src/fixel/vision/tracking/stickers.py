@@ -11,7 +11,6 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Shape
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
@@ -21,6 +20,7 @@ from fixel.vision.tracking.base import (
     AbstractTracking,
     Prediction,
     Sighting,
+    Thing,
     vague,
 )
 from fixel.vision.tracking.colour import find_patches, fit_sticker
@@ -49,13 +49,13 @@ class Stickers(AbstractTracking):
 
     name: ClassVar[str] = "stickers"
 
-    def parts(self, rig: Rig, shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least two stickers."""
         return tuple(name for name in rig.parts if len(_stickers(rig, name)) >= 2)
 
-    def follow(self, rig: Rig, shapes: Mapping[str, Shape]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
-        names = self.parts(rig, shapes)
+        names = self.parts(rig, things)
         if not names:
             raise InvalidInput(
                 f"rig {rig.name!r}",

@@ -13,6 +13,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import BoolArray
 from fixel.vision.frame import Gray
 from fixel.vision.marks import Tag
+from fixel.vision.opencv import opencv
 
 DICTIONARIES: Final = {
     "apriltag-36h11": "DICT_APRILTAG_36h11",
@@ -23,20 +24,6 @@ DICTIONARIES: Final = {
 CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 TagName = tuple[str, int]
-
-
-def opencv() -> Any:
-    """OpenCV, or a refusal that says how to get it."""
-    try:
-        import cv2
-    except ImportError:
-        raise InvalidInput(
-            "tracking",
-            found="no package opencv-python-headless",
-            expected="it to be installed",
-            hint="pip install 'fixel[vision]'",
-        ) from None
-    return cv2
 
 
 def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArray]]:

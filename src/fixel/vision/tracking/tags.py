@@ -12,7 +12,6 @@ from scipy.ndimage import map_coordinates
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Shape
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
@@ -22,6 +21,7 @@ from fixel.vision.tracking.base import (
     AbstractTracking,
     Prediction,
     Sighting,
+    Thing,
     vague,
 )
 from fixel.vision.tracking.outline import Edges, Fit, fit_pose
@@ -58,15 +58,15 @@ class Tags(AbstractTracking):
 
     name: ClassVar[str] = "tags"
 
-    def parts(self, rig: Rig, shapes: Mapping[str, Shape]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least one tag."""
         return tuple(
             name for name, part in rig.parts.items() if any(isinstance(m, Tag) for m in part.marks)
         )
 
-    def follow(self, rig: Rig, shapes: Mapping[str, Shape]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
-        names = self.parts(rig, shapes)
+        names = self.parts(rig, things)
         if not names:
             raise InvalidInput(
                 f"rig {rig.name!r}",
