@@ -29,6 +29,7 @@ from fixel.cli import (
     jobs,
     overlay,
     project,
+    record,
     replay,
     report,
     sample,
@@ -67,6 +68,8 @@ app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
 app.add_typer(project.testbed, name="testbed")
+app.add_typer(record.app, name="record")
+project.testbed.command("serve")(record.serve)
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")

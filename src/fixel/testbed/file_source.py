@@ -53,11 +53,11 @@ class FileSource(FrameSource):
 
     def frames(self) -> Iterator[Arrived]:
         """Every picture, when it is due."""
-        self.began = time.monotonic()
         zero, last, step = math.nan, 0.0, 0.0
         while not self._stop.is_set():
             for at, arrived in self._played():
-                zero = at if math.isnan(zero) else zero
+                if math.isnan(zero):  # opening it took a moment
+                    zero, self.began = at, time.monotonic()
                 due = self.began + at - zero
                 if not self._wait(due):
                     break

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
@@ -137,6 +138,8 @@ class Recorder:
         Asked again and again; a reason, once somebody wants to end it.
     watch : callable, optional
         Told of pictures and status, ten times a second at most; must not take long.
+    prepare : callable, optional
+        Told of the folder once it is there: to put files into it.
     patience : float
         For how long no picture may come [s].
     """
@@ -151,6 +154,7 @@ class Recorder:
     seating: Seating | None = None
     stop: Stop | None = None
     watch: Watch | None = None
+    prepare: Callable[[Path], None] | None = None
     patience: float = STALLED + 1.0
     _problems: Counter[str] = field(default_factory=Counter, init=False)
     _without: int = field(default=0, init=False)
@@ -177,10 +181,13 @@ class Recorder:
                 codec=self.codec,
                 rig=self.rig,
                 source=self.source.name,
+                started=_utc(first.time),
                 rate=self.stream.rate,
             )
             writer = RecordingWriter(self.folder, header)
             try:
+                if self.prepare is not None:
+                    self.prepare(self.folder)
                 reason = self._record(queue, writer, first)
             except BaseException:
                 writer.abandon()
@@ -313,3 +320,9 @@ class Recorder:
             without_reading=self._without,
             problems=problems,
         )
+
+
+def _utc(instant: float) -> str:
+    """An instant of `time.monotonic` [s] as ISO 8601 in UTC."""
+    ago = timedelta(seconds=time.monotonic() - instant)
+    return (datetime.now(UTC) - ago).isoformat(timespec="milliseconds")
