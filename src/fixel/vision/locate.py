@@ -13,7 +13,7 @@ from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import Sighting
 from fixel.vision.tracking.checks import plate_offsets, refuse_flipped, refuse_moved, refuse_size
 from fixel.vision.tracking.fixels import LEAST, FixelFinder
-from fixel.vision.tracking.follow import AUTO, followers_of, shapes_of
+from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
 # What stays where it is, is looked at in so few frames: camera, plate and fixels.
 NOW_AND_THEN: Final = 10
@@ -64,18 +64,18 @@ class Locator:
     """
 
     def __init__(self, rig: Rig, scene: Scene) -> None:
-        shapes = shapes_of(scene)
-        own = {name: part for name, part in rig.parts.items() if name in shapes}
+        things = things_of(scene)
+        own = {name: part for name, part in rig.parts.items() if name in things}
         if not own:
             raise InvalidInput(
                 f"rig {rig.name!r}",
                 found="it knows " + (", ".join(rig.parts) or "no part"),
-                expected="a part of the scene: " + ", ".join(shapes),
+                expected="a part of the scene: " + ", ".join(things),
                 hint="parts of a rig have the names they have in the scene",
             )
         self.rig = rig
         self._scene = scene
-        self.names, self._followers = followers_of(replace(rig, parts=own), shapes, AUTO)
+        self.names, self._followers = followers_of(replace(rig, parts=own), things, AUTO)
         self._looks = 0
         self._standing = Located()
         self._finder = FixelFinder(rig, scene.fixels)

@@ -100,9 +100,11 @@ def _words(canvas: Picture, look: Look) -> None:
     """The verdict large, then a line for each part, from the upper left."""
     size = max(0.4, canvas.shape[1] / 1600.0)
     step = 42.0 * size
+    lines = [*look.problems, *(_line(part) for part in look.checked), *look.remarks]
+    band = canvas[: round(step * (1.6 + len(lines)))]
+    band[:] = band // 3
     colour = BRIGHT if look.placed else WARNING
     draw_words(canvas, look.sentence, (16.0, step), colour, size=1.5 * size)
-    lines = [*look.problems, *(_line(part) for part in look.checked), *look.remarks]
     for number, line in enumerate(lines):
         draw_words(canvas, line, (16.0, step * (2.1 + number)), STANDING, size=0.8 * size)
 
