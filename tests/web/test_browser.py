@@ -3,6 +3,7 @@
 import os
 import shutil
 
+import numpy as np
 import pytest
 from tests.vision.plate import plate_picture, small_rig
 from tests.workflows.test_overlay import SCENE, TOLERANCE, WANTED
@@ -120,3 +121,21 @@ def test_stop_ends_the_recording(page):
         finished = preview.status(elapsed_s=76.0, frames=2280, lost=2, state="finished")
         preview.show(None, finished)
         page.wait_for_selector('#verdict[data-state="placed"]')
+
+
+def test_the_picture_is_the_newest(page):
+    """A browser that waits for the next picture to show this one would show black."""
+    view = LiveView()
+    with WebServer([overlay_page(view, "light")]) as server:
+        view.show(np.zeros((48, 64, 3), dtype=np.uint8), {})
+        page.goto(server.link)
+        page.wait_for_function("document.querySelector('#picture').naturalWidth === 64")
+        view.show(np.full((48, 64, 3), 250, dtype=np.uint8), {})
+        page.wait_for_function(
+            """() => {
+              const pen = document.createElement("canvas").getContext("2d");
+              pen.drawImage(document.querySelector("#picture"), 0, 0, 1, 1);
+              return pen.getImageData(0, 0, 1, 1).data[0] > 240;
+            }""",
+            timeout=900,  # [ms]: after a second without change the same picture is sent again
+        )

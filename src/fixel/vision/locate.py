@@ -16,7 +16,7 @@ from fixel.vision.tracking.fixels import LEAST, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
 # What stays where it is, is looked at in so few frames: camera, plate and fixels.
-NOW_AND_THEN: Final = 10
+NOW_AND_THEN: Final = 15
 
 
 @final

@@ -17,9 +17,8 @@ from fixel.vision.opencv import opencv
 
 Bgr = tuple[int, int, int]
 
-# A lens bends straight edges: so many pieces a side follow it to a hundredth of a pixel in any
-# picture that is not of a fish-eye.
-PIECES = 8
+# A lens bends straight edges: in so many pieces all together, they follow it.
+PIECES = 32
 # Beyond the corners of the picture a lens model means nothing and may fold back into it.
 FIELD = 1.25  # [-] of the farthest corner
 WIDEST = 20.0  # [-] a direction 87 degrees off the axis
@@ -50,7 +49,8 @@ def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float)
     """
     corners = shape.outline
     following = np.roll(corners, -1, axis=0)
-    share = np.arange(PIECES)[:, None, None] / PIECES
+    pieces = -(-PIECES // len(corners))
+    share = np.arange(pieces)[:, None, None] / pieces
     along = corners + share * (following - corners)
     line = placed(along.transpose(1, 0, 2).reshape(-1, 2), pose)
     return place_pixels(camera, line, height)

@@ -16,7 +16,8 @@ from fixel.errors import InvalidInput
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
-BOUNDARY: Final = "fixel"
+BOUNDARY: Final = "next-picture-of-fixel-7d1f0c5e"
+PART_HEAD: Final = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()
 HEARTBEAT: Final = 1.0  # [s] between two signs of life when nothing changes
 STATUS_PAUSE: Final = 0.05  # [s] least time between two reports: nobody reads faster
 
@@ -153,19 +154,19 @@ class LiveView:
     async def pictures(self) -> AsyncIterator[bytes]:
         """Parts of a `multipart/x-mixed-replace` answer.
 
-        The border is sent right behind each picture: a browser shows a part once it has seen where
-        the next begins.
+        Behind each picture the head of the next is sent at once: Chromium shows a picture when it
+        has read that head, so that each would be one picture late otherwise.
         """
         self._watchers += 1  # of one event loop, so no two at once
         seen, shown = 0, None
         try:
-            yield f"--{BOUNDARY}\r\n".encode()
+            yield PART_HEAD
             while (shot := await self.after(seen, HEARTBEAT)) is not None:
                 silent = shot.number == seen
                 seen = shot.number
                 if shot.drawing is not None and (silent or shot.drawing is not shown):
                     shown = shot.drawing
-                    yield _part(await asyncio.to_thread(shown.jpeg))
+                    yield await asyncio.to_thread(shown.jpeg) + b"\r\n" + PART_HEAD
         finally:
             self._watchers -= 1
 
@@ -205,11 +206,6 @@ class LiveView:
             return JSONResponse(json.loads(self.report))
 
         return router
-
-
-def _part(jpeg: bytes) -> bytes:
-    head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-    return b"".join([head.encode(), jpeg, f"\r\n--{BOUNDARY}\r\n".encode()])
 
 
 def _wake(waiting: list[tuple[asyncio.Event, asyncio.AbstractEventLoop]]) -> None:
