@@ -131,7 +131,8 @@ def _errors(look: "Look") -> list[str]:
             continue
         x, y, turn = 1e3 * error[0], 1e3 * error[1], degrees(error[2])
         verdict = "in place" if part.within else "off"
-        rows.append((part.name, f"{x:+.2f}", f"{y:+.2f}", f"{turn:+.2f}", verdict))
+        angle = "-" if part.round else f"{turn:+.2f}"
+        rows.append((part.name, f"{x:+.2f}", f"{y:+.2f}", angle, verdict))
     allowed = look.tolerance
     return [
         *table(("measured less wanted", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),

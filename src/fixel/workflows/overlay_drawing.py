@@ -115,4 +115,5 @@ def _line(part: PartLook) -> str:
         return f"{part.name}: not seen, {part.reason}"
     x, y, turn = 1e3 * error[0], 1e3 * error[1], np.degrees(error[2])
     verdict = "in place" if part.within else "off"
-    return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, angle {turn:+.2f} deg, {verdict}"
+    angle = "" if part.round else f"angle {turn:+.2f} deg, "
+    return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, {angle}{verdict}"

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from fixel.model import Body, Fixel, Pusher
+from fixel.model import Body, Disk, Fixel, Pusher
 from fixel.model.fields import FloatArray, positive
 from fixel.model.trajectory import wrapped
 from fixel.vision.marks import Rig
@@ -65,6 +65,11 @@ class PartLook:
     def name(self) -> str:
         """Of the part, in the scene."""
         return self.thing.name
+
+    @property
+    def round(self) -> bool:
+        """Whether it shows no angle: a round fixel is turned as it should be, always."""
+        return isinstance(self.thing, Fixel) and isinstance(self.thing.shape, Disk)
 
     @property
     def error(self) -> FloatArray | None:
@@ -132,16 +137,21 @@ class Look:
         return next((part for part in self.checked if not part.within), self.checked[0])
 
     @property
-    def sentence(self) -> str:
-        """What to do, in a few words."""
-        part = self.to_place
-        error = part.error
+    def headline(self) -> str:
+        """The verdict, in words that change only with it."""
         if self.problems:
             return "Cannot measure"
         if self.placed:
             return "In place"
-        if error is None:
-            return f"{part.name} is not seen"
+        return f"{self.to_place.name} is {'not seen' if self.to_place.error is None else 'off'}"
+
+    @property
+    def sentence(self) -> str:
+        """What to do, in a few words."""
+        part = self.to_place
+        error = part.error
+        if self.problems or self.placed or error is None:
+            return self.headline
         push = 1e3 * float(np.hypot(*error[:2])), 1e3 * self.tolerance.distance
         turn = math.degrees(error[2]), math.degrees(self.tolerance.angle)
         way = "clockwise" if error[2] > 0.0 else "counter-clockwise"
@@ -156,6 +166,7 @@ class Look:
         return {
             "state": self.state,
             "placed": self.placed,
+            "headline": self.headline,
             "sentence": self.sentence,
             "to_place": self.to_place.name,
             "tolerance_mm": _rounded(1e3 * self.tolerance.distance),
@@ -183,7 +194,7 @@ class Look:
         return seen | {
             "dx_mm": _rounded(1e3 * error[0]),
             "dy_mm": _rounded(1e3 * error[1]),
-            "angle_deg": _rounded(math.degrees(error[2])),
+            "angle_deg": None if part.round else _rounded(math.degrees(error[2])),
             "distance_mm": _rounded(1e3 * np.hypot(*error[:2])),
         }
 

@@ -3,6 +3,7 @@ import { at, follow, list, verdict, write } from "./live.js";
 const MARKS = { placed: "\u2713", off: "\u2717", "not-seen": "?", trouble: "!" };
 
 const signed = (value, digits) => {
+  if (value === null) return "\u2013";
   const text = Math.abs(value).toFixed(digits);
   if (Number(text) === 0) return text;
   return (value < 0 ? "\u2212" : "+") + text;
@@ -54,7 +55,7 @@ function guide(part, within) {
 }
 
 follow((status) => {
-  verdict(status.state, MARKS[status.state] ?? "", status.sentence);
+  verdict(status.state, MARKS[status.state] ?? "", status.headline);
   const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
   write("tolerance", `${within.mm} mm, ${within.deg} deg`);
   const part = status.parts.find((one) => one.name === status.to_place);
