@@ -127,6 +127,14 @@ def test_events_carry_every_newest_status():
     assert first == 'data: {"n": 1}\n\n'
 
 
+def test_the_last_words_are_heard():
+    view = LiveView()
+    view.show(None, {"problems": ["the camera failed"]})
+    view.close()
+    told = "".join(asyncio.run(take(view.reports(), 3)))
+    assert told.index("the camera failed") < told.index("event: end")
+
+
 def test_a_status_that_is_no_number_is_refused():
     with pytest.raises(ValueError, match="JSON"):
         LiveView().show(None, {"error_mm": float("nan")})

@@ -69,6 +69,13 @@ def test_nor_with_another_cookie(bench):
     assert client.get("/overlay").status_code == 403
 
 
+def test_cookies_of_other_servers_do_no_harm(bench):
+    gate = bench.gate
+    mixed = f'a:b={{"x": 1}}; ; =;{gate.cookie}={gate.session}; x'
+    answer = bench.client(let_in=False).get("/overlay", headers={"cookie": mixed})
+    assert answer.status_code == 200
+
+
 def test_the_token_becomes_a_cookie_and_leaves_the_address(bench):
     client = bench.client(let_in=False, follow_redirects=False)
     answer = client.get(f"/overlay?token={bench.gate.token}&scale=2")

@@ -181,13 +181,18 @@ def _live(
 
     view, look = LiveView(), None
     stream = source.open()
+
+    def end(reason: str) -> None:
+        say(f"The pictures ended: {reason}.")
+        if look is not None:
+            view.show(None, look.summary() | {"problems": [f"The pictures ended: {reason}"]})
+
     with WebServer([overlay_page(view, heading)], port=port) as server:
         say(f"Open {server.link}\nCtrl-C ends.")
         with suppress(KeyboardInterrupt):
-            for look in watch(looks, frames_of(source, stream.live), view.show):
+            for look in watch(looks, frames_of(source, stream.live, end), view.show):
                 if show and sys.stderr.isatty():
                     print(f"\r{look.sentence:<60.60}", end="", file=sys.stderr, flush=True)
-            say(source.ended or "The camera sends no more pictures.")
     if look is None:
         raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
     return look

@@ -178,6 +178,8 @@ class LiveView:
             yield f"data: {shot.report}\n\n" if shot.number > seen else ": still here\n\n"
             seen = shot.number
             await asyncio.sleep(STATUS_PAUSE)
+        if self.newest.number > seen:  # the last words
+            yield f"data: {self.report}\n\n"
         yield "event: end\ndata: {}\n\n"
 
     def router(self) -> APIRouter:

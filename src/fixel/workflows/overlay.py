@@ -128,8 +128,19 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
     return experiment.scene
 
 
-def frames_of(source: FrameSource, live: bool) -> Iterator[Frame]:
-    """Pictures of an open source as they are wanted now: of a live one only ever the newest."""
+def frames_of(
+    source: FrameSource, live: bool, tell: Callable[[str], None] | None = None
+) -> Iterator[Frame]:
+    """Pictures of an open source as they are wanted now: of a live one only ever the newest.
+
+    Parameters
+    ----------
+    source : FrameSource
+    live : bool
+        Whether it goes on without waiting for its reader.
+    tell : callable, optional
+        Told why there are no more, when there are no more.
+    """
     queue = FrameQueue(source, live=live, held=HELD)
     queue.start()
     try:
@@ -139,6 +150,8 @@ def frames_of(source: FrameSource, live: bool) -> Iterator[Frame]:
                 arrived = newer
             if arrived is not None:
                 yield Frame(arrived.time, arrived.picture())
+        if tell is not None:
+            tell(queue.reason)
     finally:
         queue.close()
 
