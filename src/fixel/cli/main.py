@@ -25,6 +25,7 @@ from fixel.cli import (
     doctor,
     domain,
     export,
+    film,
     filter,
     jobs,
     overlay,
@@ -36,6 +37,7 @@ from fixel.cli import (
     sensitivity,
     show,
     simulate,
+    track,
     uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
@@ -55,6 +57,7 @@ app = typer.Typer(
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
 app.command("sample")(sample.sample)
+app.command("track")(track.track)
 app.command("new")(project.new)
 app.command("import")(project.import_)
 app.command("list")(project.list_)
@@ -67,6 +70,7 @@ app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
+project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
 app.add_typer(record.app, name="record")
 project.testbed.command("serve")(record.serve)

@@ -27,7 +27,7 @@ MOST_FRAMES_A_SECOND: Final = 10_000.0
 # decodes fast; `ffv1` is without any loss, of pixels that are stored as they come; `mjpeg` keeps
 # every frame by itself.
 CODECS: Final[dict[str, tuple[str, str, dict[str, str]]]] = {
-    "h264": ("libx264", "yuv420p", {"crf": "16", "preset": "veryfast"}),
+    "h264": ("libx264", "yuv420p", {"crf": "16", "preset": "veryfast", "tune": "fastdecode"}),
     "ffv1": ("ffv1", "bgr0", {"level": "3", "slicecrc": "1"}),
     "mjpeg": ("mjpeg", "yuvj420p", {"qmin": "2", "qmax": "3"}),
 }

@@ -50,8 +50,9 @@ class Occlusion:
         self._begins = first + spare * random.uniform(0.35, 0.6)
         self._ends = min(self._begins + looks.occlusion, last)
         self._heading = 0.5 * np.pi + random.uniform(-0.35, 0.35)
-        self._pixel = pixel_of(rig)
-        self._outline = outline_of(shape, 2.0 * self._pixel).points
+        pixel = pixel_of(rig)
+        self._hand = hand_solid(4.0 * pixel)
+        self._outline = outline_of(shape, 2.0 * pixel).points
         self._ahead: float | None = None
 
     @property
@@ -83,7 +84,7 @@ class Occlusion:
         room = np.zeros((h, w + 2))
         wanted, covered = np.zeros((h, w), np.float32), np.zeros((h, w), np.float32)
         cover(wanted, room, face - low)
-        for slab in hand_solid(4.0 * self._pixel).slabs:
+        for slab in self._hand.slabs:
             pixels = self._eye.project_at(placed(slab.outline.points, hand), slab.high)
             cover(covered, room, pixels - low)
         return float(np.minimum(wanted, covered).sum() / wanted.sum())

@@ -161,8 +161,10 @@ def _noise(
 ) -> FloatPicture:
     """A texture without a seam, of deviation 1, smooth over so many values along x and y."""
     white = stream(seed, "film", purpose).standard_normal(size).astype(np.float32)
-    tiled = opencv().GaussianBlur(np.tile(white, (3, 3)), (0, 0), soft[0], sigmaY=soft[1])
-    middle = tiled[size[0] : 2 * size[0], size[1] : 2 * size[1]]
+    margin = int(np.ceil(3.0 * max(soft)))
+    wrapped = np.pad(white, margin, mode="wrap")
+    smooth = opencv().GaussianBlur(wrapped, (0, 0), soft[0], sigmaY=soft[1])
+    middle = smooth[margin:-margin, margin:-margin]
     return np.asarray(middle / middle.std(), dtype=np.float32)
 
 

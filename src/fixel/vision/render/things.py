@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Scene, Shape
+from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Shape
 from fixel.model.chance import stream
 from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
@@ -107,31 +108,29 @@ def hand_solid(pixel: float) -> Solid:
         *(((tip - 0.009, y), (-0.085, 0.85 * y), 0.0093) for y, tip in fingers),
         ((-0.086, 0.021), (-0.086, -0.021), 0.020),
         ((-0.110, 0.019), (-0.110, -0.017), 0.022),
-        ((-0.125, 0.0), (-0.20, 0.0), 0.029),
+        ((-0.125, 0.0), (-0.23, -0.003), 0.029),
     ]
+    arm = ((-0.225, -0.003), (-0.9, -0.05), 0.043)
     slabs: list[Slab] = []
-    low, high = HAND_AT
-    for layer, shrink in enumerate((0.0, 0.22, 0.45, 0.7)):
-        colour = SKIN * (0.82 + 0.07 * layer)
-        level = low + (high - low) * layer / 3.0
-        for tip, root, radius in bones:
-            ring = _capsule(np.array(tip), np.array(root), radius * (1.0 - shrink))
-            slabs.append(Slab(polygon(ring, pixel), level, level, colour, colour))
-        sleeve = _capsule(np.array((-0.21, 0.0)), np.array((-0.9, -0.05)), 0.046 * (1.0 - shrink))
-        cloth = SLEEVE * (0.8 + 0.1 * layer)
-        slabs.append(Slab(polygon(sleeve, pixel), level, level, cloth, cloth))
-    footprint = tuple(_capsule(np.array(t), np.array(r), radius)[::2] for t, r, radius in bones)
-    arm = _capsule(np.array((-0.21, 0.0)), np.array((-0.9, -0.05)), 0.046)[::2]
-    return Solid("hand", tuple(slabs), (*footprint, arm))
+    for parts, colour in ((bones, SKIN), ([arm], SLEEVE)):
+        # Smaller and brighter layers on top of each other look round.
+        for layer, shrink in enumerate((0.0, 0.22, 0.45, 0.7)):
+            level = HAND_AT[0] + (HAND_AT[1] - HAND_AT[0]) * layer / 3.0
+            bright = colour * (0.82 + 0.07 * layer)
+            for tip, root, radius in parts:
+                ring = polygon(_capsule(tip, root, radius * (1.0 - shrink)), pixel)
+                slabs.append(Slab(ring, level, level, bright, bright))
+    footprint = tuple(_capsule(*bone)[::2] for bone in (*bones, arm))
+    return Solid("hand", tuple(slabs), footprint)
 
 
 def grain(seed: int, purpose: str, rough: float) -> FloatPicture:
     """(256, 256) a texture of mean 1 and this deviation, without a seam."""
     cv2 = opencv()
     white = stream(seed, "film", purpose).standard_normal((256, 256))
-    tiled = np.tile(white, (3, 3)).astype(np.float32)
-    soft = cv2.GaussianBlur(tiled, (0, 0), 1.2) + 0.5 * cv2.GaussianBlur(tiled, (0, 0), 6.0)
-    middle = soft[256:512, 256:512]
+    wrapped = np.pad(white, 24, mode="wrap").astype(np.float32)
+    soft = cv2.GaussianBlur(wrapped, (0, 0), 1.2) + 0.5 * cv2.GaussianBlur(wrapped, (0, 0), 6.0)
+    middle = soft[24:-24, 24:-24]
     return np.asarray(1.0 + rough * (middle - middle.mean()) / middle.std(), dtype=np.float32)
 
 
@@ -152,11 +151,6 @@ def direction_of(pusher: Pusher) -> FloatArray:
     return placed(along, (0.0, 0.0, -pusher.pose[2]))
 
 
-def bodies_and_pushers(scene: Scene) -> tuple[Body | Pusher, ...]:
-    """All that moves."""
-    return (*scene.bodies, *scene.pushers)
-
-
 def _behind(pusher: Pusher, start: float, length: float, width: float) -> FloatArray:
     """(4, 2) a bar behind a pusher, from so far behind its middle [m]."""
     x = direction_of(pusher)
@@ -175,8 +169,9 @@ def _pieces(shape: Shape) -> tuple[FloatArray, ...]:
     return tuple(piece for piece, _ in shape.pieces)
 
 
-def _capsule(a: FloatArray, b: FloatArray, radius: float) -> FloatArray:
+def _capsule(tip: ArrayLike, root: ArrayLike, radius: float) -> FloatArray:
     """(n, 2) round about two points, counter-clockwise."""
+    a, b = np.asarray(tip), np.asarray(root)
     along = a - b
     heading = float(np.arctan2(along[1], along[0]))
     half = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)

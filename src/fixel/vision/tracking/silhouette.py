@@ -260,7 +260,7 @@ def filled(shape: Shape, about: int) -> FloatArray:
     step = math.sqrt(float(np.prod(high - low)) / about)
     x, y = np.meshgrid(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step))
     inside = shapely.contains_xy(polygon, x.ravel(), y.ravel())
-    return np.column_stack((x.ravel(), y.ravel()))[inside]
+    return np.asarray(np.column_stack((x.ravel(), y.ravel()))[inside])
 
 
 def _axis(points: FloatArray) -> float:
