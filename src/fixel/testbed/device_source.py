@@ -13,8 +13,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import END, jpeg_size
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
-from fixel.testbed.jpeg import END, jpeg_size
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
