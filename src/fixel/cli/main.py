@@ -19,6 +19,7 @@ import typer
 from fixel.cli import (
     benchmark,
     calibrate,
+    camera,
     data,
     db,
     demo,
@@ -69,6 +70,7 @@ app.command("report")(report.report)
 app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
+app.add_typer(camera.app, name="camera")
 app.add_typer(domain.app, name="domain")
 project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
