@@ -4,6 +4,7 @@
     1    something else went wrong, said on standard error
     2    bad input: a wrong option, or a scene or dataset that cannot be; said likewise
     3    the simulation did not finish; what was computed until then is in the answer
+    4    `fixel overlay --once`: something is not in its place
     130  interrupted
 
 Nothing heavy is imported here: each command imports its workflow when it runs.
@@ -29,6 +30,7 @@ from fixel.cli import (
     film,
     filter,
     jobs,
+    overlay,
     project,
     record,
     replay,
@@ -82,6 +84,7 @@ app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("uncertainty")(uncertainty.uncertainty)
+app.command("overlay")(overlay.overlay)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 
