@@ -40,6 +40,8 @@ class RecordingHeader:
         Name of the rig; empty for none.
     source : str
         Where the pictures come from.
+    simulated_by : str
+        What made the pictures, where no camera did.
     started : str
         When the clock was zero, as ISO 8601 in UTC; now, where empty.
     rate : float
@@ -52,6 +54,7 @@ class RecordingHeader:
     codec: str = "near"
     rig: str = ""
     source: str = ""
+    simulated_by: str = ""
     started: str = ""
     rate: float = 0.0
     about: Mapping[str, Any] = field(default_factory=dict)

@@ -47,7 +47,8 @@ class FileSource(FrameSource):
         if is_recording(self.path):
             self._recording = recording = open_recording(self.path)
             jpeg = recording.header.codec != "exact"
-            return Stream(recording.header.size, _rate(recording), jpeg, live=not self._fast)
+            header, rate = recording.header, _rate(recording)
+            return Stream(header.size, rate, jpeg, not self._fast, header.simulated_by)
         video = open_video(self.path)
         return Stream(video.size, 0.0, jpeg=False, live=not self._fast)
 

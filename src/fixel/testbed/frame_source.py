@@ -27,12 +27,15 @@ class Stream(NamedTuple):
         Whether pictures come as JPEG.
     live : bool
         Whether they come when they come; a source that waits for its reader loses none.
+    simulated_by : str
+        What made the pictures, where no camera did.
     """
 
     size: tuple[int, int]
     rate: float
     jpeg: bool
     live: bool
+    simulated_by: str = ""
 
 
 @final

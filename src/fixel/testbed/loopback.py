@@ -8,6 +8,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Final, final
+from urllib.parse import quote
 
 from fixel.errors import InvalidInput
 from fixel.exchange.jpeg import jpeg_of
@@ -16,6 +17,7 @@ from fixel.testbed.frame_source import Stream
 
 HERE_ONLY: Final = "127.0.0.1"
 BOUNDARY: Final = "fixel-frame"
+SIMULATED: Final = "X-Fixel-Simulated-By"  # so that a film of no camera stays one for ever
 
 
 @final
@@ -95,6 +97,8 @@ class LoopbackCamera:
                 self.send_response(HTTPStatus.OK)
                 self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
                 self.send_header("Cache-Control", "no-store")
+                if camera.stream.simulated_by:
+                    self.send_header(SIMULATED, quote(camera.stream.simulated_by))
                 self.end_headers()
                 with suppress(ConnectionError):
                     camera._play(self)

@@ -185,6 +185,7 @@ class Recorder:
                 source=self.source.name,
                 started=_utc(first.time),
                 rate=self.stream.rate,
+                simulated_by=self.stream.simulated_by,
             )
             writer = RecordingWriter(self.folder, header)
             try:

@@ -15,6 +15,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from fixel.errors import InvalidInput
 from fixel.exchange.jpeg import END, jpeg_size
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
+from fixel.testbed.loopback import SIMULATED
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 LONGEST_LINE: Final = 4096  # [bytes] of a header
@@ -66,7 +67,8 @@ class UrlSource(FrameSource):
         if size is None:
             self._fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
             raise AssertionError
-        return Stream(size=size, rate=0.0, jpeg=True, live=True)
+        made_by = "" if self._answer is None else self._answer.headers.get(SIMULATED, "")
+        return Stream(size=size, rate=0.0, jpeg=True, live=True, simulated_by=unquote(made_by))
 
     def frames(self) -> Iterator[Arrived]:
         """Pictures until the camera is pulled or closed."""

@@ -24,7 +24,7 @@ from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.pictures import ENDINGS, Picture, make_folder, write_picture
 
-Kind = Literal["growth", "domain", "sensitivity", "uncertainty"]
+Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"

@@ -193,9 +193,10 @@ def _shoot(
         codec=shooting.codec,
         rig=rig.name,
         source=f"fixel testbed film of {shot.name}",
+        simulated_by=f"fixel testbed film of {shot.name}, seed {shooting.seed}",
         started=STARTED,
         rate=shooting.rate,
-        about={"simulated": True, "seed": shooting.seed},
+        about={"seed": shooting.seed},
     )
     folder.parent.mkdir(parents=True, exist_ok=True)
     _write_frames(frames, truth, folder, header, video, progress)

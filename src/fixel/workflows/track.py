@@ -226,7 +226,6 @@ def open_film(source: Path) -> Film:
     if is_recording(source):
         recording = open_recording(source)
         when = np.where(np.isfinite(recording.reading_time), recording.reading_time, recording.time)
-        simulated = bool(recording.header.about.get("simulated"))
         return Film(
             path=source,
             video=recording.video,
@@ -234,7 +233,7 @@ def open_film(source: Path) -> Film:
             n_frames=recording.n_frames,
             readings=Readings(time=when, value=recording.readings),
             remarks=lambda: recording.problems,
-            simulated_by=(recording.header.source or "a film") if simulated else "",
+            simulated_by=recording.header.simulated_by,
         )
     if source.is_dir():
         raise InvalidInput(

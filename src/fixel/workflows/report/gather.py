@@ -28,6 +28,7 @@ from fixel.workflows.report.of_data import Data, data_of, data_section, data_war
 
 # Kinds of analyses in the order in which a reader wants them, and what each answers.
 WANTED: Final[dict[Kind, str]] = {
+    "tracking": "What the camera saw beside what really happened",
     "domain": "Where the calibrated simulator can be trusted",
     "growth": "The domain of applicability, as the thesis grew it",
     "sensitivity": "How far the start decides the outcome",
