@@ -10,7 +10,7 @@ from fixel.vision.boards import Board, Corners, Picture
 from fixel.vision.calibrate_lens import View
 from fixel.vision.lens import Lens
 
-FINE = 3  # samples of a pixel along each axis
+FINE = 2  # samples of a pixel along each axis
 
 
 class Studio:
