@@ -57,6 +57,8 @@ def shake_hands(
             return 1, None
         if answer:
             break  # somebody else speaks; asking again would only disturb
+    if not heard:
+        heard = _asked_as_a_controller(link)
     raise _refusal(port, heard, question)
 
 
@@ -70,6 +72,15 @@ def _wait_for_boot(link: Serial, settle: float | None) -> bytes:
         link.timeout = left
         heard += link.read(1)
     return heard
+
+
+def _asked_as_a_controller(link: Serial) -> bytes:
+    """What comes back to the question that motion controllers know, so that they can be named."""
+    link.write(b"?")
+    link.timeout = PATIENCE
+    heard = link.read(1)
+    time.sleep(0.02 if heard else 0.0)
+    return heard + link.read(link.in_waiting)
 
 
 def _is_old_board(link: Serial, question: bytes, answer: bytes) -> bool:
