@@ -39,8 +39,8 @@ def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
 
     code, _, err = fixel(capsys, *arguments)
     assert (code, "locked" in err) == (1, True)
-    code, _, _ = fixel(capsys, *arguments, "--unlock", "--to", 1)
-    assert code == 2
+    code, out, _ = fixel(capsys, *arguments, "--unlock")
+    assert (code, "at 3.000 mm" in out) == (0, True)
 
 
 def test_stop_writes_to_the_port_that_is_named(capsys, controller):
