@@ -21,7 +21,7 @@ from fixel.testing.emulated_grbl import EmulatedGrbl
 PROGRAM = """
 import sys, time
 from fixel.testbed.motion_grbl import GrblActuator
-drive = GrblActuator(sys.argv[1], dead_man=0.8, keys=True)
+drive = GrblActuator(sys.argv[1], dead_man=1.2, keys=True)
 drive.connect()
 drive.move(by=0.1, speed=0.02, wait=False)
 time.sleep(0.1)
@@ -31,8 +31,8 @@ print(drive._guard.pid, flush=True)
 BUSY = "sum(range(10**10))"  # minutes during which no other Python code runs
 BLOCKED = "import os; os.read(os.pipe()[0], 1)"
 WAITING = "drive.wait()"
-AT_ONCE = 0.15  # [s] on a computer with other things to do
-DEAD_MAN = 0.8
+AT_ONCE = 0.5  # [s] on a computer with other things to do
+DEAD_MAN = 1.2
 
 
 @pytest.fixture(autouse=True)

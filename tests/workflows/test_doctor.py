@@ -45,3 +45,15 @@ def test_a_cache_that_cannot_be_written_is_a_failure(monkeypatch, tmp_path):
 
 def test_a_package_that_is_missing_is_named():
     assert doctor._version("no-such-package-at-all") == "missing"
+
+
+@pytest.mark.parametrize(
+    ("ports", "told"), [([], "none, fine"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
+)
+def test_the_bench_is_told_and_none_is_fine(monkeypatch, ports, told):
+    monkeypatch.setattr(doctor, "_cameras", list)
+    monkeypatch.setattr(doctor, "_serial_ports", lambda: ports)
+
+    found = doctor._bench_check()
+
+    assert (found.passed, found.detail) == (True, told)

@@ -95,7 +95,7 @@ def stop(port: Port = None, as_json: AsJson = False) -> None:
 
     The drive loses its place: home it before you move it again.
     """
-    from fixel.workflows.actuator import stop_actuators
+    from fixel.workflows.actuator_stop import stop_actuators
 
     stopped = stop_actuators(port)
     if as_json:

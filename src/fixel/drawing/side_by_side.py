@@ -76,11 +76,6 @@ class SideBySide(AbstractChart):
             _from_above(axes[1], run, run.tracked, palette.BODY)
             _apart(axes[2], run)
             axes[0].set_ylabel(f"{run.name}\ny [mm]")
-            if row == 0:
-                for column, title in zip(
-                    axes, ("true", "tracked", "tracked less true"), strict=True
-                ):
-                    column.set_title(title)
         for axes in grid[-1, :2]:
             axes.set_xlabel("x [mm]")
         grid[-1, 2].set_xlabel("time [s]")

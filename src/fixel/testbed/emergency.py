@@ -157,6 +157,10 @@ def stop_drive(port: str) -> float:
     DeviceFailed
         The port cannot be written to.
     """
+    if sys.platform == "win32":
+        raise DeviceFailed(
+            "another program's port cannot be written to here", hint="switch the drive's power off"
+        )
     try:
         # Neither the lock that keeps other programs out nor whatever they do stands in the way.
         descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)

@@ -34,6 +34,9 @@ def greet(link: Serial, port: str) -> None:
         answer = _until(link, b">", PATIENCE)
         heard += answer
         if any(_is_status(line) for line in answer.splitlines()):
+            # Half a line of whoever was here before would spoil our first one.
+            link.write(b"\n")
+            _until(link, b"\n", PATIENCE)
             return
         if answer and b"Grbl" not in heard and b"<" not in answer:
             break  # somebody else speaks

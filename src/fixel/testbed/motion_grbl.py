@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 import time
 from typing import ClassVar, Final, Self, final
 
@@ -47,7 +48,7 @@ class GrblActuator(AbstractActuator):
     keys : bool
         Whether any key on the terminal stops the drive.
     guard : bool
-        Whether the guard runs.
+        Whether the guard runs; on Windows it cannot.
     """
 
     name: ClassVar[str] = "grbl"
@@ -101,7 +102,8 @@ class GrblActuator(AbstractActuator):
             raise
         try:
             self._read_settings()
-            if self._wants_guard:
+            # It shares the port and hears signals as only POSIX systems let it.
+            if self._wants_guard and sys.platform != "win32":
                 self._guard = StopGuard(self.port, serial.fileno(), keys=self._keys)
         except BaseException:
             self._link.close()

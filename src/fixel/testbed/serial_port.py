@@ -50,11 +50,15 @@ def found_ports() -> list[PortSeen]:
     return [
         PortSeen(
             port.device,
-            ARDUINO.get((port.vid or 0, port.pid or 0), port.description or "n/a"),
+            ARDUINO.get((port.vid or 0, port.pid or 0), _described(port.description)),
             _program_at(port.device),
         )
         for port in seen
     ]
+
+
+def _described(description: str | None) -> str:
+    return description if description and description != "n/a" else "no description"
 
 
 def chosen_port(port: str | None, what: str) -> str:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from serial import Serial
 
 BOOT_TIME: Final = 2.0  # [s] the boot loader of a Mega waits a second for a new program
-PATIENCE: Final = 0.15  # [s] a question, until it is asked again
+PATIENCE: Final = 0.25  # [s] a question, until it is asked again
 QUESTIONS: Final = 4
 # With these numbers the checksum is of letters and digits: a motion controller on the port is
 # neither stopped nor started by the question.
@@ -50,13 +50,15 @@ def shake_hands(
             answer += arrived
             for frame in finder.add(arrived):
                 identity = frames.identity_of(frame)
-                if identity is not None and frame.number == number:
+                if identity is not None and frame.number in NUMBERS:
                     return _known(identity, port), identity
         heard += answer
         if _is_old_board(link, question, answer):
             return 1, None
         if answer:
             break  # somebody else speaks; asking again would only disturb
+    if not heard:
+        heard = _asked_as_a_controller(link)
     raise _refusal(port, heard, question)
 
 
@@ -72,9 +74,19 @@ def _wait_for_boot(link: Serial, settle: float | None) -> bytes:
     return heard
 
 
+def _asked_as_a_controller(link: Serial) -> bytes:
+    """What comes back to the question that motion controllers know, so that they can be named."""
+    link.write(b"?")
+    link.timeout = PATIENCE
+    heard = link.read(1)
+    time.sleep(0.02 if heard else 0.0)
+    return heard + link.read(link.in_waiting)
+
+
 def _is_old_board(link: Serial, question: bytes, answer: bytes) -> bool:
     """Whether a byte came for every byte, all of them possible, and still does."""
-    if len(answer) != len(question) or max(answer) > frames.OLD_MOST:
+    # Of a slow board, the answers to several questions come together.
+    if not answer or len(answer) % len(question) or max(answer) > frames.OLD_MOST:
         return False
     for _ in range(OLD_CHECKS):
         link.write(frames.OLD_REQUEST)

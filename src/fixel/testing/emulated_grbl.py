@@ -150,6 +150,15 @@ class EmulatedGrbl:
         return abs(self._speed)
 
     @property
+    def stopped(self) -> float:
+        """When it last came to rest, by itself or by an alarm, on `time.monotonic` [s]."""
+        return next(
+            event.time
+            for event in reversed(self.events)
+            if event.what == "rest" or event.what.startswith("alarm")
+        )
+
+    @property
     def queued(self) -> float:
         """How long it would go on if nothing more came [s]."""
         total, here = 0.0, self._end

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from fixel.errors import InvalidInput
-from fixel.testbed.emergency import running, stop_drive
 from fixel.testbed.motion import SPEED, AbstractActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.motion_manual import ManualActuator
@@ -96,24 +95,6 @@ def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
     start = time.perf_counter()
     with actuator:
         return _answer(actuator, start)
-
-
-def stop_actuators(port: str | None) -> list[str]:
-    """Stop the drive at a port, or every drive that a program of this user moves; which ports.
-
-    It writes to the port without asking the program that has it open.
-    """
-    ports = [port] if port else [program.port for program in running()]
-    if not ports:
-        raise InvalidInput(
-            "--port",
-            found="no program of yours that drives an actuator",
-            expected="one, or the port of the drive",
-            hint="if something moves, switch its power off",
-        )
-    for one in ports:
-        stop_drive(one)
-    return ports
 
 
 def _answer(actuator: AbstractActuator, start: float) -> ActuatorAnswer:

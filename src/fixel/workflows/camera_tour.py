@@ -13,14 +13,12 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.database.query import Query
-from fixel.database.store import Store
 from fixel.drawing.side_by_side import SideBySide, TrackedRun
-from fixel.exchange.plan_file import save_plan
 from fixel.exchange.scene_file import load_scene
-from fixel.kernels.arrays import FloatArray
-from fixel.model import Experiment, PathDrive, Trajectory
+from fixel.model import Experiment, PathDrive, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing import emulated_mega
 from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration import run as calibration
@@ -115,7 +113,7 @@ def run_camera_tour(
     tell = say or (lambda _: None)
     folder.mkdir(parents=True)
     project = Project.create(folder / "lab")
-    films = _filmed(folder, pushes, frames, tell, progress)
+    films = _filmed(project, folder, pushes, frames, tell, progress)
     firmware = _firmware(folder, tell)
     runs, drive, lost, total = [], {}, 0, 0
     for made in films:
@@ -145,7 +143,8 @@ def run_camera_tour(
     numbers = [_calibrate(project, dataset, command % dataset) for dataset in (TRUE, TRACKED)]
     with project.store() as store:
         true, tracked = (store.calibration(number).estimates for number in numbers)
-        members = [k for k, _ in _experiments(store, TRACKED)]
+        listing = store.experiments(Query(dataset=TRACKED, flagged=True))
+        members = [summary.id for summary in listing.summaries]
     estimates = tuple(zip(tracked, true, strict=True))
     _keep(project, tuple(runs), estimates, numbers[1], members)
     tell("writing the report")
@@ -181,9 +180,7 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
         time = truth["time_s"] - truth["time_s"][0]
         pose, path = truth[f"pose_{body.name}"], truth[f"pose_{pusher.name}"]
     planned = load_scene(film / "scene.yaml").scene
-    drive = PathDrive(
-        waypoints=np.column_stack((time, path)), force_limit=pusher.drive.force_limit
-    )
+    drive = PathDrive(waypoints=np.column_stack((time, path)), force_limit=pusher.drive.force_limit)
     twin = replace(
         tracked,
         dataset=TRUE,
@@ -204,7 +201,7 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
     run = TrackedRun(
         name=tracked.name,
         outline=body.shape.outline,
-        fixels=[fixel.shape.placed(fixel.pose) for fixel in planned.fixels],
+        fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in planned.fixels],
         time=at,
         true=pose[nearest],
         tracked=tracked.trajectory.pose,
@@ -227,19 +224,22 @@ def agree(tracked: Estimate, true: Estimate) -> bool:
 
 
 def _filmed(
+    project: Project,
     folder: Path,
     pushes: tuple[int, ...],
     frames: int | None,
     tell: Say,
     progress: Progress | None,
 ) -> list[Path]:
-    plan = thesis_plan()
-    plan = replace(plan, experiments=tuple(plan.experiments[k] for k in pushes))
-    save_plan(plan, folder / "plan.yaml")
+    planned = [thesis_plan().experiments[k] for k in pushes]
+    with project.store() as store:
+        for experiment in SimulatedTestbed(seed=SEED).run(planned):
+            store.add_experiment(experiment)
     tell(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
     shooting = Shooting(seed=SEED, lead=LEAD, frames=frames)
+    names = [one.name for one in planned]
     made = film(
-        [str(folder / "plan.yaml")], folder / "films", shooting, say=tell, progress=progress
+        names, folder / "films", shooting, project=project.folder, say=tell, progress=progress
     )
     return [one.folder for one in made]
 
@@ -252,11 +252,6 @@ def _firmware(folder: Path, tell: Say) -> Path | None:
         return None
     tell("building the firmware of the fixels and its emulator")
     return emulated_mega.built(folder / "firmware")
-
-
-def _experiments(store: Store, dataset: str) -> list[tuple[int, Experiment]]:
-    listing = store.experiments(Query(dataset=dataset, flagged=True))
-    return [(row.id, store.experiment(row.id)) for row in listing.rows]
 
 
 def _calibrate(project: Project, dataset: str, command: str) -> int:
@@ -352,6 +347,6 @@ def _estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTab
 
 def written_estimate(estimate: Estimate) -> str:
     """Value, interval and verdict: `0.41 (0.38 to 0.44), identified`."""
-    ends: tuple[FloatArray | float | None, ...] = (estimate.low, estimate.high)
+    ends = (estimate.low, estimate.high)
     low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
     return f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"

@@ -1,0 +1,24 @@
+"""Stopping drives in an emergency. Nothing heavy is imported: every millisecond counts."""
+
+from __future__ import annotations
+
+from fixel.errors import InvalidInput
+from fixel.testbed.emergency import running, stop_drive
+
+
+def stop_actuators(port: str | None) -> list[str]:
+    """Stop the drive at a port, or every drive that a program of this user moves; which ports.
+
+    It writes to the port without asking the program that has it open.
+    """
+    ports = [port] if port else [program.port for program in running()]
+    if not ports:
+        raise InvalidInput(
+            "--port",
+            found="no program of yours that drives an actuator",
+            expected="one, or the port of the drive",
+            hint="if something moves, switch its power off",
+        )
+    for one in ports:
+        stop_drive(one)
+    return ports

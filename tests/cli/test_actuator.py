@@ -1,0 +1,85 @@
+"""`fixel actuator`, on an emulated controller."""
+
+import json
+
+import pytest
+
+from fixel.testing.emulated_grbl import EmulatedGrbl
+
+from .shell import fixel
+
+
+@pytest.fixture
+def controller(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with EmulatedGrbl(homing=True, start=5.0, acceleration=2000.0) as emulated:
+        yield emulated
+
+
+def test_a_day_with_a_controller(capsys, controller):
+    port = ("--port", controller.port)
+
+    code, out, _ = fixel(capsys, "actuator", "where", *port)
+    assert (code, "Alarm" in out) == (0, True)
+    assert "Next: fixel actuator home" in out
+
+    code, out, _ = fixel(capsys, "actuator", "home", *port, "--json")
+    assert json.loads(out)["position_m"] == pytest.approx(0.001)
+
+    code, out, _ = fixel(capsys, "actuator", "move", *port, "--to", 6, "--speed", 40, "--json")
+    assert (code, json.loads(out)["state"]) == (0, "Idle")
+    assert controller.place == pytest.approx(6.0, abs=0.01)
+
+    code, out, _ = fixel(capsys, "actuator", "move", *port, "--by", -2, "--speed", 40)
+    assert (code, "at 4.000 mm of 0 to 150 mm, Idle" in out) == (0, True)
+
+
+def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
+    arguments = ("actuator", "move", "--port", controller.port, "--by", -2, "--speed", 40)
+
+    code, _, err = fixel(capsys, *arguments)
+    assert (code, "locked" in err) == (1, True)
+    code, out, _ = fixel(capsys, *arguments, "--unlock")
+    assert (code, "at 3.000 mm" in out) == (0, True)
+
+
+def test_stop_writes_to_the_port_that_is_named(capsys, controller):
+    code, out, _ = fixel(capsys, "actuator", "stop", "--port", controller.port, "--json")
+
+    assert (code, json.loads(out)) == (0, {"stopped": [controller.port]})
+    controller.wait_for("reset")
+
+
+def test_stop_without_anything_to_stop(capsys, controller):
+    code, _, err = fixel(capsys, "actuator", "stop")
+
+    assert (code, "no program of yours" in err) == (2, True)
+
+
+def test_ports(capsys):
+    code, out, _ = fixel(capsys, "actuator", "ports", "--json")
+
+    assert code == 0
+    assert isinstance(json.loads(out)["ports"], list)
+
+
+def test_the_simulated_drive(capsys):
+    arguments = ("--driver", "simulated", "--to", 1, "--speed", 100, "--json")
+    code, out, _ = fixel(capsys, "actuator", "move", *arguments)
+
+    assert (code, json.loads(out)["position_m"]) == (0, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("where",), "the port of the actuator's controller"),
+        (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
+        (("move", "--driver", "simulated"), "a place to go to"),
+        (("move", "--driver", "simulated", "--to", 500), "from 0 to 150 mm"),
+    ],
+)
+def test_what_cannot_be_is_refused(capsys, arguments, says):
+    code, _, err = fixel(capsys, "actuator", *arguments)
+
+    assert (code, says in err) == (2, True), err

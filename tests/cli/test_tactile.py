@@ -1,0 +1,82 @@
+"""`fixel tactile`, on the firmware in an emulated Mega 2560."""
+
+import json
+
+import pytest
+
+from fixel.testing import emulated_mega
+from fixel.testing.emulated_grbl import EmulatedGrbl
+
+from .shell import fixel
+
+
+@pytest.fixture
+def mega():
+    if reason := emulated_mega.why_not():
+        pytest.skip(reason)
+    folder = emulated_mega.built(emulated_mega.FIRMWARE / "build")
+    with emulated_mega.EmulatedMega(folder) as board:
+        yield board
+
+
+def test_check(capsys, mega):
+    arguments = ("--port", mega.port, "--readings", 20, "--deadline", 500)
+    code, out, _ = fixel(capsys, "tactile", "check", *arguments)
+
+    assert code == 0
+    assert "protocol 2, with time stamps" in out
+    assert "answered     20" in out
+    assert f"Next: fixel tactile watch --port {mega.port}" in out
+
+
+def test_check_fails_where_answers_are_missing(capsys, mega):
+    code, out, _ = fixel(
+        capsys, "tactile", "check", "--port", mega.port, "--deadline", 0.1, "--json"
+    )
+
+    answer = json.loads(out)
+    assert (code, answer["passed"]) == (1, False)
+    assert answer["missing"] + answer["garbled"] > 0
+    assert answer["asked"] == 300
+
+
+def test_watch(capsys, mega):
+    mega.touch(4)
+    code, out, _ = fixel(capsys, "tactile", "watch", "--port", mega.port, "--duration", 0.05)
+
+    assert code == 0
+    assert out.startswith("green TOUCHED, red free   , blue free")
+    assert "4.90 0.40 0.40 V" in out
+
+
+def test_watch_as_json_with_a_threshold(capsys, mega):
+    mega.touch(0)
+    arguments = ("--port", mega.port, "--duration", 0.05, "--threshold", 50, "--json")
+    code, out, _ = fixel(capsys, "tactile", "watch", *arguments)
+
+    bits = [json.loads(line)["bits"] for line in out.splitlines()]
+    assert code == 0
+    assert set(bits) <= {7, None}
+    assert 7 in bits
+
+
+def test_ports(capsys):
+    code, out, _ = fixel(capsys, "tactile", "ports", "--json")
+
+    assert code == 0
+    assert isinstance(json.loads(out)["ports"], list)
+
+
+def test_the_port_of_a_controller_is_refused_and_left_in_order(capsys):
+    with EmulatedGrbl() as controller:
+        code, _, err = fixel(capsys, "tactile", "check", "--port", controller.port)
+        again, _, _ = fixel(capsys, "actuator", "where", "--port", controller.port)
+
+    assert (code, "motion controller" in err) == (2, True), err
+    assert again == 0
+
+
+def test_without_a_port(capsys):
+    code, _, err = fixel(capsys, "tactile", "check")
+
+    assert (code, "the port of the tactile board" in err) == (2, True)
