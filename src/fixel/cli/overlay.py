@@ -179,7 +179,8 @@ def _live(
     from fixel.web.overlay_page import overlay_page
     from fixel.web.serve import WebServer
 
-    view, look = LiveView(), None
+    view = LiveView()
+    look: Look | None = None
     stream = source.open()
 
     def end(reason: str) -> None:
