@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -231,6 +232,17 @@ def test_brightness_is_that_of_the_colours(tmp_path: Path) -> None:
     # Colours end at 0, brightness comes from before that.
     assert np.abs(frame.luma - frame.picture @ LUMA).mean() < 0.5
     assert (frame.colour(slice(3, 9), slice(4, 7)) == frame.picture[3:9, 4:7]).all()
+
+
+def test_a_disk_without_room_for_the_beginning_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Path, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InvalidInput, match="found no space left on device"):
+        RecordingWriter(tmp_path / "r", RecordingHeader(size=SIZE))
 
 
 def test_an_error_while_writing_leaves_no_mark_of_a_good_end(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from fixel.exchange.jpeg import jpeg_of
 from fixel.exchange.recording import open_recording
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed import room
+from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue
 from fixel.testbed.frame_source import Arrived, FrameSource
 from fixel.testbed.recorder import Recorded, Recorder, Status
 from fixel.testbed.seating import Seating
@@ -97,6 +99,22 @@ def test_a_slow_disk_loses_frames_and_says_how_many(tmp_path: Path) -> None:
     assert done.lost >= 20
     assert done.frames + done.lost == 61
     assert f"{done.lost} frames lost while recording" in open_recording(tmp_path / "r").problems
+
+
+def test_who_stays_behind_gives_up_what_is_old() -> None:
+    queue = FrameQueue(Pictures(0), live=True)
+    began = time.monotonic()
+    fresh, old = Arrived(began + 100.0), Arrived(began - 100.0)
+
+    def kept(*waiting: Arrived) -> list[Arrived]:
+        for arrived in waiting:
+            queue._put(arrived)
+        return [arrived for _ in waiting if (arrived := queue.get(0.0)) is not None]
+
+    assert kept(fresh, old, old) == [fresh, old, old]  # caught up with
+    time.sleep(CATCHING_UP + 0.01)
+    assert kept(old, old, fresh, old) == [fresh, old]
+    assert queue.lost == 2
 
 
 def test_pulling_the_tactile_plug_ends_it(tmp_path: Path) -> None:

@@ -131,7 +131,10 @@ def _row(line: bytes) -> Row | None:
     text, comma, crc = line.rstrip(b"\n").rpartition(b",")
     if not line.endswith(b"\n") or not comma or b"%08x" % zlib.crc32(text) != crc:
         return None
-    frame, time, reading, reading_time, size, video_end, picture = text.split(b",")
+    try:
+        frame, time, reading, reading_time, size, video_end, picture = text.split(b",")
+    except ValueError:
+        return None
     return Row(
         int(frame),
         _micro(time),

@@ -133,6 +133,15 @@ class VideoSink:
                 raise
 
 
+def warm_up() -> None:
+    """Load what writing needs: the first frame of a camera should not wait for it."""
+    import av
+    from PIL import Image
+
+    av.Codec(LOSSLESS, "w")
+    Image.preinit()
+
+
 def packets(path: Path) -> Iterator[Packet]:
     """All packets of a video, the last perhaps torn; none where it ends before the first."""
     import av

@@ -59,10 +59,13 @@ class RecordingWriter:
         self._closed = False
         _make(self.folder)
         write_header(self.folder, header)
-        (self.folder / RESERVE).write_bytes(bytes(RESERVED))
-        self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
-        self._rows_end = self._rows.write(HEAD.encode("ascii"))
-        self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
+        try:
+            (self.folder / RESERVE).write_bytes(bytes(RESERVED))
+            self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
+            self._rows_end = self._rows.write(HEAD.encode("ascii"))
+            self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
+        except OSError as problem:
+            raise _refusal(self.folder, problem) from None
 
     @property
     def seconds(self) -> float:
@@ -211,7 +214,11 @@ def _make(folder: Path) -> None:
             str(folder), found="something there already", expected="a folder that is not there yet"
         ) from None
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
-        raise InvalidInput(
-            str(folder), found=reason, expected="a folder that can be made and written to"
-        ) from None
+        raise _refusal(folder, problem) from None
+
+
+def _refusal(folder: Path, problem: OSError) -> InvalidInput:
+    reason = (problem.strerror or str(problem)).lower()
+    return InvalidInput(
+        str(folder), found=reason, expected="a folder that can be made and written to"
+    )

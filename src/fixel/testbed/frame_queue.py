@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from typing import Final, final
 
 from fixel.errors import FixelError
 from fixel.testbed.frame_source import Arrived, FrameSource
 
 HELD: Final = 30  # pictures: a second of them
+OLD: Final = 0.2  # [s] a picture that waited longer is late
+CATCHING_UP: Final = 0.2  # [s] for which pictures may be late, after something held them up
 ENDS_WITHIN: Final = 5.0  # [s]
 
 
 @final
 class FrameQueue:
     """Pictures of a source, in order; those too many are counted, never silently gone.
+
+    What is held up for a moment is caught up with. Where pictures stay late, because writing them
+    takes longer than they last, the oldest are given up: what is written is never long ago.
 
     Parameters
     ----------
@@ -25,20 +31,16 @@ class FrameQueue:
         Whether pictures come when they come. Of another source none is lost: it has to wait.
     held : int
         How many may wait.
-
-    Attributes
-    ----------
-    lost : int
-        Pictures that came while all places were taken.
     """
 
     def __init__(self, source: FrameSource, *, live: bool, held: int = HELD) -> None:
-        self.lost = 0
+        self._refused = self._given_up = 0  # by the thread that reads, and by the one that writes
         self._source = source
         self._live = live
         self._waiting: queue.Queue[Arrived] = queue.Queue(held)
         self._ended = threading.Event()
         self._stop = threading.Event()
+        self._late_since: float | None = None
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._read, name="frames", daemon=True)
 
@@ -48,10 +50,29 @@ class FrameQueue:
 
     def get(self, patience: float) -> Arrived | None:
         """The next picture; None where none came within `patience` [s], or none will come."""
-        try:
-            return self._waiting.get(timeout=0.0 if self._ended.is_set() else patience)
-        except queue.Empty:
-            return None
+        while True:
+            try:
+                arrived = self._waiting.get(timeout=0.0 if self._ended.is_set() else patience)
+            except queue.Empty:
+                return None
+            if not (self._live and self._too_old(arrived)):
+                return arrived
+            self._given_up += 1
+
+    def _too_old(self, arrived: Arrived) -> bool:
+        """Whether to give a picture up: it is late, and so were those before it for a while."""
+        now = time.monotonic()
+        if now - arrived.time <= OLD:
+            self._late_since = None
+            return False
+        if self._late_since is None:
+            self._late_since = now
+        return now - self._late_since > CATCHING_UP and not self._ended.is_set()
+
+    @property
+    def lost(self) -> int:
+        """Pictures that were lost so far."""
+        return self._refused + self._given_up
 
     @property
     def over(self) -> bool:
@@ -96,7 +117,7 @@ class FrameQueue:
             try:
                 self._waiting.put_nowait(arrived)
             except queue.Full:
-                self.lost += 1
+                self._refused += 1
             return
         while not self._stop.is_set():
             try:

@@ -121,7 +121,7 @@ class Recorder:
     Parameters
     ----------
     source : FrameSource
-        Open.
+        Opened just now: what its camera sends meanwhile waits, and looks younger than it is.
     stream : Stream
         What it said of itself.
     folder : Path
@@ -205,6 +205,9 @@ class Recorder:
             if queue.over or time.monotonic() - since > self.patience:
                 found = queue.reason if queue.over else f"no picture within {self.patience:g} s"
                 raise InvalidInput(self.source.name, found=found, expected="pictures to record")
+        # What was taken to look at it may be old by now.
+        while self.stream.live and queue.waiting and time.monotonic() - arrived.time > BEHIND:
+            arrived = queue.get(0.0) or arrived
         return arrived
 
     def _record(self, queue: FrameQueue, writer: RecordingWriter, first: Arrived) -> str:

@@ -17,6 +17,7 @@ from fixel.exchange.recording import (
     open_recording,
     repair_recording,
 )
+from fixel.exchange.recording_video import warm_up
 from fixel.exchange.rig_file import rig_of, save_rig
 from fixel.exchange.scene_file import load_scene
 from fixel.testbed.frame_source import Stream, refuse_size, source_of
@@ -115,31 +116,33 @@ def record(plan: RecordPlan, *, stop: Stop | None = None, watch: Watch | None = 
     scene = None if plan.scene is None else _scene_text(plan.scene)
     seating = _seating(plan, rig) if plan.until == "seated" else None
     size = plan.size if rig is None else rig.camera.lens.image_size
-    with source_of(plan.camera, size=size, rate=plan.rate, as_fast_as_possible=plan.fast) as source:
+
+    def prepare(folder: Path) -> None:
+        if rig is not None:
+            save_rig(rig, folder / "rig.yaml")
+        if scene is not None:
+            (folder / "scene.yaml").write_bytes(scene)
+
+    warm_up()
+    source = source_of(plan.camera, size=size, rate=plan.rate, as_fast_as_possible=plan.fast)
+    # The camera last: pictures that nobody takes wait somewhere, and get the time of their taking.
+    with _tactile(plan) as tactile, source:
         stream = source.open()
         if size is not None:
             refuse_size(stream, size, source.name)
-
-        def prepare(folder: Path) -> None:
-            if rig is not None:
-                save_rig(rig, folder / "rig.yaml")
-            if scene is not None:
-                (folder / "scene.yaml").write_bytes(scene)
-
-        with _tactile(plan) as tactile:
-            return Recorder(
-                source=source,
-                stream=stream,
-                folder=plan.folder,
-                codec=codec_for(plan.codec, stream),
-                tactile=tactile,
-                rig="" if rig is None else rig.name,
-                limit=plan.limit,
-                seating=seating,
-                stop=stop,
-                watch=watch,
-                prepare=prepare,
-            ).run()
+        return Recorder(
+            source=source,
+            stream=stream,
+            folder=plan.folder,
+            codec=codec_for(plan.codec, stream),
+            tactile=tactile,
+            rig="" if rig is None else rig.name,
+            limit=plan.limit,
+            seating=seating,
+            stop=stop,
+            watch=watch,
+            prepare=prepare,
+        ).run()
 
 
 def codec_for(choice: str, stream: Stream) -> str:
