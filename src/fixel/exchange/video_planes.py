@@ -8,9 +8,16 @@ import numpy as np
 
 from fixel.vision.frame import LUMA, Gray, Picture
 
-# Formats whose first plane is brightness, and whose two others have a value for 2 x 2 pixels.
-HALVED: Final = ("yuv420p", "yuvj420p")
-BRIGHT_FIRST: Final = (*HALVED, "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "gray", "nv12")
+# Formats with planes of their own for colour, and how many pixels across and down share a value.
+SHARED: Final = {
+    "yuv420p": (2, 2),
+    "yuvj420p": (2, 2),
+    "yuv422p": (2, 1),
+    "yuvj422p": (2, 1),
+    "yuv444p": (1, 1),
+    "yuvj444p": (1, 1),
+}
+BRIGHT_FIRST: Final = (*SHARED, "gray", "nv12")  # whose first plane is brightness
 
 # Rec. 601: red and blue over brightness, and what green loses by them, a unit of the differences.
 RED_V, GREEN_U, GREEN_V, BLUE_U = 1.402, 0.344136, 0.714136, 1.772
@@ -46,7 +53,7 @@ class DecodedPlanes:
         top, bottom, _ = rows.indices(height)
         left, right, _ = columns.indices(width)
         whole = (top, bottom, left, right) == (0, height, 0, width)
-        if whole or self._format not in HALVED:
+        if whole or self._format not in SHARED:
             return self._all()[rows, columns]
         return self._window(top, bottom, left, right)
 
@@ -62,16 +69,18 @@ class DecodedPlanes:
     def _window(self, top: int, bottom: int, left: int, right: int) -> Picture:
         """As `_all` does it, for a window."""
         width, height = self._size
-        half = (width + 1) // 2, (height + 1) // 2
-        ys = slice(top // 2, (bottom + 1) // 2)
-        xs = slice(left // 2, (right + 1) // 2)
+        across, down = SHARED[self._format]
+        coarse = -(-width // across), -(-height // down)
+        ys = slice(top // down, -(-bottom // down))
+        xs = slice(left // across, -(-right // across))
+        fine = (
+            slice(top % down, top % down + bottom - top),
+            slice(left % across, left % across + right - left),
+        )
         y = self._plane(0, width, height)[top:bottom, left:right].astype(np.float32)
         u, v = (
-            self._plane(k, *half)[ys, xs]
-            .repeat(2, 0)
-            .repeat(2, 1)[top % 2 : top % 2 + bottom - top, left % 2 : left % 2 + right - left]
-            .astype(np.float32)
-            - 128.0
+            self._plane(k, *coarse)[ys, xs].repeat(down, 0).repeat(across, 1)[fine]
+            - np.float32(128)
             for k in (1, 2)
         )
         if not self._full:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -113,7 +114,7 @@ def fit_sticker(
     """
     radius = sticker.diameter / 2.0
     middle = camera.project_at(place, sticker.height)
-    in_pixels = radius / camera.metres_per_pixel(sticker.height)
+    in_pixels = radius / _scale(camera, sticker.height)
     window, corner = _window(frame, middle, RING[1] * in_pixels + RIM)
     if window is None:
         return f"the {sticker.colour} sticker is out of the picture"
@@ -136,6 +137,11 @@ def fit_sticker(
     return fit if fit is not None else ""
 
 
+@functools.lru_cache(maxsize=32)
+def _scale(camera: Camera, height: float) -> float:
+    return camera.metres_per_pixel(height)
+
+
 def _window(
     frame: Frame, middle: FloatArray, half: float
 ) -> tuple[Picture | None, tuple[int, int]]:
@@ -154,8 +160,8 @@ def _coverage(window: Picture, middle: FloatArray, radius: float) -> Gray | None
     inside, around = window[apart < CORE], window[(apart > RING[0]) & (apart < RING[1])]
     if len(inside) < 4 or len(around) < 8:
         return None
-    colour, ground = np.median(inside, axis=0), np.median(around, axis=0)
-    difference = (colour - ground).astype(np.float32)
+    colour, ground = inside.mean(0, dtype=np.float32), around.mean(0, dtype=np.float32)
+    difference = colour - ground
     square = float(difference @ difference)
     if square < CONTRAST**2:
         return None

@@ -22,6 +22,7 @@ NEAREST, FARTHEST = 5.0, 75.0  # [px] of these from the tip
 REACH: Final = 5.0  # [px] from where a side is expected
 REACH_TIP: Final = 12.0  # [px] from where the tip is expected
 ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] beside the axis, where the end is looked for
+TOUCHING: Final = 1.0  # [px] below which a gap cannot be told from none: blur fills it
 LEAST: Final = 8  # stations that must show
 MOST_RESIDUAL: Final = 0.6  # [px]
 BRIGHT: Final = 0.6  # of the contrast at the sides, that the end must have to be one
@@ -107,7 +108,7 @@ class NeedleFollower:
             axis = needle.axis + tilt * across
             needle = needle._replace(axis=axis / np.hypot(*axis))
             tip = tip + shift * across
-            along = _end(frame.luma, needle, tip, part, contrast)
+            along = _end(frame.luma, needle, tip, part, self._front(needle), contrast)
             if along is None:
                 return Sighting(reason=f"where the needle of {self.name} ends does not show")
             tip = tip + along * needle.axis
@@ -134,6 +135,17 @@ class NeedleFollower:
         behind, at = self.camera.on_plane(np.array([tip - 20.0 * needle.axis, tip]), self.height)
         direction = (at - behind) / np.hypot(*(at - behind))
         return np.asarray(float((self.shape.outline @ direction).max()) * direction)
+
+    def _front(self, needle: Needle) -> FloatArray:
+        """(n, 2) places on the pusher's front, along the axis and across, from the tip [px]."""
+        scale = self.camera.metres_per_pixel(self.height)
+        tip = self.camera.project_at(np.zeros(2), self.height)
+        ahead = self.camera.on_plane(tip + 20.0 * needle.axis, self.height)
+        along = ahead / np.hypot(*ahead)
+        aside = np.array([along[1], -along[0]])  # the picture is mirrored to the plane
+        outline = np.column_stack((self.shape.outline @ along, self.shape.outline @ aside)) / scale
+        outline[:, 0] -= outline[:, 0].max()
+        return np.asarray(outline[outline[:, 0] > -0.5 * np.ptp(outline[:, 1])])
 
     def _pose_of(self, tip: FloatArray, needle: Needle) -> FloatArray:
         place = self.camera.on_plane(tip, self.height) - self._ahead(needle, tip)
@@ -210,26 +222,35 @@ def _sides(
 
 
 def _end(
-    picture: Gray, needle: Needle, tip: FloatArray, part: FloatArray | None, contrast: float
+    picture: Gray,
+    needle: Needle,
+    tip: FloatArray,
+    part: FloatArray | None,
+    front: FloatArray,
+    contrast: float,
 ) -> float | None:
     """How far the end is from where it is expected, along the axis [px]."""
     across = np.array([-needle.axis[1], needle.axis[0]])
     pixel = tip + np.array(ACROSS)[:, None] * across
     found = find_edges(picture, EdgeLine(pixel, np.tile(needle.axis, (len(pixel), 1))), REACH_TIP)
     open_ = found.clear & (found.bright - found.dark > BRIGHT * contrast)
-    wall = None if part is None else _wall(part, tip, needle.axis)
+    # A blunt end meets a slanting side beside its middle: where the pusher's outline touches.
+    walls = [_wall(part, tip + a * needle.axis + c * across, needle.axis) for a, c in front]
+    met = [wall for wall in walls if wall is not None]
+    wall = min(met) if met else None
     if open_.all():
         free = float(np.mean(found.offset))
-        # The far side of the part is an edge too; the tip ends before its near side.
-        if wall is None or free < wall + 1.0:
+        if wall is None or free < wall - TOUCHING:
             return free
     if wall is not None and abs(wall) < REACH_TIP:
         return wall
     return None
 
 
-def _wall(part: FloatArray, tip: FloatArray, axis: FloatArray) -> float | None:
+def _wall(part: FloatArray | None, tip: FloatArray, axis: FloatArray) -> float | None:
     """Distance along the axis from the tip to where it enters an outline [px]."""
+    if part is None:
+        return None
     start = tip - 2.0 * REACH_TIP * axis
     a, b = part, np.roll(part, -1, axis=0)
     edge = b - a

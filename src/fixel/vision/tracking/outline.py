@@ -7,7 +7,6 @@ The pose is planar: what moves on the plate cannot flip.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
@@ -18,16 +17,15 @@ from fixel.model.fields import BoolArray, Comparable
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Gray
 from fixel.vision.tracking.edges import EdgeLine, Found, find_edges
+from fixel.vision.tracking.loops import solve_robustly
 
 NUDGE: Final = 1e-5  # [m], for derivatives of pixels by places
 ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
-ROUNDS: Final = 8  # of weighting, at most
-SAME: Final = 0.01  # [px] of change between them that ends it
-OPEN: Final = 1e-3  # least over largest eigenvalue, below which the edges tell no pose
 LEAST_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
 LEVEL: Final = 0.35  # how far from the usual, as a share of the contrast, brightness may be
 LEAST_SHARE: Final = 0.25  # of all points that must show an edge
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
+FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
 SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
 
 
@@ -118,7 +116,7 @@ def fit_pose(
         look = reach if round_ == 0 else min(reach, NEAR)
         found = find_edges(picture, line._replace(pixel=line.pixel - corner), look)
         usable = found.clear & _plausible(found, edges.group)
-        solved = _solved(slope[:, :n_unknown], found.offset, usable)
+        solved = _solved(np.ascontiguousarray(slope[:, :n_unknown]), found.offset, usable)
         if solved is None:
             return None
         step, covariance, residual, used = solved
@@ -126,7 +124,7 @@ def fit_pose(
         full = np.zeros((3, 3))
         full[:n_unknown, :n_unknown] = covariance
         fit = Fit(pose, full, residual, float(used.mean()), used)
-        if round_ > 0 and np.abs(slope[:, :n_unknown] @ step).max() < SETTLED:
+        if np.abs(slope[:, :n_unknown] @ step).max() < (SETTLED if round_ else FORESEEN):
             break
     return fit
 
@@ -174,65 +172,43 @@ def _plausible(found: Found, group: np.ndarray[tuple[int], np.dtype[np.int64]]) 
     What covers a mark shows edges of its own; they rarely are from the mark's black to its white.
     """
     keep = found.clear.copy()
-    for index in np.unique(group):
-        own = (group == index) & found.clear
-        if own.sum() < 4:
+    for index in range(int(group[-1]) + 1):
+        own = np.flatnonzero((group == index) & found.clear)
+        if len(own) < 4:
             keep[own] = False
             continue
-        contrast = found.bright - found.dark
-        usual = float(np.median(contrast[own]))
-        dark, bright = np.median(found.dark[own]), np.median(found.bright[own])
-        slack = LEVEL * usual
-        keep &= ~own | (
-            (np.abs(found.dark - dark) < slack) & (np.abs(found.bright - bright) < slack)
-        )
+        dark, bright = found.dark[own], found.bright[own]
+        usual_dark, usual_bright = _middle(dark), _middle(bright)
+        slack = LEVEL * (usual_bright - usual_dark)
+        keep[own] = (np.abs(dark - usual_dark) < slack) & (np.abs(bright - usual_bright) < slack)
     return np.asarray(keep)
+
+
+def _middle(values: FloatArray) -> float:
+    """A median, without the care of NumPy's."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
 
 
 def _solved(
     slope: FloatArray, offset: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, FloatArray, float, BoolArray] | None:
-    """Step of the pose, its covariance, scatter and the edges used; or none.
-
-    Weights of Cauchy find the edges that agree, whatever the others are; these alone then count.
-    """
-    n = slope.shape[1]
-    if usable.mean() < LEAST_SHARE or usable.sum() < 2 * n + 2:
+    """Step of the pose, its covariance, scatter and the edges used; or none."""
+    n, m = slope.shape
+    count = int(np.count_nonzero(usable))
+    if count < LEAST_SHARE * n or count < 2 * m + 2:
         return None
-    size = np.abs(slope).max(axis=0)
-    rows, right = slope[usable] / size, offset[usable]
-    weight = np.ones(len(right))
-    scatter = LEAST_SCATTER
-    rest = right
-    for _ in range(ROUNDS):
-        step = _least_squares(rows, right, weight)
-        if step is None:
-            return None
-        before, rest = rest, right - rows @ step
-        scatter = max(1.4826 * float(np.median(np.abs(rest))), LEAST_SCATTER)
-        if np.abs(rest - before).max() < SAME:
-            break
-        weight = 1.0 / (1.0 + (rest / scatter) ** 2)
-    kept = np.abs(rest) < ROBUST * scatter
-    step = _least_squares(rows[kept], right[kept], None) if kept.sum() >= 2 * n + 2 else None
-    if step is None:
-        return None
-    rest = right[kept] - rows[kept] @ step
-    residual = math.sqrt(float(rest @ rest) / len(rest))
-    variance = max(residual, LEAST_SCATTER) ** 2
-    covariance = variance * np.linalg.inv(rows[kept].T @ rows[kept]) / np.outer(size, size)
-    used = usable.copy()
-    used[usable] = kept
-    return step / size, covariance, residual, used
-
-
-def _least_squares(
-    rows: FloatArray, right: FloatArray, weight: FloatArray | None
-) -> FloatArray | None:
-    """Solution of an overdetermined system; none where the rows leave something open."""
-    weighted = rows if weight is None else rows * weight[:, None]
-    normal = weighted.T @ rows
-    spread = np.linalg.eigvalsh(normal)
-    if spread[0] < OPEN * spread[-1]:
-        return None
-    return np.asarray(np.linalg.solve(normal, weighted.T @ right))
+    step, covariance, used = np.empty(m), np.empty((m, m)), np.empty(n, dtype=np.bool_)
+    residual = solve_robustly(
+        slope,
+        offset,
+        usable,
+        LEAST_SCATTER,
+        ROBUST,
+        step,
+        covariance,
+        used,
+        np.empty((4, n)),
+        np.empty((m + 2, m)),
+    )
+    return None if residual < 0.0 else (step, covariance, residual, used)
