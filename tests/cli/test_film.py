@@ -8,7 +8,7 @@ from tests.vision.rendered import small_rig
 
 from fixel.exchange.rig_file import save_rig
 from fixel.exchange.scene_file import SceneFile, save_scene
-from fixel.testing.scenes import grasp
+from fixel.testing.scenes import grasp, sliding_block
 
 
 @pytest.fixture
@@ -57,3 +57,14 @@ def test_looks_that_do_not_exist_are_bad_input(capsys, files):
 
     assert code == 2
     assert "did you mean 'hard'?" in err
+
+
+def test_what_carries_no_mark_is_said(capsys, files):
+    save_scene(SceneFile(scene=sliding_block()), files / "block.yaml")
+    code, said, _ = fixel(
+        capsys, "testbed", "film", files / "block.yaml", "--rig", files / "rig.yaml",
+        "--frames", 2, "--out", files / "film",
+    )  # fmt: skip
+
+    assert code == 0
+    assert "without a mark, since the rig knows none: block" in said

@@ -110,6 +110,9 @@ def written(filmed: "list[Filmed]") -> str:
     if len(filmed) > MOST_ROWS:
         lines.append(f"... and {len(filmed) - MOST_ROWS} more; --json has them all")
     lines += [f"wrote {one.video}" for one in filmed if one.video is not None]
+    unmarked = sorted({name for one in filmed for name in one.unmarked})
+    if unmarked:
+        lines.append(f"without a mark, since the rig knows none: {', '.join(unmarked)}")
     if filmed:
         lines += ["", f"Next: fixel track {shlex.quote(str(filmed[0].folder))}"]
     return "\n".join(lines)
@@ -122,5 +125,6 @@ def _plain(one: "Filmed") -> dict[str, object]:
         "frames": one.frames,
         "seconds": one.seconds,
         "status": one.status,
+        "unmarked": list(one.unmarked),
         "video": None if one.video is None else str(one.video),
     }

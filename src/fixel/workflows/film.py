@@ -13,6 +13,7 @@ from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.exchange.rig_file import rig_of, save_rig
 from fixel.exchange.scene_file import save_scene
 from fixel.exchange.video_file import VideoWriter
+from fixel.model.chance import stream
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_times, looks_named
@@ -21,6 +22,7 @@ from fixel.workflows.film_shots import Shot, shots
 from fixel.workflows.film_truth import Truth, tracks_of, truth_of, write_truth
 
 Progress = Callable[[int, int], None]
+Write = Callable[[Frame, int | None, float], None]
 
 LEAD: Final = 0.5  # [s] at rest before the motion
 REST: Final = 0.5  # [s] after it
@@ -87,6 +89,8 @@ class Filmed:
         Of the simulation.
     video : Path or None
         A copy as one video file.
+    unmarked : tuple of str
+        What moves and carries no mark that the rig knows, so that nobody can track it.
     """
 
     name: str
@@ -95,6 +99,7 @@ class Filmed:
     seconds: float
     status: str
     video: Path | None = None
+    unmarked: tuple[str, ...] = ()
 
 
 def film(
@@ -182,12 +187,12 @@ def _shoot(
     video: Path | None,
     progress: Progress | None,
 ) -> Filmed:
+    # Films of one seed have another noise each, or their errors would all be the same.
+    seed = int(stream(shooting.seed, "film", shot.name).integers(2**31))
     duration = shooting.lead + float(shot.simulation.time[-1]) + shooting.rest
-    times = frame_times(duration, shooting.rate, looks, shooting.seed)[: shooting.frames]
-    truth = truth_of(shot, rig, looks, times, shooting.seed, shooting.lead)
-    frames = film_scene(
-        shot.scene, tracks_of(shot, shooting.lead), rig, looks, times, shooting.seed
-    )
+    times = frame_times(duration, shooting.rate, looks, seed)[: shooting.frames]
+    truth = truth_of(shot, rig, looks, times, seed, shooting.lead)
+    frames = film_scene(shot.scene, tracks_of(shot, shooting.lead), rig, looks, times, seed)
     header = RecordingHeader(
         size=rig.camera.lens.image_size,
         codec=shooting.codec,
@@ -198,10 +203,16 @@ def _shoot(
         about={"simulated": True, "seed": shooting.seed},
     )
     folder.parent.mkdir(parents=True, exist_ok=True)
-    _write_frames(frames, truth, folder, header, video, progress)
-    save_rig(rig, folder / RIG_FILE)
-    save_scene(shot.planned, folder / SCENE_FILE)
-    write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
+    with ExitStack() as stack:
+        writers: list[Write] = [stack.enter_context(RecordingWriter(folder, header)).write]
+        if video is not None:
+            copy = stack.enter_context(VideoWriter(video, header.size, rate=header.rate))
+            writers.append(lambda frame, *_: copy.write(frame))
+        # Before the frames: a film that is broken off is still one to try things on.
+        save_rig(rig, folder / RIG_FILE)
+        save_scene(shot.planned, folder / SCENE_FILE)
+        write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
+        _write_frames(frames, truth, writers, progress)
     return Filmed(
         name=shot.name,
         folder=folder,
@@ -209,27 +220,24 @@ def _shoot(
         seconds=float(times[-1]),
         status=shot.simulation.status,
         video=video,
+        unmarked=_unmarked(shot, rig) if looks.lighting == "above" else (),
     )
 
 
+def _unmarked(shot: Shot, rig: Rig) -> tuple[str, ...]:
+    """What moves and carries no mark."""
+    moving = [body.name for body in shot.scene.bodies]
+    moving += [pusher.name for pusher in shot.scene.pushers]
+    return tuple(name for name in moving if name not in rig.parts or not rig.parts[name].marks)
+
+
 def _write_frames(
-    frames: Iterator[Frame],
-    truth: Truth,
-    folder: Path,
-    header: RecordingHeader,
-    video: Path | None,
-    progress: Progress | None,
+    frames: Iterator[Frame], truth: Truth, writers: list[Write], progress: Progress | None
 ) -> None:
     total = len(truth.time)
-    with ExitStack() as stack:
-        writer = stack.enter_context(RecordingWriter(folder, header))
-        copy = None
-        if video is not None:
-            copy = stack.enter_context(VideoWriter(video, header.size, rate=header.rate))
-        for k, frame in enumerate(frames):
-            reading = int(truth.reading[k])
-            writer.write(frame, None if reading < 0 else reading, frame.time)
-            if copy is not None:
-                copy.write(frame)
-            if progress is not None:
-                progress(k + 1, total)
+    for k, frame in enumerate(frames):
+        reading = int(truth.reading[k])
+        for write in writers:
+            write(frame, None if reading < 0 else reading, frame.time)
+        if progress is not None:
+            progress(k + 1, total)
