@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.model import Scene
 from fixel.simulation import Adaptive, BatchResult, simulate_batch
@@ -52,7 +52,7 @@ def converged_batch(
     return result
 
 
-def apart(poses: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
+def apart(poses: ArrayLike, others: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Distance [mm] and angle [deg] between poses (..., 3) in [m, m, rad]."""
     with np.errstate(all="ignore"):
         difference = np.asarray(poses) - np.asarray(others)

@@ -66,7 +66,8 @@ def _throughput(
     The two are timed in turn, so that a machine that slows down slows both.
     """
     call = partial(simulate_batch, scene, sets, motion=motion)
-    one, two = [], []
+    one: list[float] = []
+    two: list[float] = []
     for repeat in range(size.repeats):
         one += seconds(lambda: call(threads=1), 1, warm_up=repeat == 0)
         two += seconds(lambda: call(threads=2), 1, warm_up=repeat == 0)

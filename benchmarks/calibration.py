@@ -23,16 +23,18 @@ from fixel.testbed.simulated import SimulatedTestbed
 
 # Bounds and start of the thesis (table 5.1); the radius begins above zero.
 THESIS = ParameterSpace(
-    unknowns=[
+    unknowns=(
         Unknown(name="mu_fixel", low=0.0, high=1.0, nominal=0.2),
         Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.2),
         Unknown(name="tripod_radius", low=0.001, high=0.060, nominal=0.025),
         Unknown(name="mu_support", low=0.01, high=1.0, nominal=0.25),
-    ]
+    )
 )
 # For coverage the range must hold the pentagon's radius well inside.
 WIDE = ParameterSpace(
-    unknowns=[replace(u, high=0.080) if u.name == "tripod_radius" else u for u in THESIS.unknowns]
+    unknowns=tuple(
+        replace(u, high=0.080) if u.name == "tripod_radius" else u for u in THESIS.unknowns
+    )
 )
 CAMERA = Noise(position_m=5e-5, angle_rad=2e-3, source="stated")
 LEAST = 1001  # evaluations of a search that never succeeds
@@ -79,7 +81,7 @@ def _recovery(n: int) -> float:
     step = 210 // n
     targets = targets_of(SimulatedTestbed.ideal().run(thesis_plan().experiments[:210:step]))
     space = ParameterSpace(
-        unknowns=[replace(u, nominal=0.4) for u in THESIS.unknowns[:2]] + [THESIS.unknowns[2]]
+        unknowns=(*(replace(u, nominal=0.4) for u in THESIS.unknowns[:2]), THESIS.unknowns[2])
     )
     comparer = Comparer(targets, space, motion=Dynamic())
     frames = Frames(comparer, np.arange(len(targets)))

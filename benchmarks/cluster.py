@@ -14,7 +14,9 @@ import contextlib
 import os
 import tempfile
 import time
+from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 from fixel.exchange.journal import Journal
 from fixel.jobs.dask_engine import DaskEngine
@@ -66,18 +68,18 @@ def _timed(name: str, options: dict[str, float], slurm: bool, workers: int) -> f
     return done - ready
 
 
-def _engine(folder: Path, slurm: bool, workers: int):
+def _engine(folder: Path, slurm: bool, workers: int) -> LocalEngine | DaskEngine:
     if not workers:
         return LocalEngine()
     if slurm:
         name = f"fixel-{time.time_ns():x}"[:18]
-        pool = SlurmPool(folder, workers, SITE, name, say=print, poll_s=0.5)
+        pool: SlurmPool | LocalPool = SlurmPool(folder, workers, SITE, name, say=print, poll_s=0.5)
     else:
         pool = LocalPool(folder, workers)
     return DaskEngine(folder, pool, say=print)
 
 
-def _warm_up(engine):
+def _warm_up(engine: LocalEngine | DaskEngine) -> Generator[Round, Any, Any]:
     """Chunks of no length, until the workers are there."""
     chunks = next(make_toy_work(Path(), {"rounds": 1, "chunks": 4})).chunks
     now = time.time_ns()

@@ -15,6 +15,7 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
 from fixel.model import Tripod
+from fixel.model.fields import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Case
@@ -29,7 +30,7 @@ MODEL_ERROR: Final = ModelError(low=1e-4, high=5e-3)
 LIVE: Final = 150
 SAMPLES: Final = 400
 PROCESSES: Final = 2
-FRAMES: Final = np.arange(1, 11) * 0.5  # [s]
+FRAMES: Final[FloatArray] = 0.5 * np.arange(1.0, 11.0)  # [s]
 # y and angle of the box where the finger meets it: left and right of its middle.
 STARTS: Final = ((0.015, 0.1), (-0.02, -0.05))
 

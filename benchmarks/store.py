@@ -7,6 +7,7 @@ tactile signals; a new SQLite file unless the URL of an empty database is given.
 import argparse
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ QUERIES = {
 }
 
 
-def experiments(n: int):
+def experiments(n: int) -> Iterator[Experiment]:
     """Random experiments, every tenth with a fault."""
     random = np.random.default_rng(0)
     scene = grasp("seated")

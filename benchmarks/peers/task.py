@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.model import LineDrive, Scene, Tripod
+from fixel.model import LineDrive, Polygon, Scene, Tripod
 from fixel.model.support import support_points
 from fixel.testing.scenes import FIXEL_RADIUS, grasp
 
@@ -46,6 +46,8 @@ def task_of(scene: Scene) -> Task:
     """The numbers of a grasp scene."""
     (body,) = scene.bodies
     (head,) = scene.pushers
+    assert isinstance(body.shape, Polygon)
+    assert isinstance(head.shape, Polygon)
     assert isinstance(body.support, Tripod)
     assert isinstance(head.drive, LineDrive)
     feet, loads, friction = support_points(

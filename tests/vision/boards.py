@@ -6,10 +6,11 @@ import cv2
 import numpy as np
 
 from fixel.kernels.arrays import FloatArray
-from fixel.vision.boards import Board, Picture
+from fixel.vision.boards import Board, Corners, Picture
+from fixel.vision.calibrate_lens import View
 from fixel.vision.lens import Lens
 
-FINE = 3  # samples of a pixel along each axis
+FINE = 2  # samples of a pixel along each axis
 
 
 class Studio:
@@ -52,20 +53,28 @@ class Studio:
     def facing(
         self, at: tuple[float, float], depth: float, tilt: tuple[float, float], spin: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Rotation and translation of a board, its middle in a direction at a depth [m]."""
-        (ax, ay), (cs, sn) = tilt, (np.cos(spin), np.sin(spin))
-        about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
-        about_y = np.array([[np.cos(ay), 0, np.sin(ay)], [0, 1, 0], [-np.sin(ay), 0, np.cos(ay)]])
-        flat = np.array([[cs, sn, 0.0], [sn, -cs, 0.0], [0.0, 0.0, -1.0]])
-        rotation = about_y @ about_x @ flat
-        middle = depth * np.array([*at, 1.0])
-        return rotation, middle - rotation @ [*(0.5 * np.array(self.board.size)), 0.0]
+        """Rotation and translation of the board, its middle in a direction at a depth [m]."""
+        return _facing(self.board, at, depth, tilt, spin)
 
 
-def spread(studio: Studio, count: int, depth: float) -> list[tuple[FloatArray, FloatArray]]:
+def _facing(
+    board: Board, at: tuple[float, float], depth: float, tilt: tuple[float, float], spin: float
+) -> tuple[FloatArray, FloatArray]:
+    (ax, ay), (cs, sn) = tilt, (np.cos(spin), np.sin(spin))
+    about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
+    about_y = np.array([[np.cos(ay), 0, np.sin(ay)], [0, 1, 0], [-np.sin(ay), 0, np.cos(ay)]])
+    flat = np.array([[cs, sn, 0.0], [sn, -cs, 0.0], [0.0, 0.0, -1.0]])
+    rotation = about_y @ about_x @ flat
+    middle = depth * np.array([*at, 1.0])
+    return rotation, middle - rotation @ [*(0.5 * np.array(board.size)), 0.0]
+
+
+def spread(
+    studio: Studio, count: int, depth: float, near: float = 1.0
+) -> list[tuple[FloatArray, FloatArray]]:
     """Places of a board that calibrate a lens well: tilted, near every corner in turn."""
     lens, random = studio.lens, np.random.default_rng(5)
-    corners = np.array([(0.3, 0.3), (0.7, 0.3), (0.7, 0.7), (0.3, 0.7), (0.5, 0.5)])
+    corners = 0.5 + near * np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2), (0, 0)])
     places = []
     for k in range(count):
         pixel = corners[k % 5] * lens.image_size
@@ -80,3 +89,35 @@ def spread(studio: Studio, count: int, depth: float) -> list[tuple[FloatArray, F
             )
         )
     return places
+
+
+def seen_corners(
+    lens: Lens,
+    board: Board,
+    count: int,
+    noise: float,
+    depth: float = 0.4,
+    tilt: float = 0.5,
+    seed: int = 0,
+) -> tuple[View, ...]:
+    """Views of a board as a finder of corners would give them, all corners in the picture."""
+    random = np.random.default_rng(seed)
+    i, j = np.meshgrid(np.arange(1, board.columns), np.arange(1, board.rows))
+    places = board.square * np.stack([i, j], axis=-1).reshape(-1, 2).astype(np.float64)
+    views: list[View] = []
+    while len(views) < count:
+        at = lens.direction(random.uniform(0.25, 0.75, 2) * lens.image_size)
+        lean = random.uniform(0.4 * tilt, tilt, 2) * random.choice([-1.0, 1.0], 2)
+        rotation, translation = _facing(
+            board,
+            (at[0], at[1]),
+            depth * random.uniform(0.9, 1.4),
+            (lean[0], lean[1]),
+            random.uniform(-0.4, 0.4),
+        )
+        solid = np.column_stack([places, np.zeros(len(places))]) @ rotation.T + translation
+        pixels = lens.pixel(solid[:, :2] / solid[:, 2:])
+        if lens.sees(pixels).all():
+            pixels = pixels + random.normal(0.0, noise, pixels.shape)
+            views.append(View(f"view {len(views)}", lens.image_size, Corners(places, pixels)))
+    return tuple(views)

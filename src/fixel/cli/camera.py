@@ -1,20 +1,25 @@
 """`fixel camera`: calibrate, import, place and check a camera; print boards and tags."""
 
-import json
+import math
 import re
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
+from fixel.cli.camera_said import (
+    corner_lines,
+    lens_lines,
+    misfit_lines,
+    place_lines,
+    remark_lines,
+    show,
+    verdict_lines,
+    view_lines,
+)
 from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
-
-if TYPE_CHECKING:
-    from fixel.workflows.camera.calibrate import CameraAnswer
-
-MOST_ROWS = 40
 
 app = typer.Typer(
     help="Calibrate, import, place and check a camera; print boards and tags.",
@@ -82,9 +87,9 @@ def calibrate(
         )
     with counting_bar() as tell:
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, tell=tell)
-    _show(
+    show(
         answer.summary(),
-        [_lens(answer), _views(answer), _corners(answer)],
+        [lens_lines(answer), view_lines(answer), corner_lines(answer)],
         [out],
         f"fixel camera place {_quoted(out)} PICTURE --board {board}, a picture of the board flat "
         "on the plate",
@@ -127,9 +132,9 @@ def import_(
         raise InvalidInput("--unit", found=repr(unit), expected="mm, cm or m")
     answer = bring_in(file, out, format=format, size=_size(size), which=which, unit=units[unit])
     placed = answer.camera.camera is not None
-    _show(
+    show(
         answer.summary(),
-        [_lens(answer), _remarks(answer)],
+        [lens_lines(answer), remark_lines(answer)],
         [out],
         f"fixel camera check {_quoted(out)}"
         if placed
@@ -149,7 +154,7 @@ def export(
     from fixel.workflows.camera.calibrate import export as run
 
     answer = run(camera, out, format)
-    _show(answer.summary(), [_lens(answer)], [out], "", as_json)
+    show(answer.summary(), [lens_lines(answer)], [out], "", as_json)
 
 
 @app.command("place")
@@ -201,9 +206,9 @@ def place(
         heights=_heights(height_mm),
         plot=plot,
     )
-    _show(
+    show(
         answer.summary(),
-        [_place(answer), _misfit(answer), _verdicts(answer)],
+        [place_lines(answer), misfit_lines(answer), verdict_lines(answer)],
         [target, plot],
         f"name {target.name} as the camera of a rig file, then fixel camera check RIG --video FILE",
         as_json,
@@ -238,14 +243,14 @@ def check(
     ]
     trip = [f"pixels and directions agree both ways to {found.round_trip:.1g} px"]
     problems = [f"PROBLEM: {problem}" for problem in found.problems]
-    _show(
+    show(
         found.summary(),
         [
-            _lens(found.answer),
-            _place(found.answer),
+            lens_lines(found.answer),
+            place_lines(found.answer),
             trip,
-            _verdicts(found.answer),
-            _remarks(found.answer),
+            verdict_lines(found.answer),
+            remark_lines(found.answer),
             tags,
             problems,
         ],
@@ -272,7 +277,7 @@ def board_(
     from fixel.workflows.camera.prints import print_board
 
     answer = print_board(board, out, paper)
-    _show(
+    show(
         answer.summary(),
         [["Print at 100 %, measure the ruler, glue it to something flat."]],
         [out],
@@ -312,7 +317,7 @@ def tags(
     else:
         first, last = _range(str(ids))
         answer = print_tags(first, last, size_mm / 1e3, family, out, paper)
-    _show(
+    show(
         answer.summary(),
         [
             [
@@ -326,130 +331,11 @@ def tags(
     )
 
 
-# --- what is said ---------------------------------------------------------------------------------
-
-
-def _show(
-    summary: dict[str, Any],
-    blocks: list[list[str]],
-    files: list[Path | None],
-    then: str,
-    as_json: bool,
-) -> None:
-    if as_json:
-        typer.echo(json.dumps(summary, allow_nan=False))
-        return
-    wrote = [f"wrote {file}" for file in files if file]
-    after = [f"Next: {then}"] if then else []
-    everything = [*blocks, wrote, after]
-    typer.echo("\n\n".join("\n".join(block) for block in everything if block))
-
-
-def _lens(answer: "CameraAnswer") -> list[str]:
-    camera, lens = answer.camera, answer.camera.lens
-    width, height = lens.image_size
-    known = camera.deviations
-
-    def number(name: str, value: float, unit: str = " px") -> str:
-        spread = f" +- {known[name]:.2g}" if name in known else ""
-        return f"{name} {value:.6g}{spread}{unit}"
-
-    names = (
-        ("k1", "k2", "k3", "k4")
-        if lens.fisheye
-        else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    )
-    terms = [
-        number(name, value, "")
-        for name, value in zip(names, lens.distortion.tolist(), strict=True)
-        if value or name in known
-    ]
-    skew = [number("skew", lens.skew, "")] if lens.skew else []
-    lines = [
-        f"{'fisheye' if lens.fisheye else 'lens'} for pictures of {width} x {height} px",
-        "  " + ", ".join(number(n, v) for n, v in zip(("fx", "fy"), lens.focal, strict=True)),
-        "  " + ", ".join(number(n, v) for n, v in zip(("cx", "cy"), lens.centre, strict=True)),
-    ]
-    return [*lines, "  " + ", ".join(skew + terms)] if skew or terms else lines
-
-
-def _views(answer: "CameraAnswer") -> list[str]:
-    from fixel.cli.screen import table
-
-    found = answer.calibration
-    assert found is not None
-    rows = [
-        (u.name, str(u.corners), f"{u.rms:.3f}", f"{u.tilt * 57.29578:.0f}") for u in found.used
-    ]
-    head = ("picture", "corners", "rms [px]", "tilt [deg]")
-    left_out = [f"  {d.name}: {d.reason}" for d in found.dropped]
-    return [
-        *table(head, rows[:MOST_ROWS]),
-        *([f"... and {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []),
-        f"{len(rows)} pictures used, rms {found.rms:.3f} px",
-        *([f"left out ({len(left_out)}):", *left_out[:MOST_ROWS]] if left_out else []),
-    ]
-
-
-def _corners(answer: "CameraAnswer") -> list[str]:
-    from fixel.workflows.camera.verdict import empty_corners
-
-    empty = empty_corners(answer.camera.seen)
-    if not empty:
-        return ["Every corner of the picture had a board near."]
-    return [
-        f"No board was near {len(empty)} of 4 corners of the picture ({', '.join(empty)}): "
-        "take more pictures there, the lens is guessed at there."
-    ]
-
-
-def _place(answer: "CameraAnswer") -> list[str]:
-    camera = answer.camera.camera
-    if camera is None:
-        return []
-    x, y, z = 1e3 * camera.position
-    tilt = answer.camera.camera and _tilt(camera.rotation)
-    return [
-        f"camera {z:.1f} mm above the plate, over x {x:.1f} mm, y {y:.1f} mm, tilted by "
-        f"{tilt:.1f} deg; {1e3 * camera.metres_per_pixel():.3g} mm per pixel on the plate"
-    ]
-
-
-def _tilt(rotation: Any) -> float:
-    import math
-
-    return math.degrees(math.acos(max(-1.0, min(1.0, -rotation[2, 2]))))
-
-
-def _misfit(answer: "CameraAnswer") -> list[str]:
-    found = answer.placement
-    assert found is not None
-    summary = answer.summary()
-    return [
-        f"{summary['points']} points lie {1e3 * summary['misfit_rms_m']:.2g} mm (rms), at worst "
-        f"{1e3 * summary['misfit_worst_m']:.2g} mm from where they are said to be "
-        f"({found.rms:.2g} px rms)"
-    ]
-
-
-def _verdicts(answer: "CameraAnswer") -> list[str]:
-    return [f"{each.sentence}." for each in answer.verdicts]
-
-
-def _remarks(answer: "CameraAnswer") -> list[str]:
-    return [f"note: {remark}" for remark in answer.remarks]
-
-
-# --- what is typed --------------------------------------------------------------------------------
-
-
 def _heights(typed: list[float] | None) -> tuple[float, ...]:
     return tuple(mm / 1e3 for mm in (typed or THESIS_HEIGHTS))
 
 
 def _pose(text: str) -> tuple[float, float, float]:
-    import math
-
     try:
         x, y, angle = (float(part) for part in text.split(","))
     except ValueError:

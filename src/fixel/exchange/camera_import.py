@@ -99,6 +99,13 @@ def _kind_of(path: Path) -> str:
     head = _head(path)
     if path.suffix.lower() in (".m", ".mat"):
         return "matlab"
+    if b"fixel_camera" in head:
+        raise InvalidInput(
+            str(path),
+            found="a camera file of fixel already",
+            expected="one of another program",
+            hint=f"run: fixel camera check {path.name}",
+        )
     if b"opencv-matrix" in head or b"<opencv_storage" in head:
         return "opencv"
     if b"distortion_model" in head and b"camera_model" in head:

@@ -18,7 +18,7 @@ from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, FOCAL
 
 STEPS: Final = 60
-CALM: Final = 1e-9  # [px] of the root mean square, below which a step changed nothing
+CALM: Final = 1e-8  # [px] of the root mean square, below which a step changed nothing
 # How far parameters are moved for their slopes: pixels, then coefficients, radians, metres.
 NUDGE: Final = {"px": 1e-3, "coefficient": 1e-6, "rad": 1e-6, "m": 1e-7}
 

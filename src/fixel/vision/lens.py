@@ -236,7 +236,7 @@ class Lens(Comparable):
                 angle = angle - np.clip(off / slope, -FARTHEST_STEP, FARTHEST_STEP)
             found = (np.abs(off) < LOST) & (slope > 0.0) & (angle >= 0.0) & (angle < 0.5 * np.pi)
             ratio = np.where(seen > 0.0, np.tan(angle) / np.where(seen > 0.0, seen, 1.0), 1.0)
-        return np.where(found[..., None], wanted * ratio[..., None], np.nan)
+            return np.where(found[..., None], wanted * ratio[..., None], np.nan)
 
 
 def _coefficients(values: ArrayLike, count: int) -> FloatArray:

@@ -147,22 +147,28 @@ def _joint(
     """Errors of lens and place together: the place was found with the lens as it is said to be."""
     of_lens = [k for k, name in enumerate(measured.names) if name not in PLACE]
     names = tuple(measured.names[k] for k in of_lens)
-    own = found.place_covariance[0]
-    if measured.noise and found.noise < measured.noise:
-        own = own * (measured.noise / max(found.noise, 1e-12)) ** 2
+    noise = max(measured.noise or 0.0, found.noise, 1e-9)
+    slopes = slopes_of((found.lens, found.rotations, found.translations), names, sight)
+    n = len(names)
+    own = noise**2 * (np.linalg.pinv(slopes[:, n:].T @ slopes[:, n:]) + _in_step(slopes[:, n:]))
     if not names:
         return PLACE, own
     lens_covariance = measured.covariance[np.ix_(of_lens, of_lens)]
-    slope = _follows(found, names, sight)
+    slope = -np.linalg.lstsq(slopes[:, n:], slopes[:, :n], rcond=None)[0]
     cross = lens_covariance @ slope.T
     whole = np.block([[lens_covariance, cross], [cross.T, slope @ cross + own]])
     return (*names, *PLACE), 0.5 * (whole + whole.T)
 
 
-def _follows(found: Fit, names: tuple[str, ...], sight: Sight) -> FloatArray:
-    slopes = slopes_of((found.lens, found.rotations, found.translations), names, sight)
-    n = len(names)
-    return np.asarray(-np.linalg.lstsq(slopes[:, n:], slopes[:, :n], rcond=None)[0])
+def _in_step(slopes: FloatArray) -> FloatArray:
+    """What corners of one picture add that err together by as much as each does by itself.
+
+    Where a board lies square to the pixels, all its corners lie alike on them, and are found to the
+    same side.
+    """
+    shift = np.tile(np.eye(2), (len(slopes) // 2, 1))
+    moved = np.linalg.lstsq(slopes, shift, rcond=None)[0]
+    return np.asarray(moved @ moved.T)
 
 
 def _refuse_size(lens: Lens, picture: Picture) -> None:

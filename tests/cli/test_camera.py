@@ -1,0 +1,196 @@
+"""`fixel camera` from the shell: a day with a camera."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from tests.cli.shell import fixel
+from tests.exchange.test_camera_import import CALIB_RESULTS, ROS
+from tests.vision.boards import Studio, spread
+
+from fixel.exchange.camera_file import load_camera
+from fixel.vision.boards import board_of
+from fixel.vision.camera import Camera
+from fixel.vision.lens import Lens
+
+BOARD = "charuco:7x5:30mm:20mm"
+LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Pictures of a board, and one of it flat on a plate."""
+    path = tmp_path_factory.mktemp("pictures")
+    studio = Studio(LENS, board_of(BOARD))
+    (path / "boards").mkdir()
+    for k, place in enumerate(spread(studio, 6, 0.3)):
+        cv2.imwrite(str(path / "boards" / f"p{k}.png"), studio.picture(*place))
+    true = Camera.looking_down(LENS, 0.4, above=(0.1, 0.07), turned=0.2, tilted=(0.04, -0.03))
+    cv2.imwrite(str(path / "flat.png"), studio.picture(true.rotation, true.translation))
+    return path
+
+
+@pytest.fixture(scope="module")
+def placed(folder):
+    from typer.testing import CliRunner
+
+    from fixel.cli.main import app
+
+    shell = CliRunner()
+    calibrated, done = folder / "camera.yaml", folder / "placed.yaml"
+    first = shell.invoke(app, ["camera", "calibrate", str(folder / "boards"), "--board", BOARD,
+                               "--out", str(calibrated)])  # fmt: skip
+    assert first.exit_code == 0, first.output
+    assert "Next: fixel camera place" in first.output
+    second = shell.invoke(app, ["camera", "place", str(calibrated), str(folder / "flat.png"),
+                                "--board", BOARD, "--out", str(done), "--at", "10,20,90",
+                                "--plot", str(folder / "map.png")])  # fmt: skip
+    assert second.exit_code == 0, second.output
+    assert "95 %" in second.output
+    assert "Next: " in second.output
+    return done
+
+
+def test_calibrate_says_it_in_json(capsys, folder, tmp_path):
+    out = tmp_path / "camera.yaml"
+    code, text, _ = fixel(
+        capsys, "camera", "calibrate", folder / "boards", folder / "flat.png",
+        "--board", BOARD, "--out", out, "--json", "--coefficients", 2,
+    )  # fmt: skip
+    answer = json.loads(text)
+    assert code == 0
+    assert len(answer["used"]) == 7
+    assert answer["rms_px"] < 0.1
+    assert abs(answer["focal_px"][0] - 440.0) < 4.0 * answer["standard_deviations"]["fx"]
+    assert load_camera(out).lens.image_size == (480, 360)
+
+
+def test_check_of_a_placed_camera(capsys, placed, folder):
+    code, text, _ = fixel(
+        capsys, "camera", "check", placed, "--video", folder / "flat.png", "--json",
+        "--height-mm", 25.4,
+    )  # fmt: skip
+    answer = json.loads(text)
+    assert code == 0
+    assert answer["round_trip_px"] < 1e-6
+    (verdict,) = answer["verdicts"]
+    assert 1e-5 < verdict["typical_95_m"] < 1e-3
+    assert "mm above the plate is right to" in verdict["sentence"]
+    assert (folder / "map.png").exists()
+
+
+def test_a_rig_with_this_camera(capsys, placed, tmp_path):
+    shutil.copy(placed, tmp_path / "camera.yaml")
+    (tmp_path / "rig.yaml").write_text("fixel_rig: 1\nname: mine\ncamera: camera.yaml\n")
+    code, text, _ = fixel(capsys, "camera", "check", tmp_path / "rig.yaml")
+    assert code == 0
+    assert "is right to" in text
+
+
+def test_check_refuses_another_size(capsys, tmp_path):
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((360, 640, 3), np.uint8))
+    code, _, err = fixel(
+        capsys, "camera", "check", "thesis-tags", "--video", tmp_path / "small.png"
+    )
+    assert code == 2
+    assert "640 x 360" in err
+
+
+def test_check_sees_that_the_camera_was_moved(capsys, tmp_path):
+    from tests.vision.test_place_camera import tagged
+
+    from fixel.exchange.rig_file import rig_of, save_rig
+
+    rig = rig_of("thesis-tags")
+    save_rig(rig, tmp_path / "rig.yaml")
+    moved = Camera(
+        lens=rig.camera.lens,
+        rotation=rig.camera.rotation,
+        translation=rig.camera.translation + np.array([0.003, 0.0, 0.0]),
+    )
+    cv2.imwrite(str(tmp_path / "now.png"), tagged(moved, rig.plate))
+    code, text, _ = fixel(
+        capsys, "camera", "check", tmp_path / "rig.yaml", "--video", tmp_path / "now.png"
+    )
+    assert code == 1
+    assert "the camera was moved" in text
+
+
+def test_import_and_export(capsys, tmp_path):
+    (tmp_path / "Calib_Results.m").write_text(CALIB_RESULTS)
+    out = tmp_path / "camera.yaml"
+    code, text, _ = fixel(
+        capsys, "camera", "import", tmp_path / "Calib_Results.m", "--out", out,
+        "--size", "1280x720",
+    )  # fmt: skip
+    assert code == 0
+    assert "skew 0.002" in text
+    code, _, err = fixel(
+        capsys, "camera", "export", out, "--out", tmp_path / "a.yml", "--format", "opencv"
+    )
+    assert code == 2
+    assert "skew" in err
+    (tmp_path / "ros.yaml").write_text(ROS)
+    fixel(capsys, "camera", "import", tmp_path / "ros.yaml", "--out", out)
+    code, _, _ = fixel(
+        capsys, "camera", "export", out, "--out", tmp_path / "again.yaml", "--format", "ros"
+    )
+    assert code == 0
+    fixel(capsys, "camera", "import", tmp_path / "again.yaml", "--out", tmp_path / "b.yaml")
+    assert load_camera(out).lens == load_camera(tmp_path / "b.yaml").lens
+
+
+def test_prints(capsys, tmp_path):
+    code, text, _ = fixel(capsys, "camera", "board", "--out", tmp_path / "board.pdf")
+    assert code == 0
+    assert "calibrate" in text
+    code, text, _ = fixel(
+        capsys, "camera", "tags", "thesis-tags", "--out", tmp_path / "tags.pdf", "--json"
+    )
+    assert json.loads(text)["tags"] == 6
+    assert (tmp_path / "tags.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("calibrate", "{}/boards"), "--board"),
+        (("calibrate", "{}/boards", "--board", "charuco:7x5"), "charuco:7x5:30mm"),
+        (("calibrate", "{}/flat.png", "--board", BOARD), "at least 4"),
+        (("calibrate", "{}", "--board", "checkerboard:9x6:25mm"), "at least 4"),
+        (("calibrate", "{}/boards", "--board", BOARD, "--out", "{}/a.txt"), ".yaml"),
+        (("place", "{}/camera.yaml", "{}/flat.png"), "--board or --rig"),
+        (("place", "{}/camera.yaml", "{}/flat.png", "--board", BOARD, "--at", "1,2"), "--at"),
+        (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "microscope"), "no tags"),
+        (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "thesis-tags"), "at least 2"),
+        (("place", "{}/camera.yaml", "{}/camera.yaml", "--board", BOARD), "ending"),
+        (("check", "nowhere.yaml"), "no such file"),
+        (("import", "{}/flat.png"), "no known format"),
+        (("import", "{}/camera.yaml"), "already"),
+        (("import", "{}/camera.yaml", "--size", "big"), "1280x720"),
+        (("tags",), "either a RIG or --ids"),
+        (("tags", "--ids", "9-0"), "range"),
+        (("tags", "--ids", "x"), "0-9"),
+        (("tags", "thesis-stickers"), "no tags"),
+        (("board", "charuco:9x6:40mm:30mm"), "--paper"),
+        (("board", "--out", "{}/board.txt"), ".pdf"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, placed, folder, tmp_path, monkeypatch, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = fixel(capsys, "camera", *(a.format(folder) for a in arguments))
+    assert code == 2
+    assert word in err
+    assert "Traceback" not in err
+
+
+def test_a_file_that_is_no_picture(capsys, placed, folder, tmp_path):
+    for content in (b"", b"hello", b"\x89PNG\r\n\x1a\n" + b"\x00" * 40):
+        (tmp_path / "a.png").write_bytes(content)
+        code, _, err = fixel(
+            capsys, "camera", "place", placed, tmp_path / "a.png", "--board", BOARD
+        )
+        assert code == 2
+        assert "no picture" in err

@@ -1,0 +1,88 @@
+"""Prints of boards and tags: the right squares, of the right size."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fixel.drawing.prints import (
+    PER_METRE,
+    Sheet,
+    board_rectangles,
+    board_sheet,
+    rastered,
+    save_sheets,
+    tag_sheets,
+)
+from fixel.errors import InvalidInput
+from fixel.vision.boards import board_of
+from fixel.vision.marks import Tag
+from fixel.vision.tracking.tag_reader import read_tags
+
+
+@pytest.mark.parametrize("text", ["charuco:7x5:30mm:20mm", "charuco:4x6:24mm:16mm:5x5"])
+def test_a_board_is_the_one_of_opencv(text: str) -> None:
+    board = board_of(text)
+    per_metre = 4000.0
+    size = tuple(round(side * per_metre) for side in board.size)
+    ours = np.asarray(
+        rastered(Sheet(board.size, board_rectangles(board), ()), per_metre).convert("L")
+    )
+    theirs = board.of_opencv().generateImage(size)
+    assert np.mean(ours != theirs) < 0.02  # rounding of cells to whole pixels
+
+
+def test_a_printed_board_is_found() -> None:
+    board = board_of("charuco:7x5:30mm:22mm")
+    image = rastered(board_sheet(board, "a board"), 4000.0).convert("L")
+    corners = board.find(np.asarray(image))
+    assert len(corners.places) == 24
+    scale = np.linalg.norm(np.diff(corners.pixels[:2], axis=0)) / 0.03
+    assert scale == pytest.approx(4000.0, rel=1e-3)
+
+
+def test_a_printed_checkerboard_is_found() -> None:
+    board = board_of("checkerboard:9x6:25mm")
+    image = rastered(board_sheet(board, "a board"), 3000.0).convert("L")
+    assert len(board.find(np.asarray(image)).places) == 54
+
+
+def test_printed_tags_are_read() -> None:
+    tags = [(Tag(id=k, size=0.02 + 0.001 * k, height=0.0), "plate") for k in range(7)]
+    (sheet,) = tag_sheets(tags)
+    found = read_tags(np.asarray(rastered(sheet, 4000.0).convert("L")), {"apriltag-36h11"})
+    for tag, _ in tags:
+        (corners,) = found[("apriltag-36h11", tag.id)]
+        side = np.linalg.norm(corners[1] - corners[0])
+        assert side == pytest.approx(4000.0 * tag.size, abs=2.0)
+
+
+def test_files_know_their_size(tmp_path: Path) -> None:
+    sheet = board_sheet(board_of("charuco:7x5:30mm:22mm"), "a board")
+    save_sheets([sheet], tmp_path / "a.pdf")
+    save_sheets([sheet], tmp_path / "a.png")
+    box = re.search(rb"MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", (tmp_path / "a.pdf").read_bytes())
+    assert box
+    assert float(box[1]) == pytest.approx(297 / 25.4 * 72, abs=0.2)
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size[0] == round(0.297 * PER_METRE)
+        assert image.info["dpi"][0] == pytest.approx(600.0, abs=0.01)
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="--paper a3"):
+        board_sheet(board_of("charuco:9x6:40mm:30mm"), "")
+    with pytest.raises(InvalidInput, match="smaller squares"):
+        board_sheet(board_of("charuco:9x7:90mm:60mm"), "")
+    with pytest.raises(InvalidInput, match="a4"):
+        board_sheet(board_of("charuco:7x5:30mm:22mm"), "", "a9")
+    with pytest.raises(InvalidInput, match="586"):
+        tag_sheets([(Tag(id=5000, size=0.03, height=0.0), "")])
+    sheets = tag_sheets([(Tag(id=k, size=0.09, height=0.0), "") for k in range(9)])
+    assert len(sheets) > 1
+    with pytest.raises(InvalidInput, match=r"\.pdf"):
+        save_sheets(sheets, tmp_path / "a.png")
