@@ -162,6 +162,33 @@ def test_refusals(bench, capsys, monkeypatch, arguments, words):
     assert words in err
 
 
+def test_the_place_of_a_stored_experiment(bench, capsys, tmp_path):
+    project = tmp_path / "lab"
+    assert fixel(capsys, "new", project)[0] == 0
+    code, _, err = fixel(
+        capsys, "overlay", "--rig", bench / "rig.yaml", "--experiment", "nothing/1",
+        "--project", project, "--once", "--output", tmp_path / "a.png",
+    )  # fmt: skip
+    assert code == 2
+    assert "nothing/1" in err
+    both = fixel(capsys, *asked(bench, "0"), "--experiment", "nothing/1")
+    assert both[0] == 2
+    assert "both a scene and an experiment" in both[2]
+
+
+def test_a_camera_that_fails_says_so(bench, capsys, monkeypatch):
+    class Failing(Endless):
+        def frames(self):
+            yield Arrived(0.0, pixels=picture(0.11))
+            raise OSError("the plug was pulled")
+
+    monkeypatch.setattr(frame_source, "source_of", lambda *_, **__: Failing())
+    code, out, err = fixel(capsys, *asked(bench, "0"))
+    assert code == 0
+    assert "the plug was pulled" in err
+    assert out.startswith("In place")
+
+
 def test_the_help_is_there(capsys):
     with pytest.raises(SystemExit):
         run(["overlay", "--help"])

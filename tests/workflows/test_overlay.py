@@ -1,6 +1,7 @@
 """How far parts are from where a scene wants them."""
 
 import math
+import re
 from dataclasses import replace
 
 import cv2
@@ -158,6 +159,14 @@ def test_the_rig_says_how_well_to_place():
     overlay = Overlay(small_rig(position_tolerance=3e-3), SCENE)
     assert overlay.tolerance.distance == 3e-3
     assert overlay.tolerance.angle == RIG.angle_tolerance
+
+
+@pytest.mark.parametrize(("mm", "words"), [(1.0, r"push \d\.\d mm"), (0.02, r"push \d\.\d\d mm")])
+def test_digits_are_those_of_the_tolerance(mm, words):
+    fine = Tolerance(distance=1e-3 * mm, angle=1.0)
+    picture = plate_picture(RIG, AT_HOME | {"object": (0.116, -0.01, 0.35)})
+    look = Overlay(RIG, SCENE, fine).look(frame(picture))
+    assert re.search(words, look.sentence)
 
 
 @pytest.mark.parametrize("poses", [AT_HOME, AT_HOME | {"object": (0.12, 0.0, 0.3)}, {}])

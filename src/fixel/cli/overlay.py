@@ -125,14 +125,10 @@ def _errors(look: "Look") -> list[str]:
 
     rows = []
     for part in look.checked:
-        error = part.error
-        if error is None:
+        if part.error is None:
             rows.append((part.name, "-", "-", "-", f"not seen: {part.reason}"))
-            continue
-        x, y, turn = 1e3 * error[0], 1e3 * error[1], degrees(error[2])
-        verdict = "in place" if part.within else "off"
-        angle = "-" if part.round else f"{turn:+.2f}"
-        rows.append((part.name, f"{x:+.2f}", f"{y:+.2f}", angle, verdict))
+        else:
+            rows.append((part.name, *look.words(part), "in place" if part.within else "off"))
     allowed = look.tolerance
     return [
         *table(("measured less wanted", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
@@ -179,7 +175,8 @@ def _live(
     from fixel.web.overlay_page import overlay_page
     from fixel.web.serve import WebServer
 
-    view, look = LiveView(), None
+    view = LiveView()
+    look: Look | None = None
     stream = source.open()
 
     def end(reason: str) -> None:

@@ -29,7 +29,7 @@ MEASURED: Final = bgr("#F0E442")  # yellow of the same palette
 PLACED: Final = bgr(TOUCHED)
 BRIGHT: Final = bgr("#7CFFB2")  # the same green, to be read on a dark rim
 WARNING: Final = bgr("#FF8A66")
-AXIS: Final = 0.03  # [m] length of the world's axes as drawn
+AXIS: Final = 55.0  # [px] length of the world's axes as drawn
 FAINT: Final = 0.45
 ARROW: Final = (45.0, 130.0)  # [px] least and greatest length of the push
 EXAGGERATED: Final = 8.0  # the push is drawn so many times as long as it is
@@ -82,7 +82,8 @@ def _measured(canvas: Picture, look: Look, part: PartLook) -> None:
 
 
 def _axes(canvas: Picture, look: Look) -> None:
-    ends = place_pixels(look.rig.camera, [[0.0, 0.0], [AXIS, 0.0], [0.0, AXIS]], 0.0)
+    length = AXIS * look.rig.camera.metres_per_pixel()
+    ends = place_pixels(look.rig.camera, [[0.0, 0.0], [length, 0.0], [0.0, length]], 0.0)
     for name, end in zip("xy", ends[1:], strict=True):
         draw_arrow(canvas, ends[0], end, STANDING, width=1)
         draw_words(canvas, name, [end[0] + 4.0, end[1] + 4.0], STANDING, size=0.5)
@@ -100,7 +101,7 @@ def _words(canvas: Picture, look: Look) -> None:
     """The verdict large, then a line for each part, from the upper left."""
     size = max(0.4, canvas.shape[1] / 1600.0)
     step = 42.0 * size
-    lines = [*look.problems, *(_line(part) for part in look.checked), *look.remarks]
+    lines = [*look.problems, *(_line(look, part) for part in look.checked), *look.remarks]
     band = canvas[: round(step * (1.6 + len(lines)))]
     band[:] = band // 3
     colour = BRIGHT if look.placed else WARNING
@@ -109,11 +110,9 @@ def _words(canvas: Picture, look: Look) -> None:
         draw_words(canvas, line, (16.0, step * (2.1 + number)), STANDING, size=0.8 * size)
 
 
-def _line(part: PartLook) -> str:
-    error = part.error
-    if error is None:
+def _line(look: Look, part: PartLook) -> str:
+    if part.error is None:
         return f"{part.name}: not seen, {part.reason}"
-    x, y, turn = 1e3 * error[0], 1e3 * error[1], np.degrees(error[2])
-    verdict = "in place" if part.within else "off"
-    angle = "" if part.round else f"angle {turn:+.2f} deg, "
-    return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, {angle}{verdict}"
+    x, y, turn = look.words(part)
+    angle = "" if part.round else f"angle {turn} deg, "
+    return f"{part.name}: x {x} mm, y {y} mm, {angle}{'in place' if part.within else 'off'}"

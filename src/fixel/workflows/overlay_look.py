@@ -156,10 +156,25 @@ class Look:
         turn = math.degrees(error[2]), math.degrees(self.tolerance.angle)
         way = "clockwise" if error[2] > 0.0 else "counter-clockwise"
         words = [
-            *([f"push {push[0]:.1f} mm"] if push[0] > push[1] else []),
+            *([f"push {push[0]:.{self.decimals - 1}f} mm"] if push[0] > push[1] else []),
             *([f"turn {abs(turn[0]):.1f} deg {way}"] if abs(turn[0]) > turn[1] else []),
         ]
         return f"{part.name}: {', '.join(words)}"
+
+    @property
+    def decimals(self) -> int:
+        """Digits of a millimetre that are worth showing: to a twentieth of the tolerance."""
+        return max(2, math.ceil(-math.log10(1e3 * self.tolerance.distance / 20.0)))
+
+    def words(self, part: PartLook) -> tuple[str, str, str]:
+        """Error of a part that is seen, in words: x [mm], y [mm], angle [deg]."""
+        assert part.error is not None
+        x, y, turn = part.error.tolist()
+        return (
+            _signed(1e3 * x, self.decimals),
+            _signed(1e3 * y, self.decimals),
+            "-" if part.round else _signed(math.degrees(turn), 2),
+        )
 
     def summary(self) -> dict[str, Any]:
         """Plain values, for JSON and for the page."""
@@ -169,6 +184,7 @@ class Look:
             "headline": self.headline,
             "sentence": self.sentence,
             "to_place": self.to_place.name,
+            "decimals": self.decimals,
             "tolerance_mm": _rounded(1e3 * self.tolerance.distance),
             "tolerance_deg": _rounded(math.degrees(self.tolerance.angle)),
             "parts": [self._part_summary(part) for part in self.checked],
@@ -210,3 +226,9 @@ class Look:
 def _rounded(value: float) -> float:
     """To a ten thousandth of a mm or a degree; zero without a sign."""
     return round(float(value), 4) + 0.0
+
+
+def _signed(value: float, decimals: int) -> str:
+    """With its sign, unless it is nothing."""
+    text = f"{value:+.{decimals}f}"
+    return text.lstrip("+-") if float(text) == 0.0 else text

@@ -98,7 +98,7 @@ def _disagreement(
 
 
 def _between_jumps(time: FloatArray, pose: FloatArray, scale: float) -> BoolArray:
-    """(n,) which poses lie on pieces of a track that jump away from the longest one."""
+    """(n,) which poses lie on pieces of a track that do not go on from the longest one."""
     n = len(time)
     bad = np.zeros(n, dtype=bool)
     if n < 3:
@@ -115,4 +115,18 @@ def _between_jumps(time: FloatArray, pose: FloatArray, scale: float) -> BoolArra
         return bad
     piece = np.concatenate(([0], np.cumsum(jump)))
     longest = int(np.bincount(piece).argmax())
-    return np.asarray(piece != longest)
+    good = piece == longest
+    limit = np.array([JUMP[0] * scale, JUMP[1]])
+    for k in (*range(longest + 1, piece[-1] + 1), *range(longest - 1, -1, -1)):
+        own, kept = np.flatnonzero(piece == k), np.flatnonzero(good)
+        forward = own[0] > kept[-1]
+        here, there = (own[0], kept[-1]) if forward else (own[-1], kept[0])
+        near = kept[-4:] if forward else kept[:4]
+        speed = np.median(np.diff(pose[near], axis=0) / np.diff(time[near])[:, None], axis=0)
+        passed = time[here] - time[there]
+        off = pose[here] - pose[there] - speed * passed
+        # The longer it was away, the less its speed then says.
+        slack = limit + 0.5 * abs(passed) * np.array([np.hypot(*speed[:2]), abs(speed[2])])
+        if np.hypot(*off[:2]) < slack[0] and abs(off[2]) < slack[1]:
+            good |= piece == k
+    return np.asarray(~good)

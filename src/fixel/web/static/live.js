@@ -57,6 +57,12 @@ export function follow(show) {
   let lost = false;
   if (document.readyState === "complete") look();
   else addEventListener("load", () => setTimeout(look));
+  // A page that nobody sees lets go of the pictures: a browser has six connections to share.
+  document.addEventListener("visibilitychange", () => {
+    if (ended) return;
+    if (document.hidden) at("picture").removeAttribute("src");
+    else look();
+  });
   const source = new EventSource(`${path}/events`);
   source.onmessage = (event) => {
     newest = performance.now();

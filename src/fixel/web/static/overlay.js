@@ -15,7 +15,7 @@ function cell(text, kind = "td") {
   return node;
 }
 
-function row(part) {
+function row(part, decimals) {
   const node = document.createElement("tr");
   node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
   const name = cell(part.name, "th");
@@ -29,17 +29,18 @@ function row(part) {
   }
   node.append(
     name,
-    cell(signed(part.dx_mm, 2)), cell(signed(part.dy_mm, 2)), cell(signed(part.angle_deg, 2)),
+    cell(signed(part.dx_mm, decimals)), cell(signed(part.dy_mm, decimals)),
+    cell(signed(part.angle_deg, 2)),
     cell(part.within ? "\u2713 in place" : "\u2717 off"),
   );
   return node;
 }
 
-function guide(part, within) {
+function guide(part, within, decimals) {
   at("guide").hidden = !part || !part.seen;
   if (!part || !part.seen) return;
   const moved = part.distance_mm <= within.mm;
-  write("push", part.distance_mm.toFixed(1));
+  write("push", part.distance_mm.toFixed(decimals - 1));
   write("push-what", moved ? "position is right" : "push");
   // Angles of a picture grow downwards, as those of SVG do.
   at("push-arrow").setAttribute("transform", `rotate(${part.push_screen_deg.toFixed(0)})`);
@@ -59,8 +60,8 @@ follow((status) => {
   const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
   write("tolerance", `${within.mm} mm, ${within.deg} deg`);
   const part = status.parts.find((one) => one.name === status.to_place);
-  guide(status.state === "trouble" ? null : part, within);
-  at("parts").replaceChildren(...status.parts.map(row));
+  guide(status.state === "trouble" ? null : part, within, status.decimals);
+  at("parts").replaceChildren(...status.parts.map((one) => row(one, status.decimals)));
   list("problems", status.problems);
   list("remarks", status.remarks);
 });

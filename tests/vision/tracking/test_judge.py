@@ -1,0 +1,63 @@
+"""Which poses are believed, and which part of a motion counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fixel.vision.tracking.actuator import motion_of
+from fixel.vision.tracking.base import Sighting
+from fixel.vision.tracking.judge import judged
+
+TIME = np.arange(120) / 30.0
+
+
+def sightings(pose):
+    return [
+        Sighting(pose=row, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5), marks=1, share=1.0)
+        for row in pose
+    ]
+
+
+def path():
+    """A push that starts at once, as far as the camera can tell."""
+    x = np.where(TIME < 1.0, 0.0, 0.0135 * (TIME - 1.0))
+    noise = 5e-6 * np.random.default_rng(1).standard_normal((len(TIME), 3))
+    return np.column_stack((x, 0.1 * x, x)) + noise
+
+
+def test_a_sudden_start_is_no_outlier():
+    assert judged("object", TIME, sightings(path())).good.all()
+
+
+def test_a_single_wrong_pose_is_found():
+    pose = path()
+    pose[50] += (1.2e-3, 0.0, 0.0)
+    pose[80] += (0.0, 0.0, 0.05)
+    part = judged("object", TIME, sightings(pose))
+    assert np.flatnonzero(~part.good).tolist() == [50, 80]
+    assert part.n_outliers == 2
+    assert "outlier" in part.reason[50]
+
+
+def test_a_run_of_wrong_poses_is_found():
+    pose = path()
+    pose[60:72] += (3e-3, -2e-3, 0.1)
+    part = judged("object", TIME, sightings(pose))
+    assert np.flatnonzero(~part.good).tolist() == list(range(60, 72))
+
+
+def test_the_steady_part_of_a_motion():
+    speed = np.interp(TIME, [0.0, 0.5, 0.8, 3.2, 3.4, 4.0], [0.0, 0.0, 0.0135, 0.0135, 0.0, 0.0])
+    place = np.cumsum(speed)[:, None] / 30.0 * [[0.8, 0.6]]
+    motion = motion_of(TIME, place, 1e-5)
+    assert motion.moved
+    assert motion.cruise == pytest.approx(0.0135, rel=0.01)
+    assert motion.direction == pytest.approx([0.8, 0.6], abs=1e-6)
+    assert 0.7 < motion.start < 1.1
+    assert 2.9 < motion.end < 3.3
+
+
+def test_what_stands_does_not_move():
+    still = 1e-5 * np.random.default_rng(1).standard_normal((len(TIME), 2))
+    assert not motion_of(TIME, still, 1e-5).moved

@@ -1,0 +1,107 @@
+"""Tracking: the contract of all methods, and what only some of them must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.testing.painted import PAINT, as_seen, moving, painted, sticker_rig, tag_rig
+from fixel.testing.tracking_contract import TrackingContract
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame
+from fixel.vision.tracking import Stickers, Tags, track
+
+
+class TestTags(TrackingContract):
+    @pytest.fixture
+    def tracking(self):
+        return Tags()
+
+    @pytest.fixture
+    def painter(self):
+        return painted(tag_rig())
+
+    def test_mirrored_pictures_are_refused(self, painter):
+        mirrored = Frame(0.0, painter.frame(0.0).picture[:, ::-1].copy())
+        with pytest.raises(InvalidInput, match="mirrored"):
+            track([mirrored], painter.rig)
+
+    def test_tags_of_another_size_are_refused(self, painter):
+        part = painter.rig.parts["object"]
+        larger = replace(part.marks[0], size=0.034)
+        rig = replace(
+            painter.rig,
+            parts={**painter.rig.parts, "object": replace(part, marks=(larger,))},
+        )
+        with pytest.raises(InvalidInput, match="mm wide in the picture"):
+            track([painter.frame(0.0)], rig)
+
+    def test_a_quarter_turn_is_named(self, painter):
+        turned = np.rot90(painter.frame(0.0).picture).copy()
+        with pytest.raises(InvalidInput, match="turned by a quarter"):
+            track([Frame(0.0, turned)], painter.rig)
+
+
+class TestStickers(TrackingContract):
+    @pytest.fixture
+    def tracking(self):
+        return Stickers()
+
+    @pytest.fixture
+    def painter(self):
+        return painted(sticker_rig())
+
+    def test_two_things_of_one_colour_are_refused(self, painter):
+        picture = painter.picture(moving(0.0))
+        v, u = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
+        picture[np.hypot(u - 60, v - 200) < 11.0] = PAINT["red"]
+        with pytest.raises(InvalidInput, match="2 things of one colour"):
+            track([Frame(0.0, as_seen(picture))], painter.rig)
+
+
+class TestPlate:
+    """Tags on the plate tell whether the camera is where it was."""
+
+    @pytest.fixture
+    def painter(self):
+        return painted(tag_rig(plate=True))
+
+    def _moved(self, rig, shift):
+        camera = rig.camera
+        moved = Camera(
+            lens=camera.lens,
+            rotation=camera.rotation,
+            translation=camera.translation + camera.rotation @ [*shift, 0.0],
+        )
+        return replace(rig, camera=moved)
+
+    def test_in_place_it_is_tracked(self, painter):
+        tracked = track([painter.frame(0.0)], painter.rig)
+        assert tracked.remarks == ()
+
+    def test_a_camera_that_was_moved_is_refused_or_registered(self, painter):
+        frame = painter.frame(0.0)
+        rig = self._moved(painter.rig, (0.004, -0.002))
+        with pytest.raises(InvalidInput, match="was moved"):
+            track([frame], rig)
+        tracked = track([frame], rig, register=True)
+        truth = moving(0.0)["object"]
+        assert np.hypot(*(tracked.parts["object"].pose[0] - truth)[:2]) < 0.5e-3
+        assert "registered" in tracked.remarks[0]
+
+    def test_half_a_turn_is_named(self, painter):
+        turned = painter.frame(0.0).picture[::-1, ::-1].copy()
+        with pytest.raises(InvalidInput, match=r"half a turn|was moved"):
+            track([Frame(0.0, turned)], painter.rig)
+
+
+def test_unknown_methods_are_refused():
+    rig = tag_rig((96, 72))
+    frame = Frame(0.0, np.zeros((72, 96, 3), np.uint8))
+    with pytest.raises(InvalidInput, match="auto, tags"):
+        track([frame], rig, method="guess")
+    with pytest.raises(InvalidInput, match="no frames"):
+        track([], rig)
