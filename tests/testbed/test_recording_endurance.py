@@ -99,8 +99,9 @@ def test_a_hundred_recordings_that_are_killed_are_read_up_to_then(tmp_path: Path
     missing = np.array([one.missing for one in found])
     print(
         f"\n{len(found)} kills: up to {missing.max():.3f} s missing, median "
-        f"{np.median(missing):.3f} s; {min(one.frames for one in found)} to "
-        f"{max(one.frames for one in found)} frames read"
+        f"{np.median(missing):.3f} s, {(missing > LATEST).sum()} over {LATEST} s; "
+        f"{min(one.frames for one in found)} to {max(one.frames for one in found)} frames read; "
+        f"load {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores"
     )
     assert missing.max() < LATEST
 

@@ -11,8 +11,8 @@ from fixel.errors import FixelError
 from fixel.testbed.frame_source import Arrived, FrameSource
 
 HELD: Final = 30  # pictures: a second of them
-OLD: Final = 0.2  # [s] a picture that waited longer is late
-CATCHING_UP: Final = 0.2  # [s] for which pictures may be late, after something held them up
+OLD: Final = 0.15  # [s] a picture that waited longer is late
+CATCHING_UP: Final = 0.15  # [s] for which pictures may be late, after something held them up
 ENDS_WITHIN: Final = 5.0  # [s]
 
 
