@@ -21,6 +21,7 @@ from fixel.vision.tracking.tags import names_of, tag_edges
 MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
 ABOVE: Final = 0.03  # [m], about where marks are
+LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
 VAGUE: Final = 0.5e-3  # [m] that a camera registered anew may be wrong by up there
 
 
@@ -119,17 +120,17 @@ def registered(rig: Rig, frame: Frame) -> Camera:
     Raises
     ------
     InvalidInput
-        Fewer than two tags of the plate in the picture, or tags that fit no place of the camera.
+        Fewer than three tags of the plate in the picture, or tags that fit no place of the camera.
     """
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
     rough = {
         tag: found[tag.family, tag.id][0] for tag in rig.plate if (tag.family, tag.id) in found
     }
-    if len(rough) < 2:
+    if len(rough) < LEAST_TAGS:
         raise InvalidInput(
             "camera",
             found=f"{len(rough)} tags of the plate in the picture",
-            expected="at least two to find the camera's place from",
+            expected=f"at least {LEAST_TAGS} to find the camera's place from, near the corners",
         )
     camera = _placed(rig.camera, rough)[0]
     camera, rest = _placed(
