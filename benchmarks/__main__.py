@@ -26,12 +26,13 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
+    "tracking": ("tracking", "run", "rendered films tracked on one core, against their truth"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "coverage", "domain", "sbc")
+ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -82,15 +82,13 @@ class TestPlate:
         tracked = track([painter.frame(0.0)], painter.rig)
         assert tracked.remarks == ()
 
-    def test_a_camera_that_was_moved_is_refused_or_registered(self, painter):
+    def test_a_camera_that_was_moved_is_refused(self, painter):
         frame = painter.frame(0.0)
         rig = self._moved(painter.rig, (0.004, -0.002))
         with pytest.raises(InvalidInput, match="was moved"):
             track([frame], rig)
-        tracked = track([frame], rig, register=True)
-        truth = moving(0.0)["object"]
-        assert np.hypot(*(tracked.parts["object"].pose[0] - truth)[:2]) < 0.5e-3
-        assert "registered" in tracked.remarks[0]
+        with pytest.raises(InvalidInput, match="at least 3 to find"):
+            track([frame], rig, register=True)
 
     def test_half_a_turn_is_named(self, painter):
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()

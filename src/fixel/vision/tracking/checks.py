@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -10,19 +10,19 @@ from scipy.optimize import least_squares
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
+from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.tracking.outline import fit_pose
+from fixel.vision.tracking.outline import LEAST_SCATTER, fit_pose
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges
 
 MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
-FLIPS: Final[Mapping[str, tuple[slice, slice]]] = {
-    "mirrored left to right": (slice(None), slice(None, None, -1)),
-    "mirrored upside down": (slice(None, None, -1), slice(None)),
-}
+ABOVE: Final = 0.03  # [m], about where marks are
+LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
+VAGUE: Final = 0.5e-3  # [m] that a camera registered anew may be wrong by up there
 
 
 def refuse_size(rig: Rig, frame: Frame) -> None:
@@ -120,25 +120,50 @@ def registered(rig: Rig, frame: Frame) -> Camera:
     Raises
     ------
     InvalidInput
-        Fewer than two tags of the plate in the picture, or tags that fit no place of the camera.
+        Fewer than three tags of the plate in the picture, or tags that fit no place of the camera.
     """
-    camera = rig.camera
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
-    own, seen = [], []
-    for tag in rig.plate:
-        for quad in found.get((tag.family, tag.id), [])[:1]:
-            corners = tag_corners(tag)
-            own.append(np.column_stack((corners, np.full(4, tag.height))))
-            seen.append(quad)
-    if len(own) < 2:
+    rough = {
+        tag: found[tag.family, tag.id][0] for tag in rig.plate if (tag.family, tag.id) in found
+    }
+    if len(rough) < LEAST_TAGS:
         raise InvalidInput(
             "camera",
-            found=f"{len(own)} tags of the plate in the picture",
-            expected="at least two to find the camera's place from",
+            found=f"{len(rough)} tags of the plate in the picture",
+            expected=f"at least {LEAST_TAGS} to find the camera's place from, near the corners",
         )
-    points, pixels = np.concatenate(own), np.concatenate(seen)
+    camera = _placed(rig.camera, rough)[0]
+    camera, rest = _placed(
+        camera, {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
+    )
+    if rest > 1.0:
+        raise InvalidInput(
+            "camera",
+            found=f"tags of the plate that are {rest:.1f} px off wherever the camera is put",
+            expected="tags at the places the rig says",
+            hint="was one of them moved? calibrate the plate anew",
+        )
+    return camera
 
-    def placed(unknown: FloatArray) -> Camera:
+
+def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> FloatArray:
+    """(4, 2) corners of a tag of the plate, to a few hundredths of a pixel."""
+    fit = fit_pose(frame.luma, camera, tag_edges(tag, 0), np.zeros(3), reach=5.0)
+    if fit is None:
+        return rough
+    return camera.project_at(placed(tag_corners(tag), fit.pose), tag.height)
+
+
+def _placed(
+    camera: Camera, seen: Mapping[Tag, FloatArray], *, exact: bool = False
+) -> tuple[Camera, float]:
+    """The camera where its tags show as they do, and how far they are off then [px]."""
+    points = np.concatenate(
+        [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
+    )
+    pixels = np.concatenate(list(seen.values()))
+
+    def at(unknown: FloatArray) -> Camera:
         turn = _rotation(unknown[:3])
         return Camera(
             lens=camera.lens,
@@ -147,17 +172,38 @@ def registered(rig: Rig, frame: Frame) -> Camera:
         )
 
     fitted = least_squares(
-        lambda x: np.asarray((placed(x).project(points) - pixels).ravel()), np.zeros(6)
+        lambda x: np.asarray((at(x).project(points) - pixels).ravel()), np.zeros(6)
     )
     rest = float(np.sqrt(np.mean(fitted.fun**2)))
-    if rest > 2.0:
+    found = at(fitted.x)
+    if exact:
+        _refuse_vague(found, at, fitted.x, np.asarray(fitted.jac), max(rest, LEAST_SCATTER))
+    return found, rest
+
+
+def _refuse_vague(
+    found: Camera,
+    at: Callable[[FloatArray], Camera],
+    unknown: FloatArray,
+    slope: FloatArray,
+    scatter: float,
+) -> None:
+    """Refuse a camera whose tags leave open where something above the plate is."""
+    middle = (np.array(found.lens.image_size) - 1.0) / 2.0
+    here = found.on_plane(middle, ABOVE)
+    step = 1e-6
+    change = np.array(
+        [(at(unknown + step * row).on_plane(middle, ABOVE) - here) / step for row in np.eye(6)]
+    )
+    covariance = scatter**2 * np.linalg.pinv(slope.T @ slope)
+    off = float(np.sqrt(np.trace(change.T @ covariance @ change)))
+    if off > VAGUE:
         raise InvalidInput(
             "camera",
-            found=f"tags of the plate that are {rest:.1f} px off wherever the camera is put",
-            expected="tags at the places the rig says",
-            hint="was one of them moved? calibrate the plate anew",
+            found=f"tags of the plate that tell places to {off * 1e3:.1f} mm only",
+            expected=f"tags so far apart that they tell them to {VAGUE * 1e3:.1f} mm",
+            hint="put tags near all four corners of the picture, or calibrate the plate anew",
         )
-    return placed(fitted.x)
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
