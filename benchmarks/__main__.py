@@ -26,11 +26,12 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
+    "camera": ("camera", "run", "cameras from rendered pictures of boards, and their errors in mm"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "coverage", "domain", "sbc")
+ONLY_WHEN_ASKED = ("peers", "coverage", "domain", "sbc", "camera")
 
 
 def main(arguments: list[str] | None = None) -> int:
