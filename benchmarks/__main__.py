@@ -27,12 +27,13 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "tracking": ("tracking", "run", "rendered films tracked on one core, against their truth"),
+    "camera": ("camera", "run", "cameras from rendered pictures of boards, and their errors in mm"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc")
+ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc", "camera")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -72,6 +72,11 @@ def measure_readings(readings: int) -> None:
     print(f"{1e3 * trips[int(0.99 * readings)]:.2f} ms 99 %, {1e3 * trips[-1]:.2f} ms at most")
 
 
+def _kill_all(*processes: int) -> None:
+    for process in processes:
+        os.kill(process, signal.SIGKILL)
+
+
 def measure_stops(stops: int) -> None:
     """From the event to the drive at rest, its program deep in a computation."""
     ways: dict[str, Callable[[int, int, str], object]] = {
@@ -82,10 +87,7 @@ def measure_stops(stops: int) -> None:
             CLI, check=True, stdout=subprocess.DEVNULL
         ),
         "kill -9 of the program": lambda program, guard, port: os.kill(program, signal.SIGKILL),
-        "kill -9 of program and guard": lambda program, guard, port: [
-            os.kill(guard, signal.SIGKILL),
-            os.kill(program, signal.SIGKILL),
-        ],
+        "kill -9 of program and guard": lambda program, guard, port: _kill_all(guard, program),
     }
     for name, way in ways.items():
         # Long enough that the way is measured; the last is about the queue itself, as it comes.

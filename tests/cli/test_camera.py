@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.cli.shell import fixel
 from tests.exchange.test_camera_import import CALIB_RESULTS, ROS
-from tests.vision.boards import Studio, spread
 
 from fixel.exchange.camera_file import load_camera
+from fixel.testing.board_pictures import Studio, spread
 from fixel.vision.boards import board_of
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 from typing import Any
 
@@ -124,3 +125,14 @@ def test_tags_of_an_example() -> None:
     (mark,) = rig_of("thesis-tags").parts["actuator"].marks
     assert isinstance(mark, Tag)
     assert mark.size == 0.02
+
+
+def test_the_page_shows_a_rig_that_loads(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "camera.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    rig = rig_of("thesis-tags")
+    save_camera(
+        MeasuredCamera(lens=rig.camera.lens, camera=rig.camera), tmp_path / "camera-placed.yaml"
+    )
+    (tmp_path / "rig.yaml").write_text(text)
+    assert set(load_rig(tmp_path / "rig.yaml").parts) == {"object", "actuator"}

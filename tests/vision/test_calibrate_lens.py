@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.vision.boards import Studio, seen_corners, spread
 
 from fixel.errors import InvalidInput
+from fixel.testing.board_pictures import Studio, seen_corners, spread
 from fixel.vision.boards import Board, Corners, Picture, board_of
 from fixel.vision.bundle import values_of
 from fixel.vision.calibrate_lens import Dropped, View, calibrate_lens, find_boards

@@ -7,11 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.vision.boards import Studio, seen_corners
 
 from fixel.errors import InvalidInput
 from fixel.exchange.rig_file import rig_of
 from fixel.kernels.arrays import FloatArray
+from fixel.testing.board_pictures import Studio, seen_corners
 from fixel.vision.boards import Picture, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera

@@ -1,7 +1,5 @@
 """`fixel camera`: calibrate, import, place and check a camera; print boards and tags."""
 
-import math
-import re
 import shlex
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +16,7 @@ from fixel.cli.camera_said import (
     verdict_lines,
     view_lines,
 )
+from fixel.cli.camera_typed import heights_of, pose_of, quoted, range_of, size_of
 from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
 
@@ -51,7 +50,6 @@ Paper = Annotated[str, typer.Option(help="a4, a3, a2 or letter.")]
 CameraFile = Annotated[
     Path, typer.Argument(help="Camera file.", metavar="CAMERA", exists=True, dir_okay=False)
 ]
-THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
 
 @app.command("calibrate")
@@ -91,7 +89,7 @@ def calibrate(
         answer.summary(),
         [lens_lines(answer), view_lines(answer), corner_lines(answer)],
         [out],
-        f"fixel camera place {_quoted(out)} PICTURE --board {board}, a picture of the board flat "
+        f"fixel camera place {quoted(out)} PICTURE --board {board}, a picture of the board flat "
         "on the plate",
         as_json,
     )
@@ -130,15 +128,15 @@ def import_(
     units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
     if unit not in units:
         raise InvalidInput("--unit", found=repr(unit), expected="mm, cm or m")
-    answer = bring_in(file, out, format=format, size=_size(size), which=which, unit=units[unit])
+    answer = bring_in(file, out, format=format, size=size_of(size), which=which, unit=units[unit])
     placed = answer.camera.camera is not None
     show(
         answer.summary(),
         [lens_lines(answer), remark_lines(answer)],
         [out],
-        f"fixel camera check {_quoted(out)}"
+        f"fixel camera check {quoted(out)}"
         if placed
-        else f"fixel camera place {_quoted(out)} PICTURE --board charuco:7x5:30mm:22mm",
+        else f"fixel camera place {quoted(out)} PICTURE --board charuco:7x5:30mm:22mm",
         as_json,
     )
 
@@ -200,10 +198,10 @@ def place(
         picture,
         target,
         board=board,
-        at=_pose(at),
+        at=pose_of(at),
         thickness=thickness_mm / 1e3,
         rig=rig,
-        heights=_heights(height_mm),
+        heights=heights_of(height_mm),
         plot=plot,
     )
     show(
@@ -236,7 +234,7 @@ def check(
     """Say how right places on the plate are, and whether the camera is still where it was."""
     from fixel.workflows.camera.check import check as run
 
-    found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
+    found = run(camera, video=video, heights=heights_of(height_mm), plot=plot)
     tags = [
         f"tag {number} of the plate is {1e3 * off:.2f} mm from its place"
         for number, off in found.tags.items()
@@ -255,7 +253,7 @@ def check(
             problems,
         ],
         [plot],
-        "" if not found.problems else f"fixel camera place {_quoted(camera)} PICTURE",
+        "" if not found.problems else f"fixel camera place {quoted(camera)} PICTURE",
         as_json,
     )
     if found.problems:
@@ -315,7 +313,7 @@ def tags(
     if rig is not None:
         answer = print_rig_tags(rig, out, paper)
     else:
-        first, last = _range(str(ids))
+        first, last = range_of(str(ids))
         answer = print_tags(first, last, size_mm / 1e3, family, out, paper)
     show(
         answer.summary(),
@@ -329,37 +327,3 @@ def tags(
         f"fixel camera place CAMERA PICTURE --rig {shlex.quote(rig)}" if rig else "",
         as_json,
     )
-
-
-def _heights(typed: list[float] | None) -> tuple[float, ...]:
-    return tuple(mm / 1e3 for mm in (typed or THESIS_HEIGHTS))
-
-
-def _pose(text: str) -> tuple[float, float, float]:
-    try:
-        x, y, angle = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidInput(
-            "--at", found=repr(text), expected="x and y [mm] and an angle [deg]: 0,0,0"
-        ) from None
-    return x / 1e3, y / 1e3, math.radians(angle)
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if not found:
-        raise InvalidInput("--size", found=repr(text), expected="width and height [px]: 1280x720")
-    return int(found[1]), int(found[2])
-
-
-def _range(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,4})(?:-(\d{1,4}))?", text)
-    if not found:
-        raise InvalidInput("--ids", found=repr(text), expected="numbers such as 0-9")
-    return int(found[1]), int(found[2] or found[1])
-
-
-def _quoted(path: Path | str) -> str:
-    return shlex.quote(str(path))

@@ -85,7 +85,9 @@ def import_camera(
     try:
         found = readers[kind]()
     except InvalidInput as problem:
-        where = str(path) if problem.where == "file" else f"{path}: {problem.where}"
+        where = str(path) if problem.where == "file" else problem.where
+        if not where.startswith(str(path)):
+            where = f"{path}: {where}"
         raise InvalidInput(
             where, found=problem.found, expected=problem.expected, hint=problem.hint
         ) from None

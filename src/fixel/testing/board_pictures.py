@@ -1,20 +1,35 @@
-"""Pictures of boards through an exact lens, for the tests of calibration."""
+"""Pictures of boards through a known lens, for tests and benchmarks of calibration."""
 
 from __future__ import annotations
 
-import cv2
+from typing import Final, final
+
 import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
 from fixel.vision.calibrate_lens import View
 from fixel.vision.lens import Lens
+from fixel.vision.opencv import opencv
 
-FINE = 2  # samples of a pixel along each axis
+FINE: Final = 2  # samples of a pixel along each axis
+
+Place = tuple[FloatArray, FloatArray]  # rotation and translation in the camera's axes [m]
 
 
+@final
 class Studio:
-    """Takes pictures of one board with one lens."""
+    """Takes pictures of one board with one lens.
+
+    Parameters
+    ----------
+    lens : Lens
+    board : Board
+    per_square : int
+        Pixels along a square of what is printed on the board.
+    seed : int
+        Of the noise.
+    """
 
     def __init__(self, lens: Lens, board: Board, per_square: int = 64, seed: int = 0) -> None:
         self.lens, self.board = lens, board
@@ -31,7 +46,8 @@ class Studio:
     def _print(self, per_square: int) -> Picture:
         b = self.board
         if b.marker:
-            return b.of_opencv().generateImage((b.columns * per_square, b.rows * per_square))
+            size = (b.columns * per_square, b.rows * per_square)
+            return np.asarray(b.of_opencv().generateImage(size), dtype=np.uint8)
         i, j = np.meshgrid(np.arange(b.columns), np.arange(b.rows))
         squares = np.where((i + j) % 2, 255, 0).astype(np.uint8)
         return np.kron(squares, np.ones((per_square, per_square), np.uint8))
@@ -44,22 +60,22 @@ class Studio:
         # Pixel 0 of the texture is the middle of its first; y counts from the upper edge.
         across = (x * self.per_metre - 0.5).astype(np.float32)
         down = ((self.board.size[1] - y) * self.per_metre - 0.5).astype(np.float32)
-        fine = cv2.remap(self.texture, across, down, cv2.INTER_LINEAR, borderValue=255)
+        fine = opencv().remap(self.texture, across, down, opencv().INTER_LINEAR, borderValue=255)
         width, height = self.lens.image_size
         gray = fine.reshape(height, FINE, width, FINE).astype(np.float64).mean(axis=(1, 3))
         gray = 40.0 + 0.7 * gray + self.random.normal(0.0, noise, gray.shape)
-        return np.clip(gray, 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(gray, 0, 255), dtype=np.uint8)
 
     def facing(
         self, at: tuple[float, float], depth: float, tilt: tuple[float, float], spin: float = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Place:
         """Rotation and translation of the board, its middle in a direction at a depth [m]."""
         return _facing(self.board, at, depth, tilt, spin)
 
 
 def _facing(
     board: Board, at: tuple[float, float], depth: float, tilt: tuple[float, float], spin: float
-) -> tuple[FloatArray, FloatArray]:
+) -> Place:
     (ax, ay), (cs, sn) = tilt, (np.cos(spin), np.sin(spin))
     about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
     about_y = np.array([[np.cos(ay), 0, np.sin(ay)], [0, 1, 0], [-np.sin(ay), 0, np.cos(ay)]])
@@ -69,9 +85,7 @@ def _facing(
     return rotation, middle - rotation @ [*(0.5 * np.array(board.size)), 0.0]
 
 
-def spread(
-    studio: Studio, count: int, depth: float, near: float = 1.0
-) -> list[tuple[FloatArray, FloatArray]]:
+def spread(studio: Studio, count: int, depth: float, near: float = 1.0) -> list[Place]:
     """Places of a board that calibrate a lens well: tilted, near every corner in turn."""
     lens, random = studio.lens, np.random.default_rng(5)
     corners = 0.5 + near * np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2), (0, 0)])
