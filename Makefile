@@ -15,7 +15,7 @@ PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
 
-.PHONY: help demo test test-slow test-cluster check lint format soak bench lock clean
+.PHONY: help demo demo-camera test test-slow test-cluster check lint format soak bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -28,6 +28,9 @@ help:  ## this list
 
 demo: $(READY)  ## simulate, replay and draw: see what fixel does
 	@$(BIN)/fixel demo
+
+demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare with the truth
+	@$(BIN)/fixel demo --camera
 
 test: $(READY)  ## the tests, and the check that each floor imports only from those below
 	@$(BIN)/lint-imports --no-logo

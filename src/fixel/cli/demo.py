@@ -1,16 +1,19 @@
 """`fixel demo`: a tour that ends in a report."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from fixel.workflows.camera_tour import CameraTour
     from fixel.workflows.demo import Demo
     from fixel.workflows.tour import Tour
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
 LAB = "lab"
+CAMERA = "camera"
 NOT_SOLVED = 3
 
 
@@ -21,10 +24,30 @@ def demo(
     quick: Annotated[
         bool, typer.Option("--quick", help="The grasp only: no experiments, no report.")
     ] = False,
+    camera: Annotated[
+        bool,
+        typer.Option(
+            "--camera",
+            help="Instead: film simulated pushes, record the films off a network camera, track,"
+            " calibrate, and compare with the truth.",
+        ),
+    ] = False,
 ) -> None:
     """Simulate and film a grasp; then calibrate simulated experiments and report how far to
     believe the simulator."""
     from fixel.cli.screen import progress_bar, say
+
+    if camera:
+        from fixel.workflows.camera_tour import run_camera_tour
+
+        begin = time.monotonic()
+        tour = run_camera_tour(
+            out / CAMERA,
+            say=lambda what: say(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
+            progress=progress_bar("Filming"),
+        )
+        typer.echo("\n".join(_whole_way(tour)))
+        return
     from fixel.workflows.demo import run_demo
 
     result = run_demo(out, say=say, progress=progress_bar("Filming"))
@@ -36,6 +59,34 @@ def demo(
 
         typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
         typer.echo("\n".join(_reported(run_tour(out / LAB, say=lambda what: say(f"  {what} ...")))))
+
+
+def _whole_way(tour: "CameraTour") -> list[str]:
+    import math
+    import shlex
+
+    from fixel.cli.screen import table
+    from fixel.workflows.camera_tour import estimate_table
+    from fixel.workflows.report.write import next_command
+
+    errors, lab = tour.errors, shlex.quote(str(tour.project))
+    shown = estimate_table(tour.estimates)
+    return [
+        "",
+        f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are"
+        f" {1e3 * errors.position:.3f} mm and {math.degrees(errors.angle):.3f} deg from the true"
+        " ones (RMS).",
+        "",
+        *table(shown.head, shown.rows, left=4),
+        "",
+        *(f"  overlay    {path}" for path in tour.overlays if path.suffix == ".png"),
+        "",
+        "True and tracked paths stand side by side in the report:",
+        f"  {next_command(tour.report)}",
+        "Next, look at a tracked experiment, or do the same with a camera of yours:",
+        f"  fixel show tracked/{tour.runs[0].name} --project {lab}",
+        "  fixel camera board, then: fixel record --help",
+    ]
 
 
 def _reported(tour: "Tour") -> list[str]:
