@@ -39,6 +39,14 @@ def film(
             show_default="thesis, or microscope",
         ),
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A number of the looks, e.g. occlusion=1.5; may be repeated.",
+            metavar="NAME=VALUE",
+        ),
+    ] = None,
     seed: Seed = 1,
     exact: Annotated[
         bool, typer.Option("--exact", help="Keep every bit of every picture; larger files.")
@@ -70,6 +78,7 @@ def film(
         Shooting(
             rig=rig,
             looks=looks or "",
+            changes=tuple(set_ or ()),
             seed=seed,
             codec="exact" if exact else "near",
             rate=rate,
@@ -101,6 +110,9 @@ def written(filmed: "list[Filmed]") -> str:
     if len(filmed) > MOST_ROWS:
         lines.append(f"... and {len(filmed) - MOST_ROWS} more; --json has them all")
     lines += [f"wrote {one.video}" for one in filmed if one.video is not None]
+    unmarked = sorted({name for one in filmed for name in one.unmarked})
+    if unmarked:
+        lines.append(f"without a mark, since the rig knows none: {', '.join(unmarked)}")
     if filmed:
         lines += ["", f"Next: fixel track {shlex.quote(str(filmed[0].folder))}"]
     return "\n".join(lines)
@@ -113,5 +125,6 @@ def _plain(one: "Filmed") -> dict[str, object]:
         "frames": one.frames,
         "seconds": one.seconds,
         "status": one.status,
+        "unmarked": list(one.unmarked),
         "video": None if one.video is None else str(one.video),
     }
