@@ -50,6 +50,8 @@ class VideoFile:
     n_frames : int or None
         As the container says, if it does; a damaged file may hold fewer.
     codec : str
+    note : str
+        What was written into it by whoever made it.
     remarks : list of str
         What was found on reading that one should know; complete once all frames were read.
     """
@@ -59,6 +61,7 @@ class VideoFile:
     n_frames: int | None
     duration: float | None
     codec: str
+    note: str = ""
     threads: int = 0
     remarks: list[str] = field(default_factory=list)
 
@@ -119,6 +122,7 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
             n_frames=stream.frames or None,
             duration=_seconds(stream, container),
             codec=context.name,
+            note=_note(container),
             threads=threads,
         )
 
@@ -137,6 +141,8 @@ class VideoWriter:
         `h264`, `ffv1` (without any loss) or `mjpeg`.
     rate : float
         About how many frames a second; their own times count.
+    note : str
+        Kept in the file. What no camera has seen says so: a note that begins with `SIMULATED`.
 
     Raises
     ------
@@ -145,7 +151,13 @@ class VideoWriter:
     """
 
     def __init__(
-        self, path: str | Path, size: tuple[int, int], codec: str = "h264", rate: float = 30.0
+        self,
+        path: str | Path,
+        size: tuple[int, int],
+        codec: str = "h264",
+        rate: float = 30.0,
+        *,
+        note: str = "",
     ) -> None:
         self.path = Path(path)
         self.size = size
@@ -156,6 +168,8 @@ class VideoWriter:
         self._last = -1
         self._zero: float | None = None
         self._container = av.open(str(self._temporary), "w")
+        if note:
+            self._container.metadata["comment"] = note
         stream: Any = self._container.add_stream(
             encoder, rate=Fraction(rate).limit_denominator(1001), options=options
         )
@@ -335,6 +349,12 @@ def _opened(path: Path) -> Any:
             expected="a video file that was written to its end",
             hint="record into .mkv, which survives this" if mp4 else None,
         ) from None
+
+
+def _note(container: Any) -> str:
+    """What the maker of the file wrote; some containers keep names in capitals."""
+    kept = {name.lower(): words for name, words in container.metadata.items()}
+    return str(kept.get("comment", ""))
 
 
 def _seconds(stream: Any, container: Any) -> float | None:

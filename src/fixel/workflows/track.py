@@ -247,6 +247,7 @@ def open_film(source: Path) -> Film:
         n_frames=video.n_frames,
         readings=None,
         remarks=lambda: tuple(video.remarks),
+        simulated_by=video.note if video.note.startswith("SIMULATED") else "",
     )
 
 
@@ -279,7 +280,7 @@ def _draw(
     from fixel.workflows.track_pictures import write_overlay, write_sheet
 
     if "overlay" in files:
-        write_overlay(film.frames(), rig, scene, tracked, files["overlay"])
+        write_overlay(film.frames(), rig, scene, tracked, files["overlay"], film.simulated_by)
     if "sheet" in files:
         write_sheet(film.frames(), rig, scene, tracked, files["sheet"])
     if "plot" in files:

@@ -25,13 +25,13 @@ WIDTH: Final = 960  # [px] of each on a sheet, at most
 
 
 def write_overlay(
-    frames: Iterator[Frame], rig: Rig, scene: Scene, tracked: Tracked, path: Path
+    frames: Iterator[Frame], rig: Rig, scene: Scene, tracked: Tracked, path: Path, note: str = ""
 ) -> None:
     """The film again, with outlines of object, pusher and fixels at their heights."""
     step = float(np.median(np.diff(tracked.time))) if len(tracked.time) > 1 else 1.0 / 30.0
     zero = float(tracked.time[0])
     size = tuple(2 * (side // 2) for side in rig.camera.lens.image_size)
-    with VideoWriter(path, (size[0], size[1]), rate=1.0 / step) as writer:
+    with VideoWriter(path, (size[0], size[1]), rate=1.0 / step, note=note) as writer:
         for index, frame in enumerate(frames):
             picture = drawn(frame, index, rig, scene, tracked)
             writer.write(Frame(frame.time - zero, picture[: size[1], : size[0]]))

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.exchange.rig_file import rig_of
+from fixel.model import Trajectory
 from fixel.testing.painted import PAINT, as_seen, moving, painted, sticker_rig, tag_rig
+from fixel.testing.scenes import micro_push
 from fixel.testing.tracking_contract import TrackingContract
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
+from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
 
 
@@ -94,6 +98,22 @@ class TestPlate:
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()
         with pytest.raises(InvalidInput, match=r"half a turn|was moved"):
             track([Frame(0.0, turned)], painter.rig)
+
+
+def test_the_microscope_scene():
+    scene, rig = micro_push(), rig_of("microscope")
+    time = np.arange(5) / 30.0  # what moves before and after is in the exposures too
+    part = np.array([[1e-5 * k, -2e-5 * k, 0.01 * k] for k in range(5)])
+    probe = scene.pushers[0].pose + [[1e-5 * k - 9e-5, 0.0, 0.0] for k in range(5)]
+    motion = {
+        "part": Trajectory(time=time, pose=part),
+        "probe": Trajectory(time=time, pose=probe),
+    }
+    frames = film_scene(scene, motion, rig, looks_named("microscope"), time[1:4], 1)
+    tracked = track(frames, rig, scene)
+    assert tracked.parts["part"].pose[:, :2] == pytest.approx(part[1:4, :2], abs=0.3e-6)
+    assert tracked.parts["part"].pose[:, 2] == pytest.approx(part[1:4, 2], abs=2e-4)
+    assert tracked.parts["probe"].pose[:, :2] == pytest.approx(probe[1:4, :2], abs=1e-6)
 
 
 def test_unknown_methods_are_refused():

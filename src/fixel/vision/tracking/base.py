@@ -18,6 +18,8 @@ Thing = Body | Pusher
 
 FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
 
+SEARCH_EVERY: Final = 4  # frames between two searches for what has been lost for a while
+
 # Standard deviations of a pose beyond which a sight is none: a mark of which too little shows.
 VAGUE_POSITION: Final = 0.25e-3  # [m] at 0.55 mm a pixel; scaled with the pixel
 VAGUE_ANGLE: Final = 0.004  # [rad]
@@ -122,6 +124,11 @@ class Prediction:
             if time - then < FORGET:
                 self._rate = (pose - before) / (time - then)
         self._last = (time, pose)
+
+
+def worth_a_search(lost: int) -> bool:
+    """Whether to look for a part anew, after so many frames without it: ever less often."""
+    return lost < 3 or lost % SEARCH_EVERY == 0
 
 
 def vague(sd: FloatArray, scale: float) -> bool:

@@ -12,7 +12,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray, Picture
 from fixel.vision.marks import Sticker
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose
+from fixel.vision.tracking.outline import Edges, Fit, circle_edges, fit_pose
 
 # Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
 HUES: Final = {
@@ -43,14 +43,19 @@ class Patch(NamedTuple):
 
 
 def find_patches(
-    picture: Picture, stickers: tuple[Sticker, ...], camera: Camera, corner: FloatArray
+    picture: Picture,
+    wanted: tuple[Sticker, ...],
+    stickers: tuple[Sticker, ...],
+    camera: Camera,
+    corner: FloatArray,
 ) -> dict[str, list[Patch]]:
-    """All patches that might be stickers, by colour.
+    """All patches that might be the wanted stickers, by colour.
 
     Parameters
     ----------
     picture : (height, width, 3) uint8
         A window of the camera's picture.
+    wanted : tuple of Sticker
     stickers : tuple of Sticker
         Every colour of the rig: a pixel is of the one whose hue is nearest.
     camera : Camera
@@ -65,6 +70,8 @@ def find_patches(
     kind = _nearest_hue(tuple(sticker.colour for sticker in stickers))[hue]
     found: dict[str, list[Patch]] = {}
     for index, sticker in enumerate(stickers):
+        if sticker not in wanted:
+            continue
         mask = ((kind == index) & coloured).astype(np.uint8)
         n, _, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=8)
         full = np.pi * (sticker.diameter / 2.0 / camera.metres_per_pixel(sticker.height)) ** 2
@@ -124,7 +131,7 @@ def fit_sticker(
         covered = _coverage(window, camera.project_at(pose[:2], sticker.height) - corner, in_pixels)
         if covered is None:
             return f"the {sticker.colour} sticker does not show"
-        edges = circle_edges(radius, sticker.height, dark_inside=False)
+        edges = _rim(radius, sticker.height)
         fit = fit_pose(
             covered, camera, edges, pose, reach=look, turns=False, rounds=2, corner=corner
         )
@@ -135,6 +142,11 @@ def fit_sticker(
         if moved < 0.1:
             break
     return fit if fit is not None else ""
+
+
+@functools.lru_cache(maxsize=32)
+def _rim(radius: float, height: float) -> Edges:
+    return circle_edges(radius, height, dark_inside=False, points=32)
 
 
 @functools.lru_cache(maxsize=32)

@@ -120,7 +120,8 @@ def fit_pose(
         if solved is None:
             return None
         step, covariance, residual, used = solved
-        pose = pose + np.pad(step, (0, 3 - n_unknown))
+        pose = pose.copy()
+        pose[:n_unknown] += step
         full = np.zeros((3, 3))
         full[:n_unknown, :n_unknown] = covariance
         fit = Fit(pose, full, residual, float(used.mean()), used)

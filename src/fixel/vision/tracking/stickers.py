@@ -22,6 +22,7 @@ from fixel.vision.tracking.base import (
     Sighting,
     Thing,
     vague,
+    worth_a_search,
 )
 from fixel.vision.tracking.colour import find_patches, fit_sticker
 from fixel.vision.tracking.tags import rigid
@@ -29,7 +30,7 @@ from fixel.vision.tracking.tags import rigid
 REACH: Final = 6.0  # [px] from where a sticker is expected
 APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
 MOST_RESIDUAL: Final = 0.7  # [px]
-SEARCH_ALL: Final = 15  # lost frames between two looks at the whole picture
+SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 MARGIN: Final = 60  # [px] around the last place, in the others
 LEAST_SHARE: Final = 0.35  # of a sticker's edge
 
@@ -102,7 +103,7 @@ class _StickeredPart:
         sight = Sighting(reason="not found yet")
         if expected is not None:
             sight = self._fitted(frame, placed(self._place, expected))
-        if sight.pose is None:
+        if sight.pose is None and worth_a_search(self._lost):
             found, reason = self._found(frame)
             sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
         if sight.pose is None:
@@ -165,7 +166,9 @@ class _StickeredPart:
         """(n, 2) places of the stickers [m], looked for by colour; or why there are none."""
         rows, columns = self._where(frame)
         corner = np.array([columns.start or 0, rows.start or 0], dtype=np.float64)
-        patches = find_patches(frame.colour(rows, columns), self._everything, self._camera, corner)
+        patches = find_patches(
+            frame.colour(rows, columns), self._own, self._everything, self._camera, corner
+        )
         places = []
         for sticker in self._own:
             candidates = patches[sticker.colour]
@@ -182,7 +185,7 @@ class _StickeredPart:
 
     def _where(self, frame: Frame) -> tuple[slice, slice]:
         last = self._prediction.pose
-        if last is None or self._lost % SEARCH_ALL == SEARCH_ALL - 1:
+        if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
             return slice(None), slice(None)
         pixel = np.array(
             [

@@ -23,6 +23,7 @@ from fixel.vision.tracking.base import (
     Sighting,
     Thing,
     vague,
+    worth_a_search,
 )
 from fixel.vision.tracking.outline import Edges, Fit, fit_pose
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
@@ -34,7 +35,7 @@ REACH_READ: Final = 5.0  # [px] from where it was read
 AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MOST_RESIDUAL: Final = 0.6  # [px]
-SEARCH_ALL: Final = 15  # lost frames between two looks at the whole picture
+SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 MARGIN: Final = 40  # [px] around the last place, in the others
 WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
 
@@ -111,6 +112,9 @@ class _TaggedPart:
                 return self._took(frame, sight)
         else:
             sight = Sighting(reason=f"no tag of {self._name} found yet")
+        if not worth_a_search(self._lost):
+            self._lost += 1
+            return sight
         read, reason = self._read(frame.luma)
         if read is None:
             self._lost += 1
@@ -176,7 +180,7 @@ class _TaggedPart:
     def _window(self, picture: Gray) -> tuple[Gray, FloatArray]:
         """Where to read: near the last place, and now and then everywhere."""
         last = self._prediction.pose
-        if last is None or self._lost % SEARCH_ALL == SEARCH_ALL - 1:
+        if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
             return picture, np.zeros(2)
         corners = [
             self._camera.project_at(placed(tag_corners(tag), last), tag.height)

@@ -1,0 +1,33 @@
+"""`fixel track`, as it is typed."""
+
+import json
+
+from tests.cli.shell import fixel
+from tests.workflows.test_track import scene
+
+from fixel.exchange.rig_file import save_rig
+from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.exchange.video_file import VideoWriter
+from fixel.testing.painted import painted, tag_rig
+
+
+def test_a_film_is_tracked_and_the_next_command_named(tmp_path, capsys):
+    painter = painted(tag_rig())
+    save_rig(painter.rig, tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
+    film = tmp_path / "push.mp4"
+    with VideoWriter(film, (320, 240), note="SIMULATED by a test") as writer:
+        for k in range(4):
+            writer.write(painter.frame(k / 30.0))
+    code, told, _ = fixel(capsys, "track", film, "--dry-run")
+    assert code == 0
+    assert "residual [px]" in told
+    assert "SIMULATED" in told
+    assert "Next: fixel track" in told
+    _, told, _ = fixel(capsys, "track", film, "--dry-run", "--json")
+    answer = json.loads(told)
+    assert answer["parts"]["object"]["frames"] == 4
+    assert answer["id"] is None
+    code, _, complaint = fixel(capsys, "track", film, "--dry-run", "--rig", "thesis-tags")
+    assert code == 2
+    assert "was calibrated" in complaint

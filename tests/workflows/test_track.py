@@ -1,0 +1,97 @@
+"""A film tracked, stored and drawn."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.exchange.rig_file import save_rig
+from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.exchange.video_file import VideoWriter
+from fixel.model import Body, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.testing.painted import moving, painted, tag_rig
+from fixel.vision.frame import Frame
+from fixel.workflows.track import track_film
+
+N = 8
+
+
+def scene():
+    square = Polygon(0.02 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+    poses = moving(0.0)
+    return Scene(
+        bodies=(
+            Body(
+                name="object",
+                shape=square,
+                mass=0.1,
+                pose=poses["object"],
+                support=Tripod(radius=0.01, friction=0.3),
+            ),
+        ),
+        pushers=(
+            Pusher(
+                name="actuator",
+                shape=Polygon(square.vertices * 0.6),
+                pose=poses["actuator"],
+                drive=LineDrive(direction=(1.0, 0.0), speed=0.0135),
+                friction=0.3,
+            ),
+        ),
+        duration=1.0,
+    )
+
+
+@pytest.fixture
+def film(tmp_path):
+    painter = painted(tag_rig())
+    save_rig(painter.rig, tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
+    with VideoWriter(tmp_path / "push.mp4", (320, 240)) as writer:
+        for k in range(N):
+            writer.write(Frame(1.0 + k / 30.0, painter.frame(k / 30.0).picture))
+    return tmp_path / "push.mp4"
+
+
+def test_a_film_becomes_an_experiment(film, tmp_path):
+    Project.create(tmp_path / "lab")
+    answer = track_film(
+        film,
+        project=tmp_path / "lab",
+        overlay=tmp_path / "overlay.mp4",
+        sheet=tmp_path / "sheet.png",
+        plot=tmp_path / "plot.png",
+    )
+    assert all(path.stat().st_size > 1000 for path in answer.files.values())
+    with Project.open(tmp_path / "lab").store() as store:
+        stored = store.experiment(answer.number)
+        assert store.video(answer.number).read_bytes() == film.read_bytes()
+    assert stored.real
+    assert stored.scene is not None
+    assert stored.trajectory.time == pytest.approx(np.arange(N) / 30.0, abs=2e-5)
+    truth = np.array([moving(k / 30.0)["object"] for k in range(N)])
+    assert stored.trajectory.pose == pytest.approx(truth, abs=2e-3)
+    assert np.abs(stored.trajectory.pose[:, :2] - truth[:, :2]).max() < 1e-4
+    json.dumps(answer.summary(), allow_nan=False)
+
+
+def test_what_was_rendered_is_never_real(tmp_path):
+    path = tmp_path / "push.mp4"
+    painter = painted(tag_rig())
+    save_rig(painter.rig, tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
+    with VideoWriter(path, (320, 240), note="SIMULATED by a test") as writer:
+        writer.write(painter.frame(0.0))
+    assert track_film(path).experiment.simulated_by == "SIMULATED by a test"
+
+
+def test_files_that_are_missing_are_named(film, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    with pytest.raises(InvalidInput, match="--rig"):
+        track_film(film)
+    with pytest.raises(InvalidInput, match="a folder without a recording"):
+        track_film(tmp_path, rig="thesis-tags")
