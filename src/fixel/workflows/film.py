@@ -207,7 +207,8 @@ def _shoot(
     with ExitStack() as stack:
         writers: list[Write] = [stack.enter_context(RecordingWriter(folder, header)).write]
         if video is not None:
-            copy = stack.enter_context(VideoWriter(video, header.size, rate=header.rate))
+            note = f"SIMULATED by {header.simulated_by}"
+            copy = stack.enter_context(VideoWriter(video, header.size, rate=header.rate, note=note))
             writers.append(lambda frame, *_: copy.write(frame))
         # Before the frames: a film that is broken off is still one to try things on.
         save_rig(rig, folder / RIG_FILE)
