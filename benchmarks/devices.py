@@ -1,6 +1,6 @@
 """The bench's devices, emulated: round trips of the tactile board, and how soon a drive stops.
 
-    python -m benchmarks.devices [--readings 10000] [--stops 20]
+    python -m benchmarks.devices [--readings 10000] [--stops 10]
 
 The board's firmware runs in an emulated Mega 2560, the drive behind an emulated GRBL controller;
 a real USB adapter adds its own latency, of a millisecond or so.
@@ -41,7 +41,7 @@ def main() -> None:
     """Measure, and print one line a figure."""
     parser = argparse.ArgumentParser(description="The bench's devices, emulated.")
     parser.add_argument("--readings", type=int, default=10_000)
-    parser.add_argument("--stops", type=int, default=20)
+    parser.add_argument("--stops", type=int, default=10)
     chosen = parser.parse_args()
     reason = emulated_mega.why_not()
     if reason:

@@ -15,8 +15,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
 from fixel.testing.emulated_grbl import EmulatedGrbl
+from fixel.workflows.actuator_stop import stop_actuators
 
 PROGRAM = """
 import sys, time
@@ -139,3 +141,21 @@ def test_nothing_runs_where_nothing_was_announced(tmp_path):
     (folder / "damaged.json").write_text("{")
 
     assert emergency.running() == []
+    assert not (folder / "dead.json").exists()
+
+
+def test_one_port_that_is_gone_does_not_save_the_others(tmp_path):
+    with EmulatedGrbl() as controller:
+        folder = emergency.announcements()
+        folder.mkdir()
+        for name, port in (("a", "/dev/ttyGONE"), ("b", controller.port)):
+            entry = {"port": port, "pid": os.getpid(), "guard": 0}
+            (folder / f"{name}.json").write_text(json.dumps(entry))
+
+        assert stop_actuators(None) == [controller.port]
+        controller.wait_for("reset")
+
+
+def test_a_port_that_cannot_be_stopped_is_told():
+    with pytest.raises(DeviceFailed, match="switch the drive's power off"):
+        stop_actuators("/dev/ttyGONE")

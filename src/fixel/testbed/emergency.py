@@ -141,6 +141,8 @@ def running() -> list[Running]:
         # The guard outlives its program until the drive has been told to stop.
         if _alive(program.pid) or _alive(program.guard):
             found.append(program)
+        else:
+            path.unlink(missing_ok=True)
     return found
 
 

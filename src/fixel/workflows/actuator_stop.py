@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fixel.errors import InvalidInput
+from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed.emergency import running, stop_drive
 
 
@@ -19,6 +19,14 @@ def stop_actuators(port: str | None) -> list[str]:
             expected="one, or the port of the drive",
             hint="if something moves, switch its power off",
         )
+    stopped, failed = [], []
+    # One that cannot be stopped, such as of a program about to end, must not keep us from the rest.
     for one in ports:
-        stop_drive(one)
-    return ports
+        try:
+            stop_drive(one)
+            stopped.append(one)
+        except DeviceFailed as failure:
+            failed.append(failure)
+    if failed and not stopped:
+        raise failed[0]
+    return stopped
