@@ -188,17 +188,18 @@ def _group(port: str) -> str:
 
 
 def _program_at(port: str) -> str:
-    """The process that has a port open, where the system shows it; empty if nobody or unknown."""
+    """The processes that have a port open, where the system shows it; empty if nobody or unknown."""
+    users = []
     try:
         target = os.path.realpath(port)
         # A process that just looks, such as this one, has it not open.
-        for folder in Path("/proc").glob("[0-9]*"):
+        for folder in sorted(Path("/proc").glob("[0-9]*"), key=lambda path: int(path.name)):
             name = _name_if_open(folder, target)
             if name:
-                return f"{name} (process {folder.name})"
+                users.append(f"{name} (process {folder.name})")
     except OSError:
         pass
-    return ""
+    return " and ".join(users)
 
 
 def _name_if_open(folder: Path, target: str) -> str:
