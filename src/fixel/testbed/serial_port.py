@@ -188,7 +188,7 @@ def _group(port: str) -> str:
 
 
 def _program_at(port: str) -> str:
-    """The processes that have a port open, where the system shows it; empty if nobody or unknown."""
+    """The processes that have a port open, where the system shows it; empty where nothing shows."""
     users = []
     try:
         target = os.path.realpath(port)
