@@ -72,7 +72,7 @@ def drawn(frame: Frame, index: int, rig: Rig, scene: Scene, tracked: Tracked) ->
         line = outline_pixels(camera, fixel.shape, pose, rig.fixel_height)
         # What is only planned is dashed.
         dash = None if fixel.name in places else 4.0
-        draw_outline(picture, line, bgr(palette.TOUCHED), width=1, dash=dash)
+        draw_outline(picture, line, bgr(palette.TOUCHED), dash=dash)
     things = things_of(scene)
     pushers = {pusher.name for pusher in scene.pushers}
     missing = []
@@ -85,7 +85,7 @@ def drawn(frame: Frame, index: int, rig: Rig, scene: Scene, tracked: Tracked) ->
                 camera, things[name].shape, part.pose[index], rig.parts[name].height
             )
             colour = palette.PUSHER if name in pushers else palette.TRAIL
-            draw_outline(picture, line, bgr(colour), width=1)
+            draw_outline(picture, line, bgr(colour))
     draw_words(picture, f"{frame.time:.3f} s", (8, 24), (255, 255, 255))
     for row, words in enumerate(missing):
         draw_words(picture, words, (8, 50 + 24 * row), bgr(palette.FORCE))
