@@ -78,8 +78,8 @@ def thumbnail(experiment: Experiment) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'stroke-linejoin="round" stroke-width="1.2">{shapes}'
-        f'<path d="{path(trail, "")}{end}" fill="none" stroke="{palette.FORCE}" '
-        'stroke-width="1.6" stroke-linecap="round"/></svg>'
+        f'<path d="{path(trail, "")}{end}" fill="none" stroke="{palette.INK}" '
+        'stroke-width="1.4" stroke-linecap="round"/></svg>'
     )
 
 
