@@ -384,13 +384,16 @@ export class Player extends EventTarget {
    */
   #moving(context, stage, motion) {
     const style = this.styles.get(motion.id);
-    const first = this.motions.find((one) => !this.hidden.has(one.id));
+    const shown = this.motions.filter((one) => !this.hidden.has(one.id));
+    const first = shown[0];
     for (const thing of this.things) {
       if (thing.role === "fixel") continue;
       const pose = motion.poseAt(thing.name, this.time) ?? (motion === first ? thing.pose : null);
       if (!pose) continue;
       if (thing.role === "pusher") {
-        if (motion === first) this.#solid(stage, thing, pose, false);
+        // One of them is enough; they differ by what nobody sees.
+        const leader = shown.find((one) => one.pose.has(thing.name)) ?? first;
+        if (motion === leader) this.#solid(stage, thing, pose, false);
         continue;
       }
       stage.outline(thing.shape, pose);
