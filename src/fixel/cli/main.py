@@ -31,6 +31,7 @@ from fixel.cli import (
     report,
     sample,
     sensitivity,
+    serve,
     show,
     simulate,
     uncertainty,
@@ -69,6 +70,7 @@ app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("uncertainty")(uncertainty.uncertainty)
+app.command("serve")(serve.serve)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 
