@@ -16,6 +16,7 @@ from fixel.calibration.target import scene_of
 from fixel.drawing.view import forces
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Channel, Experiment, Scene, Trajectory
+from fixel.model.fields import BoolArray
 from fixel.model.records import SimulationRecord
 from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
@@ -191,8 +192,8 @@ def simulated_motion(
 ) -> Motion:
     """A simulation, `start` [s] later than on its own clock."""
     poses = np.stack(list(simulation.pose.values()), axis=1)
-    known = np.isfinite(poses).all(axis=(1, 2))
-    n = len(known) if known.all() else int(np.argmin(known))  # of those before the first that fails
+    known: BoolArray = np.isfinite(poses).all(axis=(1, 2))
+    n = int(np.argmin(np.append(known, False)))  # of those before the first that fails
     return Motion(
         id=id,
         label=label,

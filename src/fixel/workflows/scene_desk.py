@@ -129,7 +129,10 @@ def _refuse_large(file: SceneFile) -> None:
 
 
 def _corners(scene: Scene) -> int:
-    shapes = [thing.shape for thing in (*scene.bodies, *scene.pushers, *scene.fixels)]
+    shapes = [body.shape for body in scene.bodies]
+    shapes += [
+        obstacle.shape for obstacles in (scene.pushers, scene.fixels) for obstacle in obstacles
+    ]
     return sum(1 if isinstance(shape, Disk) else len(shape.vertices) for shape in shapes)
 
 

@@ -1,15 +1,17 @@
 // @ts-check
 // Small line charts under one another, on one axis of time, with a cursor that all share.
 
+import { make } from "./dom.js";
 import { column, valueAt } from "./motion.js";
-import { element, stylesOf } from "./player.js";
+import { stylesOf } from "./player.js";
 import { colour, roundNumber } from "./stage.js";
 
 /** @typedef {import("./motion.js").Motion} Motion */
 /**
  * @typedef {object} Series
  * @property {string} label
- * @property {string} colour
+ * @property {string} colour of the line
+ * @property {string} text colour of words
  * @property {number[]} dash
  * @property {ArrayLike<number>} time [s]
  * @property {ArrayLike<number>} values
@@ -38,7 +40,7 @@ export class Charts extends EventTarget {
     this.from = 0;
     this.to = 1;
     this.time = 0;
-    this.pointer = element("div", { class: "cursor", "aria-hidden": "true" });
+    this.pointer = make("div", { class: "cursor", "aria-hidden": "true" });
     new ResizeObserver(() => this.draw()).observe(host);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     this.#listen();
@@ -49,8 +51,14 @@ export class Charts extends EventTarget {
    * @param {[number, number]} span first and last instant [s]
    */
   show(panels, span) {
+    const alike = this.#alike(panels);
     this.panels = panels;
     [this.from, this.to] = span[1] > span[0] ? span : [span[0], span[0] + 1];
+    if (alike) {
+      this.rows.forEach((row, k) => { row.panel = panels[k]; });
+      this.draw();
+      return;
+    }
     this.rows = panels.map((panel, k) => this.#row(panel, k === panels.length - 1));
     this.host.replaceChildren(
       ...this.rows.map(({ canvas }) => /** @type {HTMLElement} */ (canvas.parentElement)),
@@ -58,6 +66,18 @@ export class Charts extends EventTarget {
     );
     this.draw();
     this.cursor(this.time);
+  }
+
+  /**
+   * Whether these can be drawn where others were.
+   * @param {Panel[]} panels
+   */
+  #alike(panels) {
+    /** @param {Panel} panel */
+    const key = (panel) => [panel.title, ...("strips" in panel ? panel.strips : panel.series)
+      .map((one) => `${one.label} ${one.colour}`)].join();
+    return panels.length === this.rows.length
+      && panels.every((panel, k) => key(panel) === key(this.rows[k].panel));
   }
 
   /** @param {number} time [s] */
@@ -101,18 +121,18 @@ export class Charts extends EventTarget {
    * @param {boolean} last
    */
   #row(panel, last) {
-    const canvas = element("canvas", { role: "img", "aria-label": described(panel) });
+    const canvas = make("canvas", { role: "img", "aria-label": described(panel) });
     const lines = "strips" in panel ? panel.strips.length * ROW + 8 : HEIGHT;
     canvas.style.height = `${lines + (last ? AXIS : 0)}px`;
     const series = "series" in panel ? panel.series : [];
     const values = series.map((one) => {
-      const node = element("output", { title: one.label });
-      node.style.color = one.colour;
+      const node = make("output", { title: one.label });
+      node.style.color = one.text;
       return node;
     });
     const unit = "unit" in panel ? ` [${panel.unit}]` : "";
-    const head = element("div", { class: "head" }, element("span", {}, panel.title + unit), ...values);
-    element("div", { class: "chart" }, head, canvas);
+    const head = make("div", { class: "head" }, make("span", {}, panel.title + unit), ...values);
+    make("div", { class: "chart" }, head, canvas);
     return { canvas, values, panel };
   }
 
@@ -274,7 +294,7 @@ function described(panel) {
 export function usualPanels(host, motions, object) {
   const styles = stylesOf(host, motions);
   /** @param {Motion} motion */
-  const style = (motion) => styles.get(motion.id) ?? { colour: "#0072b2", dash: [] };
+  const style = (motion) => styles.get(motion.id) ?? { colour: "#0072b2", text: "#0063a0", dash: [] };
   const moved = motions.filter((motion) => motion.pose.has(object));
   /** @type {Panel[]} */
   const panels = /** @type {const} */ ([["x", "mm", 0, 1e3], ["y", "mm", 1, 1e3], ["angle", "deg", 2, 180 / Math.PI]])

@@ -1,7 +1,10 @@
 // @ts-check
 // A motion document, as `/api/v1` answers it, made ready for drawing: see web/api/motion.py.
 
-/** @typedef {{shape: number[], dtype: "<f8" | "<i4", base64: string}} PackedArray */
+import { numbers } from "./api.js";
+
+/** @typedef {import("./api.js").Packed} PackedArray */
+/** @typedef {ReturnType<typeof numbers>} Numbers */
 /** @typedef {{polygon_m: number[][] | null, disk_m: number | null}} Shape */
 /** @typedef {[number, number, number]} Pose x [m], y [m], angle [rad] */
 /** @typedef {{name: string, role: "object" | "body" | "pusher" | "fixel", shape: Shape, pose: number[]}} Thing */
@@ -37,15 +40,6 @@
  * @property {PackedMotion[]} motions
  */
 /** @typedef {{point: number[], force: number[], body: number, other: number}} Contact */
-
-/**
- * @param {PackedArray} packed
- * @returns {Float64Array | Int32Array}
- */
-export function unpacked(packed) {
-  const bytes = Uint8Array.from(atob(packed.base64), (letter) => letter.charCodeAt(0));
-  return packed.dtype === "<i4" ? new Int32Array(bytes.buffer) : new Float64Array(bytes.buffer);
-}
 
 /**
  * Index of the last instant that is not after `time`; -1 before the first.
@@ -98,25 +92,25 @@ export class Motion {
     this.kind = packed.kind;
     this.status = packed.status;
     this.advice = packed.advice;
-    this.time = unpacked(packed.time_s);
-    /** @type {Map<string, Float64Array | Int32Array>} three numbers a sample */
-    this.pose = new Map(Object.entries(packed.pose).map(([name, rows]) => [name, unpacked(rows)]));
+    this.time = numbers(packed.time_s);
+    /** @type {Map<string, Numbers>} three numbers a sample */
+    this.pose = new Map(Object.entries(packed.pose).map(([name, rows]) => [name, numbers(rows)]));
     this.touch = packed.touch && {
       names: packed.touch.names,
-      time: unpacked(packed.touch.time_s),
-      values: unpacked(packed.touch.values),
+      time: numbers(packed.touch.time_s),
+      values: numbers(packed.touch.values),
     };
     this.errors = packed.errors && {
-      time: unpacked(packed.errors.time_s),
-      position: unpacked(packed.errors.position_m),
-      angle: unpacked(packed.errors.angle_rad),
+      time: numbers(packed.errors.time_s),
+      position: numbers(packed.errors.position_m),
+      angle: numbers(packed.errors.angle_rad),
     };
     const contacts = packed.contacts;
     this.contacts = contacts && {
-      sample: unpacked(contacts.sample),
-      pair: unpacked(contacts.pair),
-      point: unpacked(contacts.point_m),
-      force: unpacked(contacts.force_n),
+      sample: numbers(contacts.sample),
+      pair: numbers(contacts.pair),
+      point: numbers(contacts.point_m),
+      force: numbers(contacts.force_n),
     };
   }
 

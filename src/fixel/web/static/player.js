@@ -5,6 +5,7 @@
 //     player.show(await getJson("/api/v1/experiments/12/motion"));
 //     player.addEventListener("time", () => charts.cursor(player.time));
 
+import { make, svg } from "./dom.js";
 import { Motion, lastBefore, placed } from "./motion.js";
 import { Stage, colour, forceText, roundNumber } from "./stage.js";
 
@@ -12,8 +13,8 @@ import { Stage, colour, forceText, roundNumber } from "./stage.js";
 /** @typedef {import("./motion.js").Thing} Thing */
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const LONGEST_ARROW = 0.35; // of the height of the view as fitted
-const TYPICAL = 0.9; // share of the forces that the longest arrow holds
+const TYPICAL_ARROW = 0.16; // of the height of the view as fitted, for half of all forces
+const LONGEST_ARROW = 2.2; // of that: a part that jams is pushed a hundred times as hard as one that slides
 
 /** What sets simulated motions apart: a colour and a dash each. */
 export const STYLES = [
@@ -30,27 +31,15 @@ const MEASURED = { name: "body", otherwise: "#0063a0", dash: [] };
  * Colour and dash of every motion, by id; simulated ones keep theirs by their place.
  * @param {Element} element
  * @param {{id: string, kind: string}[]} motions
+ * @returns {Map<string, {colour: string, text: string, dash: number[]}>}
  */
 export function stylesOf(element, motions) {
   let simulated = 0;
   return new Map(motions.map(({ id, kind }) => {
     const style = kind === "measured" ? MEASURED : STYLES[simulated++ % STYLES.length];
-    return [id, { colour: colour(element, style.name, style.otherwise), dash: style.dash }];
+    const line = colour(element, style.name, style.otherwise);
+    return [id, { colour: line, text: colour(element, `${style.name}-text`, line), dash: style.dash }];
   }));
-}
-
-/**
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag
- * @param {Record<string, string>} [attributes]
- * @param {(string | Node)[]} children
- * @returns {HTMLElementTagNameMap[K]}
- */
-export function element(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-  node.append(...children);
-  return node;
 }
 
 const ICONS = {
@@ -62,24 +51,14 @@ const ICONS = {
 };
 
 /** @param {keyof typeof ICONS} name */
-function icon(name) {
-  const space = "http://www.w3.org/2000/svg";
-  const svg = document.createElementNS(space, "svg");
-  svg.setAttribute("viewBox", "0 0 24 24");
-  svg.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS(space, "path");
-  path.setAttribute("d", ICONS[name]);
-  svg.append(path);
-  return svg;
-}
+const icon = (name) => svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, svg("path", { d: ICONS[name] }));
 
 /**
  * @param {keyof typeof ICONS} name
  * @param {string} label
  */
-function iconButton(name, label) {
-  return element("button", { type: "button", class: "icon", "aria-label": label, title: label }, icon(name));
-}
+const iconButton = (name, label) =>
+  make("button", { type: "button", class: "icon", "aria-label": label, title: label }, icon(name));
 
 /** Whether a key press belongs to a field or button and not to the player. */
 export function isTyping(/** @type {KeyboardEvent} */ event) {
@@ -116,7 +95,7 @@ export class Player extends EventTarget {
     this.perNewton = 0; // [m/N]
     this.longest = 0; // [m]
     this.last = 0; // [ms] of the frame before
-    /** @type {Map<string, {colour: string, dash: number[]}>} */
+    /** @type {ReturnType<typeof stylesOf>} */
     this.styles = new Map();
     this.#build();
     host.addEventListener("keydown", (event) => this.#key(event));
@@ -243,32 +222,32 @@ export class Player extends EventTarget {
     host.classList.add("player");
     host.setAttribute("role", "group");
     host.setAttribute("aria-label", "Animation");
-    this.canvas = element("canvas", { role: "img", tabindex: "0", "aria-label": "Top view to scale" });
+    this.canvas = make("canvas", { role: "img", tabindex: "0", "aria-label": "Top view to scale" });
     this.button = iconButton("play", "Play (space)");
     const back = iconButton("back", "One frame back (left arrow)");
     const next = iconButton("next", "One frame on (right arrow)");
     const fit = iconButton("fit", "Show everything (double click, or 0)");
-    this.scrubber = element("input", { type: "range", min: "0", max: "1", step: "any", "aria-label": "Time" });
-    this.readout = element("output", { class: "time" }, "0.00 s");
-    this.total = element("span", { class: "total" });
-    const speed = element("select", { "aria-label": "Speed" });
-    for (const value of SPEEDS) speed.append(element("option", { value: String(value) }, `${value}\u00d7`));
+    this.scrubber = make("input", { type: "range", min: "0", max: "1", step: "any", "aria-label": "Time" });
+    this.readout = make("output", { class: "time" }, "0.00 s");
+    this.total = make("span", { class: "total" });
+    const speed = make("select", { "aria-label": "Speed" });
+    for (const value of SPEEDS) speed.append(make("option", { value: String(value) }, `${value}\u00d7`));
     speed.value = "1";
-    this.loop = element("input", { type: "checkbox" });
-    this.forces = element("input", { type: "checkbox" });
+    this.loop = make("input", { type: "checkbox" });
+    this.forces = make("input", { type: "checkbox" });
     this.forces.checked = true;
-    this.legend = element("ul", { class: "legend", "aria-label": "Motions" });
+    this.legend = make("ul", { class: "legend", "aria-label": "Motions" });
     host.replaceChildren(
-      element("div", { class: "view" }, this.canvas),
-      element(
-        "div", { class: "bar" }, this.button, back, next, this.scrubber,
-        element("span", { class: "clock-text" }, this.readout, " ", this.total),
+      make("div", { class: "view" }, this.canvas),
+      make(
+        "div", { class: "controls" }, this.button, back, next, this.scrubber,
+        make("span", { class: "clock-text" }, this.readout, " ", this.total),
       ),
-      element(
-        "div", { class: "bar" },
-        element("label", {}, speed),
-        element("label", {}, this.loop, "loop"),
-        element("label", {}, this.forces, "forces"),
+      make(
+        "div", { class: "controls" },
+        make("label", {}, speed),
+        make("label", {}, this.loop, "loop"),
+        make("label", { title: "On the part. A dashed arrow is cut off: that force is larger." }, this.forces, "forces"),
         fit,
         this.legend,
       ),
@@ -309,15 +288,18 @@ export class Player extends EventTarget {
   }
 
   #legend() {
+    const key = this.motions.map(({ id, label }) => `${id} ${label}`).join("\n");
+    if (this.legend.dataset.key === key) return;
+    this.legend.dataset.key = key;
     this.legend.replaceChildren(...this.motions.map((motion) => {
-      const box = element("input", { type: "checkbox" });
+      const box = make("input", { type: "checkbox" });
       box.checked = !this.hidden.has(motion.id);
       box.addEventListener("change", () => {
         if (box.checked) this.hidden.delete(motion.id);
         else this.hidden.add(motion.id);
         this.stage.request();
       });
-      return element("li", {}, element("label", {}, box, swatch(this.styles.get(motion.id)), motion.label));
+      return make("li", {}, make("label", {}, box, swatch(this.styles.get(motion.id)), motion.label));
     }));
   }
 
@@ -326,9 +308,10 @@ export class Player extends EventTarget {
   #scaleForces() {
     const sizes = this.motions.flatMap((motion) => motion.forces).sort((a, b) => a - b);
     const [, y0, , y1] = this.stage.box;
-    this.longest = LONGEST_ARROW * (y1 - y0);
-    const typical = sizes[Math.floor(TYPICAL * (sizes.length - 1))] ?? 0;
-    this.perNewton = typical > 0 ? this.longest / typical : 0;
+    const usual = TYPICAL_ARROW * (y1 - y0);
+    const typical = sizes[sizes.length >> 1] ?? 0;
+    this.longest = LONGEST_ARROW * usual;
+    this.perNewton = typical > 0 ? usual / typical : 0;
     this.forces.disabled = sizes.length === 0;
   }
 
@@ -449,7 +432,7 @@ export class Player extends EventTarget {
     for (const { point, force } of motion.contactsAt(this.time)) {
       const [x, y] = stage.toScreen(point);
       const size = Math.hypot(force[0], force[1]) * this.perNewton;
-      const cut = size > 1.25 * this.longest ? (1.25 * this.longest) / size : 1;
+      const cut = size > this.longest ? this.longest / size : 1;
       const length = cut * this.perNewton * stage.scale;
       context.strokeStyle = context.fillStyle = red;
       context.lineWidth = 2.5;
@@ -486,17 +469,10 @@ export class Player extends EventTarget {
  * A short line as a motion is drawn.
  * @param {{colour: string, dash: number[]} | undefined} style
  */
-export function swatch(style) {
-  const space = "http://www.w3.org/2000/svg";
-  const svg = document.createElementNS(space, "svg");
-  svg.setAttribute("class", "line");
-  svg.setAttribute("viewBox", "0 0 28 8");
-  svg.setAttribute("aria-hidden", "true");
-  const line = document.createElementNS(space, "path");
-  line.setAttribute("d", "M1 4h26");
-  line.setAttribute("stroke", style?.colour ?? "currentColor");
-  line.setAttribute("stroke-width", "3");
-  line.setAttribute("stroke-dasharray", (style?.dash ?? []).join(" "));
-  svg.append(line);
-  return svg;
-}
+export const swatch = (style) => svg(
+  "svg", { class: "line", viewBox: "0 0 28 8", "aria-hidden": "true" },
+  svg("path", {
+    d: "M1 4h26", stroke: style?.colour ?? "currentColor", "stroke-width": 3,
+    "stroke-dasharray": (style?.dash ?? []).join(" "),
+  }),
+);
