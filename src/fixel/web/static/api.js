@@ -40,11 +40,12 @@ export function get(path, query = {}, signal) {
  * @param {string} path
  * @param {any} [body]
  * @param {string} [method]
+ * @param {AbortSignal} [signal]
  * @returns {Promise<any>}
  */
-export function send(path, body, method = "POST") {
+export function send(path, body, method = "POST", signal) {
   const headers = { "Content-Type": "application/json", "X-Fixel-Word": word() };
-  return ask(path, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+  return ask(path, { method, headers, signal, body: body === undefined ? undefined : JSON.stringify(body) });
 }
 
 /**
