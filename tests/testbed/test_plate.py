@@ -15,7 +15,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.testbed.chance import stream
+from fixel.model.chance import stream
 from fixel.testbed.plate import nominal_friction, planned_support, rough_plane, uneven_support
 from fixel.testing.scenes import box
 

@@ -24,9 +24,11 @@ from fixel.cli import (
     doctor,
     domain,
     export,
+    film,
     filter,
     jobs,
     project,
+    record,
     replay,
     report,
     sample,
@@ -34,6 +36,7 @@ from fixel.cli import (
     serve,
     show,
     simulate,
+    track,
     uncertainty,
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
@@ -53,6 +56,7 @@ app = typer.Typer(
 app.command("simulate")(simulate.simulate)
 app.command("replay")(replay.replay)
 app.command("sample")(sample.sample)
+app.command("track")(track.track)
 app.command("new")(project.new)
 app.command("import")(project.import_)
 app.command("list")(project.list_)
@@ -65,7 +69,10 @@ app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
 app.add_typer(domain.app, name="domain")
+project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
+app.add_typer(record.app, name="record")
+project.testbed.command("serve")(record.serve)
 app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")

@@ -6,15 +6,13 @@ radians, as in scene files.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
 from fixel.errors import InvalidInput
+from fixel.exchange.complaints import explained, only_form, within
 from fixel.exchange.document import parse_yaml, read_document, yaml_text
 from fixel.exchange.scene_schema import (
     NoneRecord,
@@ -26,7 +24,6 @@ from fixel.exchange.scene_schema import (
     Triple,
     TripodRecord,
     UniformRecord,
-    written,
 )
 from fixel.model import Disk, NoSupport, Polygon, Support, Tripod, UniformPressure
 from fixel.sampling import (
@@ -176,7 +173,7 @@ def _plan(raw: Any) -> Plan:
     try:
         record = PlanRecord.model_validate(raw)
     except ValidationError as problems:
-        raise _explained(problems) from None
+        raise explained(problems, PlanRecord, "plan") from None
     head, fixels, nominal = record.head, record.fixels, record.nominal
     rig = Rig(
         head=_outline(head.shape, "head.shape"),
@@ -203,7 +200,7 @@ def _plan(raw: Any) -> Plan:
 def _shape(record: ShapeRecord, path: str) -> PlannedShape:
     outline = _outline(record.shape, f"{path}.shape")
     support = _support(record.support, f"{path}.support")
-    with _within(path, f"shape {record.name!r}.", "shape."):
+    with within(path, f"shape {record.name!r}.", "shape."):
         return PlannedShape(
             name=record.name,
             outline=outline,
@@ -214,8 +211,8 @@ def _shape(record: ShapeRecord, path: str) -> PlannedShape:
 
 
 def _outline(record: OutlineRecord, path: str) -> Outline:
-    form = _only_form(record, path)
-    with _within(path):
+    form = only_form(record, path)
+    with within(path):
         if form == "disk":
             return Disk(record.disk or 0.0)
         if record.regular:
@@ -226,8 +223,8 @@ def _outline(record: OutlineRecord, path: str) -> Outline:
 def _support(record: RestRecord | None, path: str) -> Support:
     if record is None:
         return NoSupport()
-    _only_form(record, path)
-    with _within(path):
+    only_form(record, path)
+    with within(path):
         if record.tripod:
             return Tripod(**record.tripod.model_dump())
         if record.uniform:
@@ -236,13 +233,13 @@ def _support(record: RestRecord | None, path: str) -> Support:
 
 
 def _layout(record: LayoutRecord, path: str) -> Layout:
-    with _within(path, f"layout {record.name!r}.", "layout."):
+    with within(path, f"layout {record.name!r}.", "layout."):
         return Layout(name=record.name, pegs=tuple((u, v) for u, v in record.pegs))
 
 
 def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
-    _only_form(record, path)
-    with _within(path):
+    only_form(record, path)
+    with within(path):
         if record.axis:
             return Axis(**record.axis.model_dump())
         if record.grid:
@@ -252,94 +249,6 @@ def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
         if record.sample:
             return Sampled(**record.sample.model_dump())
     return Nominal()
-
-
-def _only_form(record: Record, path: str) -> str:
-    """The one form that is given, or a refusal."""
-    forms = list(type(record).model_fields)
-    given = [form for form in forms if getattr(record, form) is not None]
-    if len(given) != 1:
-        raise InvalidInput(
-            path,
-            found=" and ".join(given) or None,
-            expected="exactly one of " + ", ".join(forms),
-        )
-    return given[0]
-
-
-@contextmanager
-def _within(path: str, *prefixes: str) -> Iterator[None]:
-    """Turn the complaints of the plan into those about a key of the file."""
-    try:
-        yield
-    except InvalidInput as problem:
-        where = problem.where
-        for prefix in prefixes:
-            where = where.removeprefix(prefix)
-        raise InvalidInput(
-            where, found=problem.found, expected=problem.expected, hint=problem.hint
-        ).within(path) from None
-
-
-# --- complaints -----------------------------------------------------------------------------------
-
-
-def _explained(problems: ValidationError) -> InvalidInput:
-    """The first complaint of the schema as a sentence; no record of a plan has unions."""
-    first = problems.errors(include_url=False)[0]
-    path, kind = first["loc"], first["type"]
-    if kind == "extra_forbidden":
-        return _unknown_key(path)
-    record = _record_at(path)
-    if record and kind == "model_type":
-        expected = "the keys " + ", ".join(record.model_fields)
-    elif kind == "missing":
-        expected = "a value: this key is required"
-    else:
-        expected = first["msg"].removeprefix("Input should be ").replace("valid ", "")
-    found = None if kind == "missing" else first["input"]
-    description = _description(path)
-    return InvalidInput(
-        written(path) or "plan",
-        found=repr(found) if isinstance(found, str) else found,
-        expected=f"{expected} ({description})" if description else expected,
-    )
-
-
-def _unknown_key(path: Sequence[str | int]) -> InvalidInput:
-    record = _record_at(path[:-1])
-    known = list(record.model_fields) if record else []
-    close = difflib.get_close_matches(str(path[-1]), known, n=1)
-    return InvalidInput(
-        written(tuple(path)),
-        found="an unknown key",
-        expected="one of " + ", ".join(known) if known else "no keys here",
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
-
-
-def _record_at(path: Sequence[str | int]) -> type[Record] | None:
-    """The kind of record that stands at a path, if a record does."""
-    record: type[Record] | None = PlanRecord
-    for key in path:
-        if isinstance(key, str):
-            field = record.model_fields.get(key) if record else None
-            record = _record_in(field.annotation) if field else None
-    return record
-
-
-def _record_in(annotation: Any) -> type[Record] | None:
-    if isinstance(annotation, type) and issubclass(annotation, Record):
-        return annotation
-    inner = (_record_in(argument) for argument in get_args(annotation))
-    return next((record for record in inner if record), None)
-
-
-def _description(path: Sequence[str | int]) -> str | None:
-    names = [k for k, key in enumerate(path) if isinstance(key, str)]
-    record = _record_at(path[: names[-1]]) if names else None
-    field = record.model_fields.get(str(path[names[-1]])) if record else None
-    return field.description if field else None
 
 
 # --- writing --------------------------------------------------------------------------------------

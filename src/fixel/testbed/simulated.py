@@ -28,6 +28,7 @@ from fixel.model import (
     Shape,
     Trajectory,
 )
+from fixel.model.chance import stream
 from fixel.model.fields import (
     BoolArray,
     FloatArray,
@@ -42,7 +43,6 @@ from fixel.model.fields import (
 )
 from fixel.simulation import Simulation, simulate
 from fixel.testbed.actuator import driven_unevenly, with_stall_force
-from fixel.testbed.chance import stream
 from fixel.testbed.plate import planned_support, rough_plane, uneven_support
 from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
 

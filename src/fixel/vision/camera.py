@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -63,9 +63,15 @@ class Camera(Comparable):
 
     @classmethod
     def looking_down(
-        cls, lens: Lens, height: float, *, above: ArrayLike = (0.0, 0.0), turned: float = 0.0
+        cls,
+        lens: Lens,
+        height: float,
+        *,
+        above: ArrayLike = (0.0, 0.0),
+        turned: float = 0.0,
+        tilted: ArrayLike = (0.0, 0.0),
     ) -> Camera:
-        """A camera that looks straight down.
+        """A camera that looks down, straight but for a small tilt.
 
         Parameters
         ----------
@@ -76,11 +82,23 @@ class Camera(Comparable):
             The place of the world under it [m].
         turned : float
             From the world's x to the picture's right, counter-clockwise from above [rad].
+        tilted : (2,) array_like
+            Of the axis: towards what the picture shows below its middle, and towards its right;
+            one after the other, about the camera's x and then its y [rad].
         """
         c, s = math.cos(turned), math.sin(turned)
-        rotation = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+        straight = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+        down, right = vector(tilted, "tilted", "downwards [rad], to the right [rad]")
+        (cx, sx), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (down, right))
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+        about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+        rotation = about_y @ about_x @ straight
         x, y = vector(above, "above", "x [m], y [m]")
         return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
+
+    def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Camera:
+        """The same camera, if its lens is for pictures of this size; see `Lens`."""
+        return replace(self, lens=self.lens.for_pictures_of(size, rescale=rescale))
 
     @property
     def position(self) -> FloatArray:
@@ -108,23 +126,37 @@ class Camera(Comparable):
         xy = np.asarray(places, dtype=np.float64)
         return self.project(np.concatenate([xy, np.full((*xy.shape[:-1], 1), height)], axis=-1))
 
+    def homography(self, height: float = 0.0) -> FloatArray:
+        """(3, 3) from places (x, y, 1) at a height above the plane [m] to directions (x, y, 1).
+
+        Up to scale: the third number is how deep the place lies before the camera [m].
+        """
+        across, down, up = self.rotation.T
+        return np.stack([across, down, up * height + self.translation], axis=1)
+
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> FloatArray:
         """(..., 2) places [m] at a height above the plane [m] that pixels (..., 2) show.
 
         Raises
         ------
         InvalidInput
-            A pixel that looks past the plane, or that the lens cannot have light from.
+            A pixel that looks past the plane, that the lens cannot have light from, or a height
+            that is not below the camera.
         """
-        flat = self.lens.direction(pixels)
-        ray = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ self.rotation
-        if (ray[..., 2] >= 0.0).any():
+        if not height < self.position[2]:
+            raise InvalidInput(
+                "height",
+                found=f"{1e3 * height:.1f} mm",
+                expected=f"a height below the camera, at {1e3 * self.position[2]:.1f} mm",
+            )
+        back = np.linalg.inv(self.homography(height))
+        there = self.lens.direction(pixels) @ back[:, :2].T + back[:, 2]
+        # The third number is one over the depth.
+        if (there[..., 2] <= 0.0).any():
             raise InvalidInput(
                 "pixels", found="a pixel above the horizon", expected="pixels that show the plane"
             )
-        eye = self.position
-        reach = (height - eye[2]) / ray[..., 2:]
-        return np.asarray(eye[:2] + reach * ray[..., :2])
+        return np.asarray(there[..., :2] / there[..., 2:])
 
     def metres_per_pixel(self, height: float = 0.0) -> float:
         """How much of the plane one pixel shows in the middle of the picture [m/px]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, FloatArray, frozen, settle, vector
 
-# Newton's method halves the digits left at every step; from a start without distortion, eight are
-# plenty inside any picture a lens can make.
+# From a start without distortion Newton's method needs four or five steps in any picture a lens
+# can make; where light comes from nowhere it wanders.
 MAX_ITERATIONS = 50
 CLOSE = 1e-13  # [-] of directions; times a focal length of 1000 px still 1e-10 px
+LOST = 1e-11  # [-] from here on no direction was found
+FARTHEST_STEP = 0.5  # [-] of Newton's method, for lenses that fold the picture not far away
 
 
 @final
@@ -85,13 +87,8 @@ class Lens(Comparable):
             A direction from which, by this model, no light comes.
         """
         wanted = np.asarray(apparent, dtype=np.float64)
-        xy = wanted.copy()
-        for _ in range(MAX_ITERATIONS):
-            off = self.distorted(xy) - wanted
-            if not off.size or np.abs(off).max() < CLOSE:
-                return xy
-            xy = xy - _solved(self._jacobian(xy), off)
-        lost = np.abs(self.distorted(xy) - wanted).max(axis=-1) >= CLOSE * 1e3
+        xy = self._opened(wanted) if self.fisheye else self._without_brown(wanted)
+        lost = ~np.isfinite(xy).all(axis=-1)
         if lost.any():
             u, v = np.atleast_2d(self._pixels_of(wanted)[lost])[0]
             raise InvalidInput(
@@ -117,36 +114,129 @@ class Lens(Comparable):
         uv = np.asarray(pixel, dtype=np.float64)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size) - 0.5)).all(axis=-1))
 
+    def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Lens:
+        """The same lens, if it was calibrated for pictures of this size.
+
+        Parameters
+        ----------
+        size : (int, int)
+            Width and height of the pictures [px].
+        rescale : bool
+            Take a picture of the same shape for the same view in other pixels. Wrong where the
+            sensor was cropped, which the picture alone does not tell; so never without asking.
+
+        Raises
+        ------
+        InvalidInput
+            Another size, or with `rescale` another shape.
+        """
+        ours, theirs = self.image_size, (int(size[0]), int(size[1]))
+        if theirs == ours:
+            return self
+        if theirs == ours[::-1]:
+            hint = "is the picture turned by 90 degrees?"
+        elif ours[0] * theirs[1] != ours[1] * theirs[0]:
+            hint = "pictures of another shape are cropped: calibrate the lens at this size"
+        else:
+            hint = (
+                "calibrate the lens at this size, or rescale it if the camera scales whole pictures"
+            )
+        if not rescale or ours[0] * theirs[1] != ours[1] * theirs[0]:
+            raise InvalidInput(
+                "picture",
+                found=f"{theirs[0]} x {theirs[1]} px",
+                expected=f"{ours[0]} x {ours[1]} px, for which the lens is calibrated",
+                hint=hint,
+            )
+        scale = theirs[0] / ours[0]
+        centre = (self.centre + 0.5) * scale - 0.5  # pixel 0 is the middle of the first one
+        return replace(self, image_size=theirs, focal=self.focal * scale, centre=centre)
+
     def _pixels_of(self, apparent: FloatArray) -> FloatArray:
         x, y = apparent[..., 0], apparent[..., 1]
         return np.asarray(np.stack([x + self.skew * y, y], axis=-1) * self.focal + self.centre)
 
     def _brown(self, xy: FloatArray) -> FloatArray:
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion
+        _, _, p1, p2, *_ = self.distortion
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
-        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        top, bottom, _, _ = self._radial(r2)
+        radial = top / bottom
         aside = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
         down = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.stack([x * radial + aside, y * radial + down], axis=-1)
 
-    def _fisheye(self, xy: FloatArray) -> FloatArray:
+    def _radial(self, r2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(...) numerator and denominator of the radial factor, and their slopes with r2."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.distortion
+        top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        top_slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3))
+        bottom_slope = k4 + r2 * (2.0 * k5 + r2 * (3.0 * k6))
+        return top, bottom, top_slope, bottom_slope
+
+    def _without_brown(self, wanted: FloatArray) -> FloatArray:
+        """(..., 2) directions, by Newton's method; NaN where there is none."""
+        _, _, p1, p2, *_ = self.distortion
+        xy = wanted.copy()
+        if not self.distortion.any():
+            return xy
+        with np.errstate(all="ignore"):
+            for _ in range(MAX_ITERATIONS):
+                x, y = xy[..., 0], xy[..., 1]
+                r2 = x * x + y * y
+                top, bottom, top_slope, bottom_slope = self._radial(r2)
+                radial = top / bottom
+                # Twice the slope of the radial factor with r2: what its slopes along x, y share.
+                bend = 2.0 * (top_slope - radial * bottom_slope) / bottom
+                aside, down = p1 * y + p2 * x, p1 * x + p2 * y
+                off_x = x * radial + 2.0 * x * aside + p2 * r2 - wanted[..., 0]
+                off_y = y * radial + 2.0 * y * (p1 * y + p2 * x) + p1 * r2 - wanted[..., 1]
+                a = radial + bend * x * x + 2.0 * aside + 4.0 * p2 * x
+                b = bend * x * y + 2.0 * down
+                d = radial + bend * y * y + 2.0 * aside + 4.0 * p1 * y
+                det = a * d - b * b
+                step = np.stack([d * off_x - b * off_y, a * off_y - b * off_x], axis=-1)
+                step /= np.where(np.abs(det) > 1e-12, det, np.inf)[..., None]
+                off = np.maximum(np.abs(off_x), np.abs(off_y))
+                if not off.size or off.max() < CLOSE:
+                    break
+                length = np.hypot(step[..., 0], step[..., 1])[..., None]
+                xy = xy - step * np.minimum(1.0, FARTHEST_STEP / np.maximum(length, 1e-300))
+            # Behind a fold of the picture the model goes on, but no light does.
+            found = (
+                (off < LOST * (1.0 + np.abs(wanted).max(axis=-1))) & (det > 0.0) & (bottom > 0.0)
+            )
+        return np.where(found[..., None], xy, np.nan)
+
+    def _seen_angle(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(...) where a fisheye shows an angle off its axis [rad], and the slope."""
         k1, k2, k3, k4 = self.distortion
-        r = np.hypot(xy[..., 0], xy[..., 1])
-        angle = np.arctan(r)
         a2 = angle * angle
         seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+        slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * (9.0 * k4))))
+        return seen, slope
+
+    def _fisheye(self, xy: FloatArray) -> FloatArray:
+        r = np.hypot(xy[..., 0], xy[..., 1])
+        seen, _ = self._seen_angle(np.arctan(r))
         ratio = np.divide(seen, r, out=np.ones_like(r), where=r > 0.0)
         return np.asarray(xy * ratio[..., None])
 
-    def _jacobian(self, xy: FloatArray) -> FloatArray:
-        """(..., 2, 2) of `distorted`, by central differences."""
-        step = 1e-6
-        columns = [
-            (self.distorted(xy + shift) - self.distorted(xy - shift)) / (2.0 * step)
-            for shift in np.eye(2) * step
-        ]
-        return np.stack(columns, axis=-1)
+    def _opened(self, wanted: FloatArray) -> FloatArray:
+        """(..., 2) directions of a fisheye, by Newton's method; NaN where there is none."""
+        seen = np.hypot(wanted[..., 0], wanted[..., 1])
+        angle = np.minimum(seen, 0.5 * np.pi)
+        with np.errstate(all="ignore"):
+            for _ in range(MAX_ITERATIONS):
+                there, slope = self._seen_angle(angle)
+                off = there - seen
+                if not off.size or np.abs(off).max() < CLOSE:
+                    break
+                angle = angle - np.clip(off / slope, -FARTHEST_STEP, FARTHEST_STEP)
+            found = (np.abs(off) < LOST) & (slope > 0.0) & (angle >= 0.0) & (angle < 0.5 * np.pi)
+            ratio = np.where(seen > 0.0, np.tan(angle) / np.where(seen > 0.0, seen, 1.0), 1.0)
+        return np.where(found[..., None], wanted * ratio[..., None], np.nan)
 
 
 def _coefficients(values: ArrayLike, count: int) -> FloatArray:
@@ -158,12 +248,3 @@ def _coefficients(values: ArrayLike, count: int) -> FloatArray:
             expected=f"at most {count} finite numbers of this model",
         )
     return frozen(np.pad(given[:count], (0, count - len(given[:count]))))
-
-
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """(..., 2) solutions of 2 x 2 systems; where there is none, a step of nothing."""
-    (a, b), (c, d) = np.moveaxis(matrix, (-2, -1), (0, 1))
-    det = a * d - b * c
-    det = np.where(np.abs(det) < 1e-12, np.inf, det)
-    x, y = right[..., 0], right[..., 1]
-    return np.stack([(d * x - b * y) / det, (a * y - c * x) / det], axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -18,6 +19,9 @@ from fixel.model.fields import (
 )
 from fixel.vision.camera import Camera
 
+# Bit 0 is the blue coil, 1 the red, 2 the green one; the thesis's contact mode counts fixels from
+# the other end: 4 for the first, 2, 1 for the third.
+THESIS_BITS: Final = ("fixel-3", "fixel-2", "fixel-1")
 FAMILIES: Final = ("apriltag-36h11", "aruco-4x4-50", "aruco-5x5-100")
 COLOURS: Final = ("red", "orange", "yellow", "green", "cyan", "blue", "magenta")
 
@@ -138,6 +142,10 @@ class Rig(Comparable):
         Of the fixels above the plane [m].
     plate : tuple of Tag
         Tags fixed to the plate, at poses of the world: they tell whether the camera was moved.
+    tactile : tuple of str
+        The fixel behind each bit of the tactile byte, lowest first.
+    position_tolerance, angle_tolerance : float
+        How well parts must be placed before an experiment starts [m, rad].
     """
 
     name: str
@@ -145,6 +153,9 @@ class Rig(Comparable):
     parts: dict[str, MarkedPart] = field(default_factory=dict)
     fixel_height: float = 0.05108
     plate: tuple[Tag, ...] = ()
+    tactile: tuple[str, ...] = THESIS_BITS
+    position_tolerance: float = 1e-3
+    angle_tolerance: float = math.radians(1.0)
 
     def __post_init__(self) -> None:
         name_of(self.name, "rig.name")
@@ -154,8 +165,24 @@ class Rig(Comparable):
             parts=dict(self.parts),
             fixel_height=positive(self.fixel_height, "rig.fixel_height", "m"),
             plate=tuple(self.plate),
+            tactile=_bits(self.tactile),
+            position_tolerance=positive(self.position_tolerance, "rig.position_tolerance", "m"),
+            angle_tolerance=positive(self.angle_tolerance, "rig.angle_tolerance", "rad"),
         )
+        for name, part in self.parts.items():
+            instance(part, MarkedPart, f"rig.parts[{name_of(name, 'rig.parts')!r}]", "a MarkedPart")
+        for index, tag in enumerate(self.plate):
+            instance(tag, Tag, f"rig.plate[{index}]", "a Tag")
         _refuse_twins(self)
+
+
+def _bits(fixels: tuple[str, ...]) -> tuple[str, ...]:
+    names = tuple(name_of(fixel, "rig.tactile") for fixel in fixels)
+    if len(names) > 8 or len(set(names)) < len(names):
+        raise InvalidInput(
+            "rig.tactile", found=list(names), expected="at most eight fixels, each once"
+        )
+    return names
 
 
 def _refuse_twins(rig: Rig) -> None:

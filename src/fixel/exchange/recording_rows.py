@@ -1,0 +1,159 @@
+"""Rows of `frames.csv`: one a frame, each with a checksum, only ever appended.
+
+A row says which picture of the video it belongs to: by time, length and checksum. Any program that
+reads CSV can read it; the checksum at its end is that of the text before it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from fixel.errors import InvalidInput
+
+HEAD: Final = "frame,time_s,reading,reading_time_s,bytes,video_bytes,picture_crc32,row_crc32\n"
+MICRO: Final = 1_000_000
+
+
+class Row(NamedTuple):
+    """One frame.
+
+    Attributes
+    ----------
+    frame : int
+        Counted from 0.
+    time_us : int
+        Of its arrival [µs].
+    reading : int
+        The tactile byte, -1 for none.
+    reading_time_us : int
+        When it was read [µs], -1 for none.
+    size : int
+        Of its picture, as it is in the video [bytes].
+    video_end : int
+        Where it ends in the file of the video [bytes].
+    crc : int
+        CRC-32 of its picture as it is in the video.
+    """
+
+    frame: int
+    time_us: int
+    reading: int
+    reading_time_us: int
+    size: int
+    video_end: int
+    crc: int
+
+
+class Rows(NamedTuple):
+    """The rows of a file.
+
+    Attributes
+    ----------
+    rows : list of Row
+        All that are whole.
+    ends : list of int
+        Where each ends in the file [bytes].
+    torn : bool
+        Whether something that is no whole row stands at the end.
+    """
+
+    rows: list[Row]
+    ends: list[int]
+    torn: bool
+
+
+def row_text(row: Row) -> bytes:
+    """A row as it stands in the file."""
+    reading = "" if row.reading < 0 else str(row.reading)
+    text = (
+        f"{row.frame},{_seconds(row.time_us)},{reading},{_seconds(row.reading_time_us)},"
+        f"{row.size},{row.video_end},{row.crc:08x}"
+    ).encode("ascii")
+    return b"%s,%08x\n" % (text, zlib.crc32(text))
+
+
+def read_rows(path: Path) -> Rows:
+    """Read all whole rows.
+
+    Raises
+    ------
+    InvalidInput
+        No such file, or a row that is damaged, or missing, before others that are whole.
+    """
+    try:
+        lines = path.read_bytes().splitlines(keepends=True)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(str(path), found=reason, expected="the rows of a recording") from None
+    if not lines or lines[0] != HEAD.encode("ascii"):
+        found = (
+            "another first line" if lines and lines[0].endswith(b"\n") else "no whole first line"
+        )
+        raise InvalidInput(str(path), found=found, expected=HEAD.strip())
+    rows: list[Row] = []
+    ends: list[int] = []
+    end = len(lines[0])
+    broken = 0
+    for number, line in enumerate(lines[1:], 2):
+        end += len(line)
+        row = _row(line)
+        if row is None:
+            broken = broken or number
+            continue
+        if broken:
+            raise InvalidInput(
+                f"{path}, line {broken}",
+                found="a damaged row before rows that are whole",
+                expected="rows as they were written",
+                hint="frames and readings can no longer be paired without guessing",
+            )
+        _refuse_disorder(path, number, row, rows)
+        rows.append(row)
+        ends.append(end)
+    return Rows(rows, ends, bool(broken))
+
+
+def _seconds(micro: int) -> str:
+    return "" if micro < 0 else f"{micro // MICRO}.{micro % MICRO:06d}"
+
+
+def _micro(seconds: bytes) -> int:
+    if not seconds:
+        return -1
+    whole, _, part = seconds.partition(b".")
+    return int(whole) * MICRO + int(part)
+
+
+def _row(line: bytes) -> Row | None:
+    """The row of a line, None where it is torn or damaged."""
+    text, comma, crc = line.rstrip(b"\n").rpartition(b",")
+    if not line.endswith(b"\n") or not comma or b"%08x" % zlib.crc32(text) != crc:
+        return None
+    frame, time, reading, reading_time, size, video_end, picture = text.split(b",")
+    return Row(
+        int(frame),
+        _micro(time),
+        int(reading or -1),
+        _micro(reading_time),
+        int(size),
+        int(video_end),
+        int(picture, 16),
+    )
+
+
+def _refuse_disorder(path: Path, number: int, row: Row, rows: list[Row]) -> None:
+    if row.frame != len(rows):
+        raise InvalidInput(
+            f"{path}, line {number}",
+            found=f"frame {row.frame}",
+            expected=f"frame {len(rows)}",
+            hint="rows were lost or put in, and which frame belongs to which cannot be told",
+        )
+    if rows and row.time_us <= rows[-1].time_us:
+        raise InvalidInput(
+            f"{path}, line {number}",
+            found=f"time {_seconds(row.time_us)} s after {_seconds(rows[-1].time_us)} s",
+            expected="times that increase",
+        )

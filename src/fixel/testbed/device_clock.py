@@ -1,0 +1,127 @@
+"""When was that, on the clock of this computer?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, final
+
+WRAP: Final = 2**32  # the device counts microseconds in 32 bits: 71.6 minutes
+BIN: Final = 0.5  # [s] one exchange of each such span is kept, the one that took least
+BINS: Final = 60
+FLOOR: Final = 50e-6  # [s] an exchange is not believed more exactly than that
+STRANGE: Final = 0.05  # [s] a device this far from where its clock should be has restarted
+
+
+class _Exchange(NamedTuple):
+    device: float  # [s]
+    middle: float  # [s] on the host
+    half: float  # [s] the instant lies no further from the middle than that
+
+
+@final
+@dataclass(slots=True)
+class DeviceClock:
+    """The clock of a device on the clock of the host.
+
+    Between sending a request and receiving its answer the device takes its time stamp; what the
+    bytes need on the wire narrows that down. Of every half second the exchange that left least
+    room is kept, as the Network Time Protocol does (Mills 1991), and a line through the kept ones,
+    weighted by their room, is offset and drift. The result never leaves the room of the exchange
+    itself, so a bad line cannot hurt.
+
+    Attributes
+    ----------
+    drift : float
+        Rate of the host's clock over that of the device, less 1 [-]; 0 until known. A Mega's
+        ceramic resonator may be off by 0.005.
+    room : float
+        Half the smallest room of the kept exchanges [s]: how well the clocks are tied, at worst.
+    restarts : int
+        How often the device began to count anew.
+    """
+
+    drift: float = 0.0
+    room: float = math.inf
+    restarts: int = 0
+    _kept: list[_Exchange] = field(default_factory=list)
+    _bin: int = -1
+    _last_ticks: int | None = None
+    _turns: int = 0
+    _centre: tuple[float, float] = (0.0, 0.0)
+
+    def place(self, ticks: int, earliest: float, latest: float) -> tuple[float, float]:
+        """The device's time, counted on beyond its wrap, and the host's, of one exchange.
+
+        Parameters
+        ----------
+        ticks : int
+            The device's count [us], of 32 bits.
+        earliest, latest : float
+            Between which the device must have taken it, on the host [s].
+
+        Returns
+        -------
+        device, host : float
+            [s].
+        """
+        earliest, latest = min(earliest, latest), max(earliest, latest)
+        last_ticks, last_turns = self._last_ticks, self._turns
+        device = self._unwrapped(ticks)
+        went_back = last_ticks is not None and device < 1e-6 * (last_ticks + WRAP * last_turns)
+        if self._kept and (went_back or not self._plausible(device, earliest, latest)):
+            self._start_anew()
+            device = self._unwrapped(ticks)
+        self._keep(_Exchange(device, 0.5 * (earliest + latest), 0.5 * (latest - earliest)))
+        return device, min(max(self._host(device), earliest), latest)
+
+    def _unwrapped(self, ticks: int) -> float:
+        if self._last_ticks is not None and ticks < self._last_ticks - WRAP // 2:
+            self._turns += 1
+        self._last_ticks = ticks
+        return 1e-6 * (ticks + WRAP * self._turns)
+
+    def _plausible(self, device: float, earliest: float, latest: float) -> bool:
+        last = self._kept[-1]
+        # 0.5 % of a long silence is more than a restart would show.
+        allowed = STRANGE + last.half + 0.01 * abs(latest - last.middle)
+        expected = last.middle + (device - last.device)
+        return earliest - allowed <= expected <= latest + allowed
+
+    def _start_anew(self) -> None:
+        self.restarts += 1
+        self.drift, self.room = 0.0, math.inf
+        self._kept.clear()
+        self._bin, self._last_ticks, self._turns = -1, None, 0
+
+    def _keep(self, exchange: _Exchange) -> None:
+        number = math.floor(exchange.middle / BIN)
+        if number != self._bin:
+            self._bin = number
+            self._kept.append(exchange)
+            del self._kept[:-BINS]
+        elif exchange.half < self._kept[-1].half:
+            self._kept[-1] = exchange
+        else:
+            return
+        self._draw_line()
+
+    def _draw_line(self) -> None:
+        weights = [1.0 / (kept.half + FLOOR) ** 2 for kept in self._kept]
+        total = sum(weights)
+        pairs = list(zip(weights, self._kept, strict=True))
+        device = sum(w * kept.device for w, kept in pairs) / total
+        apart = sum(w * (kept.middle - kept.device) for w, kept in pairs) / total
+        spread = sum(w * (kept.device - device) ** 2 for w, kept in pairs)
+        self.drift = 0.0
+        if len(self._kept) > 2 and spread > 0.0:
+            self.drift = (
+                sum(w * (k.device - device) * (k.middle - k.device - apart) for w, k in pairs)
+                / spread
+            )
+        self._centre = (device, apart)
+        self.room = min(kept.half for kept in self._kept)
+
+    def _host(self, device: float) -> float:
+        centre, apart = self._centre
+        return device + apart + self.drift * (device - centre)

@@ -1,0 +1,167 @@
+"""A camera at this computer, through OpenCV."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from threading import Event
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.testbed.jpeg import END, jpeg_size
+from fixel.vision.frame import Picture
+from fixel.vision.outlines import vision_library
+
+WARM_UP: Final = 10  # pictures that may fail before a camera is believed to give none
+
+Capture = Callable[[int | str], Any]
+
+
+@final
+class DeviceSource(FrameSource):
+    """A camera by number or by device file.
+
+    Parameters
+    ----------
+    device : str
+        `"0"` or `"/dev/video0"`.
+    size : (int, int), optional
+        Asked of the camera [px]; it may answer with another.
+    rate : float
+        Likewise [frames/s].
+    capture : callable, optional
+        Opens a device as `cv2.VideoCapture` does.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        size: tuple[int, int] | None = None,
+        rate: float = 30.0,
+        capture: Capture | None = None,
+    ) -> None:
+        self.name = device if device.startswith("/") else f"camera {device}"
+        self._device: int | str = int(device) if device.isdecimal() else device
+        self._asked, self._rate = size, rate
+        self._capture = capture
+        self._camera: Any = None
+        self._first: Arrived | None = None
+        self._stop = Event()
+        self._reading = False
+
+    def open(self) -> Stream:
+        """Ask for JPEG at the size and rate wanted; take what the camera then gives."""
+        if self._capture is None:
+            _refuse_missing(self._device)
+        cv2 = vision_library()
+        camera = (self._capture or cv2.VideoCapture)(self._device)
+        self._camera = camera
+        if not camera.isOpened():
+            self.close()
+            raise InvalidInput(
+                self.name,
+                found="a camera that does not open",
+                expected="one that no other program uses",
+                hint=_hint(),
+            )
+        camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        if self._asked:
+            camera.set(cv2.CAP_PROP_FRAME_WIDTH, self._asked[0])
+            camera.set(cv2.CAP_PROP_FRAME_HEIGHT, self._asked[1])
+        camera.set(cv2.CAP_PROP_FPS, self._rate)
+        camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # JPEG as it comes, where the system gives it
+        first = self._read(WARM_UP)
+        if first is not None and first.jpeg is None:
+            camera.set(cv2.CAP_PROP_CONVERT_RGB, 1)
+            first = self._read(WARM_UP)
+        size = None if first is None else _size(first)
+        if first is None or size is None:
+            self.close()
+            raise InvalidInput(
+                self.name, found="no pictures", expected="a camera that sends them", hint=_hint()
+            )
+        self._first = first
+        promised = float(camera.get(cv2.CAP_PROP_FPS))
+        rate = promised if 1.0 <= promised <= 1000.0 else 0.0
+        return Stream(size=size, rate=rate, jpeg=first.jpeg is not None, live=True)
+
+    def frames(self) -> Iterator[Arrived]:
+        """Pictures until the camera is pulled or closed."""
+        self._reading = True
+        arrived, self._first = self._first, None
+        while arrived is not None and not self._stop.is_set():
+            yield arrived
+            arrived = self._read(1)
+        self.ended = "stopped" if self._stop.is_set() else "the camera sends no more pictures"
+        self._let_go()
+
+    def close(self) -> None:
+        """Let go of the camera, after the picture that is being read."""
+        self._stop.set()
+        if not self._reading:
+            self._let_go()
+
+    def _read(self, attempts: int) -> Arrived | None:
+        """The next picture, stamped as it arrives and before it is decoded."""
+        for _ in range(attempts):
+            grabbed = self._camera.grab()
+            now = time.monotonic()
+            if not grabbed:
+                continue
+            given, raw = self._camera.retrieve()
+            if given and raw is not None and raw.size:
+                return _arrived(now, raw)
+        return None
+
+    def _let_go(self) -> None:
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            camera.release()
+
+
+def _arrived(now: float, raw: Picture) -> Arrived:
+    """JPEG data come as one row of bytes, with whatever stood behind them in the buffer."""
+    if raw.ndim == 3 and raw.shape[2] == 3:
+        return Arrived(now, pixels=raw)
+    data = np.ascontiguousarray(raw).tobytes()
+    data = data[: data.rfind(END) + 2]
+    return Arrived(now, jpeg=data) if jpeg_size(data) else Arrived(now, pixels=raw)
+
+
+def _size(arrived: Arrived) -> tuple[int, int] | None:
+    if arrived.jpeg is not None:
+        return jpeg_size(arrived.jpeg)
+    pixels = arrived.pixels
+    if pixels is None or pixels.ndim != 3:
+        return None
+    return pixels.shape[1], pixels.shape[0]
+
+
+def _refuse_missing(device: int | str) -> None:
+    """On Linux, say at once what is not there: OpenCV only says that it did not open."""
+    if not sys.platform.startswith("linux"):
+        return
+    path = f"/dev/video{device}" if isinstance(device, int) else device
+    if not os.path.exists(path):
+        raise InvalidInput(path, found="no such device", expected="a camera", hint=_hint())
+    if not os.access(path, os.R_OK | os.W_OK):
+        raise InvalidInput(
+            path,
+            found="no permission",
+            expected="a camera you may use",
+            hint="sudo usermod --append --groups video $USER, then log in again",
+        )
+
+
+def _hint() -> str:
+    there = sorted(glob.glob("/dev/video*"))
+    if not sys.platform.startswith("linux"):
+        return "try another number, from 0 on"
+    return f"cameras here: {', '.join(there)}" if there else "no camera is plugged in"

@@ -1,0 +1,148 @@
+"""A video or a recording played as if it came from a camera."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple, final
+
+import numpy as np
+
+from fixel.exchange.recording import Recording, is_recording, open_recording
+from fixel.exchange.video_file import open_video
+from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.vision.frame import Frame
+
+
+@final
+class FileSource(FrameSource):
+    """Plays a file at the pace it was filmed with, or as fast as it is read.
+
+    Parameters
+    ----------
+    path : str or Path
+        A video, or the folder of a recording; JPEG pictures of one are handed on as they are.
+    as_fast_as_possible : bool
+        Then frames keep the times of the file, and the reader is waited for.
+    loop : bool
+        Whether it begins anew at its end.
+    """
+
+    def __init__(
+        self, path: str | Path, *, as_fast_as_possible: bool = False, loop: bool = False
+    ) -> None:
+        self.path = Path(path)
+        self.name = str(path)
+        self.began = math.nan
+        self._fast = as_fast_as_possible
+        self._loop = loop
+        self._stop = Event()
+        self._recording: Recording | None = None
+
+    def open(self) -> Stream:
+        """Read what it is."""
+        if is_recording(self.path):
+            self._recording = recording = open_recording(self.path)
+            jpeg = recording.header.codec != "exact"
+            return Stream(recording.header.size, _rate(recording), jpeg, live=not self._fast)
+        video = open_video(self.path)
+        return Stream(video.size, 0.0, jpeg=False, live=not self._fast)
+
+    def frames(self) -> Iterator[Arrived]:
+        """Every picture, when it is due."""
+        zero, last, step = math.nan, 0.0, 0.0
+        while not self._stop.is_set():
+            for at, arrived in self._played():
+                if math.isnan(zero):  # opening it took a moment
+                    zero, self.began = at, time.monotonic()
+                due = self.began + at - zero
+                if not self._wait(due):
+                    break
+                arrived.time = due if self._fast else time.monotonic()
+                yield arrived
+                step, last = at - last, at
+            if not self._loop:
+                break
+            self.began += last - zero + step
+        self.ended = "stopped" if self._stop.is_set() else "the file is at its end"
+
+    def close(self) -> None:
+        """Stop playing."""
+        self._stop.set()
+
+    def _wait(self, due: float) -> bool:
+        """Wait for an instant of `time.monotonic` [s]; whether to go on."""
+        if not self._fast:
+            self._stop.wait(max(0.0, due - time.monotonic()))
+        return not self._stop.is_set()
+
+    def _played(self) -> Iterator[tuple[float, Arrived]]:
+        recording = self._recording
+        if recording is not None and recording.header.codec != "exact":
+            for at, jpeg in recording.jpegs():
+                yield at, Arrived(0.0, jpeg=jpeg)
+            return
+        frames: Iterator[Frame] = (recording or open_video(self.path, threads=1)).frames()
+        for frame in frames:
+            yield frame.time, Arrived(0.0, pixels=frame.picture)
+
+
+class PlayedReading(NamedTuple):
+    """A reading of a recording that is played.
+
+    Attributes
+    ----------
+    bits : int or None
+    time : float
+        On `time.monotonic` [s].
+    problem : str
+    """
+
+    bits: int | None
+    time: float
+    problem: str = ""
+
+
+@final
+class PlayedTactile:
+    """The readings of a recording, as if its fixels were read while it is played.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+    in_turn : bool
+        A reading a frame, for a source that is played as fast as possible; else the reading that
+        is due, counted from the first `read`.
+    """
+
+    trouble = ""
+
+    def __init__(self, recording: str | Path | Recording, *, in_turn: bool = False) -> None:
+        if not isinstance(recording, Recording):
+            recording = open_recording(recording)
+        self._recording = recording
+        self._in_turn = in_turn
+        self._next = 0
+        self._began = math.nan
+
+    def read(self) -> PlayedReading:
+        """The reading of this moment."""
+        now = time.monotonic()
+        times = self._recording.time
+        if self._in_turn:
+            k, self._next = self._next, self._next + 1
+        else:
+            self._began = now if math.isnan(self._began) else self._began
+            k = int(np.searchsorted(times - times[0], now - self._began + 1e-3, side="right")) - 1
+            k = min(k, len(times) - 1)
+        bits = int(self._recording.readings[k]) if k < len(times) else -1
+        return PlayedReading(None, now, "no reading") if bits < 0 else PlayedReading(bits, now)
+
+
+def _rate(recording: Recording) -> float:
+    if recording.n_frames < 2:
+        return recording.header.rate
+    return float(1.0 / np.median(np.diff(recording.time)))

@@ -1,0 +1,158 @@
+"""Where pictures come from: cameras, network cameras, files, behind one interface."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+from fixel.errors import InvalidInput
+from fixel.vision.frame import Gray, Picture
+
+STALLED: Final = 3.0  # [s] a camera that sends nothing for so long was unplugged
+
+
+class Stream(NamedTuple):
+    """What a source says of itself once it is open.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height [px].
+    rate : float
+        Frames a second it promises, 0 for unknown.
+    jpeg : bool
+        Whether pictures come as JPEG.
+    live : bool
+        Whether they come when they come; a source that waits for its reader loses none.
+    """
+
+    size: tuple[int, int]
+    rate: float
+    jpeg: bool
+    live: bool
+
+
+@final
+@dataclass(slots=True)
+class Arrived:
+    """A picture as it arrived.
+
+    Parameters
+    ----------
+    time : float
+        When, on `time.monotonic` [s].
+    jpeg : bytes, optional
+        As it came.
+    pixels : (height, width, 3) uint8, optional
+        Where it came as pixels: blue, green, red.
+    """
+
+    time: float
+    jpeg: bytes | None = None
+    pixels: Picture | None = None
+
+    def picture(self) -> Picture:
+        """(height, width, 3) uint8; decoded when first asked for.
+
+        Raises
+        ------
+        InvalidInput
+            A JPEG that cannot be decoded.
+        """
+        if self.pixels is None:
+            from fixel.testbed.jpeg import decoded
+
+            self.pixels = decoded(self.jpeg or b"")
+        return self.pixels
+
+    def small(self) -> Gray:
+        """(height / 8, width / 8) uint8 of brightness; cheap."""
+        from fixel.testbed.jpeg import decoded_small, shrunk
+
+        return shrunk(self.pixels) if self.jpeg is None else decoded_small(self.jpeg)
+
+
+class FrameSource(abc.ABC):
+    """A camera, or something that stands in for one.
+
+    Attributes
+    ----------
+    name : str
+        For people, and for the record: without passwords.
+    ended : str
+        Why the pictures ended, once they have.
+    """
+
+    name: str
+    ended: str = ""
+
+    @abc.abstractmethod
+    def open(self) -> Stream:
+        """Get ready, and look at the first picture.
+
+        Raises
+        ------
+        InvalidInput
+            Nothing there, no permission, no pictures.
+        """
+
+    @abc.abstractmethod
+    def frames(self) -> Iterator[Arrived]:
+        """Every picture once, the first included; ends when there are no more, and says why."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Let go of it; from another thread too, which ends `frames`."""
+
+    def __enter__(self) -> FrameSource:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def source_of(
+    text: str,
+    *,
+    size: tuple[int, int] | None = None,
+    rate: float = 30.0,
+    as_fast_as_possible: bool = False,
+) -> FrameSource:
+    """The source that a person means.
+
+    Parameters
+    ----------
+    text : str
+        `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video file or
+        the folder of a recording.
+    size : (int, int), optional
+        What a camera is asked for [px].
+    rate : float
+        Likewise [frames/s].
+    as_fast_as_possible : bool
+        Whether a file is played faster than it was filmed; its own times are kept then.
+    """
+    if text.isdecimal() or text.startswith("/dev/"):
+        from fixel.testbed.device_source import DeviceSource
+
+        return DeviceSource(text, size=size, rate=rate)
+    if "://" in text:
+        from fixel.testbed.url_source import UrlSource
+
+        return UrlSource(text)
+    from fixel.testbed.file_source import FileSource
+
+    return FileSource(text, as_fast_as_possible=as_fast_as_possible)
+
+
+def refuse_size(stream: Stream, size: tuple[int, int], name: str) -> None:
+    """Refuse pictures of another size than the rig's, before anything is recorded."""
+    if stream.size != size:
+        raise InvalidInput(
+            name,
+            found="pictures of {} x {} pixels".format(*stream.size),
+            expected="{} x {}, as the rig was calibrated".format(*size),
+            hint="set the camera to that size, or calibrate it anew at this one",
+        )

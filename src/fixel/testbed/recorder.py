@@ -1,0 +1,328 @@
+"""Records: for every picture one reading of the fixels, on one clock."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol, final
+
+from fixel.errors import FixelError, InvalidInput
+from fixel.exchange.recording import RecordingHeader, RecordingWriter
+from fixel.testbed.frame_queue import FrameQueue
+from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
+from fixel.testbed.jpeg import jpeg_size
+from fixel.testbed.pace import Pace
+from fixel.testbed.room import SPARE, free_space, refuse_full_disk
+from fixel.testbed.seating import Seating
+from fixel.vision.frame import Frame
+
+LOOKS_AT_DISK: Final = 0.5  # [s]
+POLL: Final = 0.1  # [s] between two looks at the stop key while no picture comes
+WATCH: Final = 0.1  # [s] between two reports to whoever watches
+BREATH: Final = 2e-6  # [s] at least, between two frames that came together
+
+
+class TouchReading(Protocol):
+    """What the fixels said, once: bits or None, when on `time.monotonic`, what was wrong."""
+
+    @property
+    def bits(self) -> int | None: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def problem(self) -> str: ...
+
+
+class TouchReader(Protocol):
+    """Asks the fixels; `trouble` says why that is no longer possible."""
+
+    @property
+    def trouble(self) -> str: ...
+    def read(self) -> TouchReading: ...
+
+
+class Status(NamedTuple):
+    """How the recording stands.
+
+    Attributes
+    ----------
+    seconds : float
+        Since the first frame [s].
+    frames, lost : int
+    rate : float
+        Over the last second or so [frames/s].
+    bits : int or None
+        The newest reading.
+    free : int
+        Space on the disk [bytes].
+    problems : tuple of str
+    """
+
+    seconds: float
+    frames: int
+    lost: int
+    rate: float
+    bits: int | None
+    free: int
+    problems: tuple[str, ...]
+
+
+Watch = Callable[[Arrived, Status], None]
+Stop = Callable[[], str]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """What came of it.
+
+    Attributes
+    ----------
+    folder : Path
+    frames, lost : int
+        Written; come, but the recorder was too slow for them.
+    seconds : float
+        From the first frame to the last [s].
+    bytes : int
+        Of the video.
+    reason : str
+        Why it ended.
+    without_reading : int
+        Frames for which the fixels gave no answer; 0 where nobody asked them.
+    problems : tuple of str
+    """
+
+    folder: Path
+    frames: int
+    lost: int
+    seconds: float
+    bytes: int
+    reason: str
+    without_reading: int
+    problems: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Of the frames written [frames/s]."""
+        return (self.frames - 1) / self.seconds if self.seconds > 0.0 else 0.0
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Recorder:
+    """Records one experiment.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Open.
+    stream : Stream
+        What it said of itself.
+    folder : Path
+        To be made.
+    codec : str
+        `as-it-comes`, `near` or `exact`.
+    tactile : TouchReader, optional
+        Asked once a frame.
+    rig : str
+        Name of the rig.
+    limit : float, optional
+        Longest duration [s].
+    seating : Seating, optional
+        Whether to end once the part is seated.
+    stop : callable, optional
+        Asked again and again; a reason, once somebody wants to end it.
+    watch : callable, optional
+        Told of pictures and status, ten times a second at most; must not take long.
+    prepare : callable, optional
+        Told of the folder once it is there: to put files into it.
+    patience : float
+        For how long no picture may come [s].
+    """
+
+    source: FrameSource
+    stream: Stream
+    folder: Path
+    codec: str
+    tactile: TouchReader | None = None
+    rig: str = ""
+    limit: float | None = None
+    seating: Seating | None = None
+    stop: Stop | None = None
+    watch: Watch | None = None
+    prepare: Callable[[Path], None] | None = None
+    patience: float = STALLED + 1.0
+    _problems: Counter[str] = field(default_factory=Counter, init=False)
+    _without: int = field(default=0, init=False)
+    _bits: int | None = field(default=None, init=False)
+    _free: int = field(default=0, init=False)
+    _came: float = field(default=0.0, init=False)
+    _pace: Pace = field(default_factory=Pace, init=False)
+
+    def run(self) -> Recorded:
+        """Record until something ends it, and say what came of it.
+
+        Raises
+        ------
+        InvalidInput
+            A folder that cannot be had, no space for a minute, or no picture at all.
+        """
+        refuse_full_disk(self.folder, self.stream, self.codec, self.limit)
+        queue = FrameQueue(self.source, live=self.stream.live)
+        queue.start()
+        try:
+            first = self._first(queue)
+            header = RecordingHeader(
+                size=self.stream.size,
+                codec=self.codec,
+                rig=self.rig,
+                source=self.source.name,
+                started=_utc(first.time),
+                rate=self.stream.rate,
+            )
+            writer = RecordingWriter(self.folder, header)
+            try:
+                if self.prepare is not None:
+                    self.prepare(self.folder)
+                reason = self._record(queue, writer, first)
+            except BaseException:
+                writer.abandon()
+                raise
+            return self._close(queue, writer, reason)
+        finally:
+            queue.close()
+
+    def _first(self, queue: FrameQueue) -> Arrived:
+        """The first picture; nothing is written before it."""
+        since = time.monotonic()
+        while (arrived := queue.get(POLL)) is None:
+            if queue.over or time.monotonic() - since > self.patience:
+                found = queue.reason if queue.over else f"no picture within {self.patience:g} s"
+                raise InvalidInput(self.source.name, found=found, expected="pictures to record")
+        return arrived
+
+    def _record(self, queue: FrameQueue, writer: RecordingWriter, first: Arrived) -> str:
+        """Write pictures until there is a reason not to."""
+        zero, looked, watched = first.time, -LOOKS_AT_DISK, -WATCH
+        arrived: Arrived | None = first
+        while not (self.stop is not None and (why := self.stop())):
+            if arrived is None:
+                arrived = queue.get(POLL)
+                if arrived is None and (why := self._silent(queue)):
+                    return why
+                continue
+            self._came = now = time.monotonic()
+            at = max(arrived.time - zero, writer.seconds + BREATH if writer.frames else 0.0)
+            if why := self._unfit(arrived, at):
+                return why
+            try:
+                self._write(writer, arrived, at, zero)
+            except OSError as problem:
+                return f"the disk took no more: {(problem.strerror or str(problem)).lower()}"
+            self._pace.tick(at)
+            if now - looked >= LOOKS_AT_DISK:
+                looked, self._free = now, free_space(self.folder)
+                if self._free < SPARE:
+                    return f"the disk is almost full: {self._free / 1e6:.0f} MB are left"
+            if self.watch is not None and now - watched >= WATCH:
+                watched = now
+                self._show(arrived, at, writer.frames, queue.lost)
+            if why := self._over(arrived, at):
+                return why
+            arrived = queue.get(POLL)
+        return why
+
+    def _silent(self, queue: FrameQueue) -> str:
+        """Why no more pictures will come; empty while they may."""
+        if queue.over:
+            return queue.reason
+        if time.monotonic() - self._came > self.patience:
+            return f"the camera has sent nothing for {self.patience:g} s"
+        return ""
+
+    def _unfit(self, arrived: Arrived, at: float) -> str:
+        """Why a picture is not written, and none after it."""
+        if self.limit is not None and at >= self.limit - BREATH:
+            return f"the limit of {self.limit:g} s"
+        size = self.stream.size if arrived.jpeg is None else jpeg_size(arrived.jpeg)
+        if size != self.stream.size and size is not None:
+            return "the camera changed to {} x {} pixels".format(*size)
+        return ""
+
+    def _write(self, writer: RecordingWriter, arrived: Arrived, at: float, zero: float) -> None:
+        """A picture, and the reading of its moment."""
+        when = None
+        self._bits = None
+        if self.tactile is not None:
+            reading = self.tactile.read()
+            self._bits = reading.bits
+            when = None if reading.bits is None else max(reading.time - zero, 0.0)
+            self._without += reading.bits is None
+            if reading.problem:
+                self._problems[f"fixels: {reading.problem}"] += 1
+        if self.codec == "as-it-comes":
+            writer.write_jpeg(at, arrived.jpeg or b"", self._bits, when)
+            return
+        try:
+            picture = arrived.picture()
+        except InvalidInput:
+            self._problems["a picture that cannot be decoded, left out"] += 1
+            self._without -= self._bits is None and self.tactile is not None
+            return
+        writer.write(Frame(at, picture), self._bits, when)
+
+    def _over(self, arrived: Arrived, at: float) -> str:
+        """Why this was the last frame; empty where it was not."""
+        if self.tactile is not None and self.tactile.trouble:
+            return f"the fixels no longer answer: {self.tactile.trouble}"
+        if self.seating is None:
+            return ""
+        why = self.seating.touched(at, self._bits)
+        if not why and self.seating.wants_look(at):
+            why = self.seating.looked(at, arrived.small())
+        return why
+
+    def _show(self, arrived: Arrived, at: float, frames: int, lost: int) -> None:
+        """Tell whoever watches; if that fails, the recording goes on without."""
+        assert self.watch is not None
+        status = Status(at, frames, lost, self._pace.rate, self._bits, self._free, self._told())
+        try:
+            self.watch(arrived, status)
+        except Exception as problem:
+            self.watch = None
+            self._problems[f"the preview failed: {problem}"] += 1
+
+    def _told(self) -> tuple[str, ...]:
+        return tuple(
+            sentence if n == 1 else f"{sentence} ({n} times)"
+            for sentence, n in self._problems.most_common(8)
+        )
+
+    def _close(self, queue: FrameQueue, writer: RecordingWriter, reason: str) -> Recorded:
+        lost = queue.lost
+        gaps = self._pace.sentence()
+        problems = (*self._told(), *([gaps] if gaps else []))
+        try:
+            writer.close(reason, lost, problems)
+        except (FixelError, OSError) as problem:
+            problems = (*problems, f"the end could not be marked: {problem}")
+        return Recorded(
+            folder=self.folder,
+            frames=writer.frames,
+            lost=lost,
+            seconds=writer.seconds,
+            bytes=writer.bytes,
+            reason=reason,
+            without_reading=self._without,
+            problems=problems,
+        )
+
+
+def _utc(instant: float) -> str:
+    """An instant of `time.monotonic` [s] as ISO 8601 in UTC."""
+    ago = timedelta(seconds=time.monotonic() - instant)
+    return (datetime.now(UTC) - ago).isoformat(timespec="milliseconds")

@@ -1,0 +1,46 @@
+"""How much space a recording needs, and how much there is."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Final
+
+from fixel.errors import InvalidInput
+from fixel.testbed.frame_source import Stream
+
+LEAST_TIME: Final = 60.0  # [s] that must fit
+SPARE: Final = 32 * 1024 * 1024  # [bytes] that are left free when the disk fills up
+USUAL_RATE: Final = 30.0  # [frames/s] of a camera that does not say
+# Bytes a pixel of a bench with its noise, with something to spare.
+ROOM: Final = {"as-it-comes": 0.45, "near": 0.45, "exact": 2.0}
+
+
+def free_space(folder: Path) -> int:
+    """Bytes one may still write where the folder is, or will be."""
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    return shutil.disk_usage(place).free
+
+
+def bytes_a_second(stream: Stream, codec: str) -> float:
+    """About how fast a recording grows [bytes/s]."""
+    width, height = stream.size
+    return width * height * ROOM[codec] * (stream.rate or USUAL_RATE)
+
+
+def refuse_full_disk(folder: Path, stream: Stream, codec: str, limit: float | None) -> None:
+    """Refuse a disk on which a minute does not fit, or less where less is recorded."""
+    duration = LEAST_TIME if limit is None else min(limit, LEAST_TIME)
+    needed = bytes_a_second(stream, codec) * duration + SPARE
+    free = free_space(folder)
+    if free < needed:
+        raise InvalidInput(
+            str(folder),
+            found=f"{free / 1e6:.0f} MB free on its disk",
+            expected=f"{needed / 1e6:.0f} MB, for {duration:.0f} s of {codec}",
+            hint="make space, record elsewhere, or choose --codec near"
+            if codec == "exact"
+            else "make space, or record elsewhere",
+        )

@@ -1,0 +1,66 @@
+"""When is a part seated: it touches what it should, or everything has come to rest."""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+
+from fixel.vision.frame import Gray
+
+STEADY: Final = 0.5  # [s] for which the fixels must say the same
+STILL: Final = 1.0  # [s] without motion, once something has moved
+LOOK: Final = 0.2  # [s] between two looks at the picture
+CHANGE: Final = 6  # steps of brightness of a cell of 8 x 8 pixels: noise leaves less than one
+CELLS: Final = 3  # that must change: a part of a centimetre is about two cells wide
+
+
+@final
+class Seating:
+    """Watches readings and pictures.
+
+    Parameters
+    ----------
+    mode : int, optional
+        The byte wanted; none: any that is not 0 and stays while nothing moves.
+    """
+
+    def __init__(self, mode: int | None = None) -> None:
+        self.mode = mode
+        self._same_since = 0.0
+        self._bits: int | None = None
+        self._looked = -LOOK
+        self._before: Gray | None = None
+        self._moved_at: float | None = None
+
+    def touched(self, time: float, bits: int | None) -> str:
+        """Why the part is seated as the fixels say, at a time [s]; empty where it is not."""
+        if bits is None:  # a missing reading says nothing
+            return ""
+        if bits != self._bits:
+            self._bits, self._same_since = bits, time
+        if self.mode is None or bits != self.mode or time - self._same_since < STEADY:
+            return ""
+        return f"seated: the fixels say {bits:03b} for {STEADY:g} s"
+
+    def wants_look(self, time: float) -> bool:
+        """Whether it is time to look at a picture again."""
+        return time - self._looked >= LOOK
+
+    def looked(self, time: float, small: Gray) -> str:
+        """Why the part is seated as the pictures say; empty where it is not."""
+        before, self._before, self._looked = self._before, small, time
+        if before is None:
+            return ""
+        if _moved(before, small):
+            self._moved_at = time
+        if self._moved_at is None or time - self._moved_at < STILL:
+            return ""
+        return f"seated: nothing has moved for {STILL:g} s"
+
+
+def _moved(before: Gray, now: Gray) -> bool:
+    """Whether more than light and noise has changed."""
+    change = now.astype(np.int16) - before
+    change -= np.int16(np.median(change))
+    return int((np.abs(change) > CHANGE).sum()) > CELLS

@@ -1,0 +1,207 @@
+"""Serial ports: which there are, opening one for oneself, and why not."""
+
+from __future__ import annotations
+
+import errno
+import os
+import string
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+ARDUINO: Final = {  # USB vendor and product, as the makers registered them
+    (0x2341, 0x0010): "Arduino Mega 2560",
+    (0x2341, 0x0042): "Arduino Mega 2560",
+    (0x2341, 0x0043): "Arduino Uno",
+    (0x1A86, 0x7523): "CH340 adapter, as on many copies of the Arduino",
+}
+FIRST_WORDS: Final = 60  # [bytes] of what a port said that a message quotes
+
+
+class PortSeen(NamedTuple):
+    """A serial port of this computer.
+
+    Attributes
+    ----------
+    port : str
+        What to open: `/dev/ttyACM0`, `COM4`.
+    description : str
+        What the system or the device says it is.
+    in_use_by : str
+        The program that has it open, as far as one may see; empty for nobody.
+    """
+
+    port: str
+    description: str
+    in_use_by: str
+
+
+def found_ports() -> list[PortSeen]:
+    """The serial ports of this computer, those on USB first."""
+    _need_pyserial()
+    from serial.tools import list_ports
+
+    seen = sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device))
+    return [
+        PortSeen(
+            port.device,
+            ARDUINO.get((port.vid or 0, port.pid or 0), port.description or "n/a"),
+            _program_at(port.device),
+        )
+        for port in seen
+    ]
+
+
+def chosen_port(port: str | None, what: str) -> str:
+    """The port that was named; a list of what there is, as a refusal, if none was.
+
+    Parameters
+    ----------
+    port : str, optional
+    what : str
+        What is looked for: `"the tactile board"`.
+    """
+    if port:
+        return port
+    raise InvalidInput("--port", found=None, expected=f"the port of {what}", hint=_seen())
+
+
+def open_port(port: str, baud: int, what: str) -> Serial:
+    """Open a port that nobody else then can.
+
+    Parameters
+    ----------
+    port : str
+        `/dev/ttyACM0`, `COM4`.
+    baud : int
+        Bits per second.
+    what : str
+        What is expected there: `"the tactile board"`.
+
+    Raises
+    ------
+    InvalidInput
+        There is no such port, it is in use, or one may not open it; with what to do.
+    """
+    _need_pyserial()
+    import serial
+
+    where = f"port {port}"
+    try:
+        return serial.Serial(port, baud, timeout=0.0, write_timeout=1.0, exclusive=True)
+    except (serial.SerialException, OSError) as problem:
+        reason = _errno(problem)
+        if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
+            user = _program_at(port) or "another program"
+            raise InvalidInput(
+                where, found=f"in use by {user}", expected=f"{what} for fixel alone", hint="end it"
+            ) from None
+        if reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
+            raise InvalidInput(
+                where,
+                found="no permission to open it",
+                expected=what,
+                hint="become a member of its group and log in again:"
+                f" sudo usermod -aG {_group(port)} $USER",
+            ) from None
+        if not os.path.exists(port) and sys.platform != "win32":
+            raise InvalidInput(where, found=None, expected=what, hint=_seen()) from None
+        raise InvalidInput(where, found=str(problem), expected=what, hint=_seen()) from None
+
+
+def resets_on_opening(port: Serial) -> bool:
+    """Whether a board behind the port restarts when it is opened: real ports have the line that
+    does it, pseudo-terminals and sockets have none."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+    import termios
+
+    try:
+        fcntl.ioctl(port.fileno(), termios.TIOCMGET, b"\0\0\0\0")
+    except OSError:
+        return False
+    return True
+
+
+def quoted(said: bytes) -> str:
+    """What a port said, as a message shows it: text as text, anything else as numbers."""
+    if not said:
+        return "nothing"
+    first = said[:FIRST_WORDS]
+    more = f" ... ({len(said)} bytes)" if len(said) > len(first) else ""
+    text = first.decode("ascii", "replace").strip()
+    if text and all(letter in string.printable for letter in text):
+        return f'"{" ".join(text.split())}"{more}'
+    return " ".join(f"{byte:02x}" for byte in first[:16]) + (
+        f" ... ({len(said)} bytes)" if len(said) > 16 else ""
+    )
+
+
+def _seen() -> str:
+    ports = found_ports()
+    if not ports:
+        return "no serial port is to be seen: plug the device in, and see what dmesg says of it"
+    listed = ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
+    return f"there are {listed}"
+
+
+def _need_pyserial() -> None:
+    try:
+        import serial  # noqa: F401
+    except ImportError:
+        raise InvalidInput(
+            "serial ports",
+            found="no package pyserial",
+            expected="it to be installed",
+            hint="pip install 'fixel[serial]'",
+        ) from None
+
+
+def _errno(problem: OSError) -> int | None:
+    # pyserial raises its own exception with the number first, and sometimes without one.
+    if problem.errno is not None:
+        return problem.errno
+    text = str(problem)
+    named = {"[Errno 13]": errno.EACCES, "[Errno 16]": errno.EBUSY, "[Errno 11]": errno.EAGAIN}
+    if "exclusively lock" in text:
+        return errno.EAGAIN
+    return next((number for mark, number in named.items() if mark in text), None)
+
+
+def _group(port: str) -> str:
+    try:
+        import grp
+
+        return grp.getgrgid(os.stat(port).st_gid).gr_name
+    except (ImportError, KeyError, OSError):
+        return "dialout"
+
+
+def _program_at(port: str) -> str:
+    """The process that has a port open, where the system shows it; empty if nobody or unknown."""
+    try:
+        target = os.path.realpath(port)
+        # A process that just looks, such as this one, has it not open.
+        for folder in Path("/proc").glob("[0-9]*"):
+            name = _name_if_open(folder, target)
+            if name:
+                return f"{name} (process {folder.name})"
+    except OSError:
+        pass
+    return ""
+
+
+def _name_if_open(folder: Path, target: str) -> str:
+    try:
+        for link in (folder / "fd").iterdir():
+            if os.readlink(link) == target and int(folder.name) != os.getpid():
+                return (folder / "comm").read_text().strip()
+    except OSError:
+        pass  # it ended meanwhile, or belongs to somebody else
+    return ""

@@ -1,0 +1,380 @@
+"""Touch: an Arduino that says which fixels the object touches."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import positive
+from fixel.testbed import tactile_frames as frames
+from fixel.testbed.device_clock import DeviceClock
+from fixel.testbed.serial_port import chosen_port, open_port
+from fixel.testbed.tactile_handshake import shake_hands
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+DEADLINE: Final = 0.015  # [s] less than half a frame at 30 frames a second
+QUIET: Final = 0.003  # [s] a board that was late and now says nothing for so long is done
+KEPT: Final = 4096  # round trips that the statistics remember
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """What the fixels said, once.
+
+    Attributes
+    ----------
+    bits : int, optional
+        Bit 0 blue, bit 1 red, bit 2 green, set where touched; none where the board gave no answer.
+    time : float
+        When the fixels were read, on `time.monotonic` [s].
+    device_time : float, optional
+        The same on the board's clock [s]; only boards of protocol 2 tell.
+    values : (int, int, int), optional
+        What the converter saw at bits 0, 1, 2 [-], 1023 at 5 V; likewise.
+    problem : str
+        Why there are no bits, or why they are to be doubted; empty if all is well.
+    """
+
+    bits: int | None
+    time: float
+    device_time: float | None = None
+    values: tuple[int, int, int] | None = None
+    problem: str = ""
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Statistics:
+    """How the conversation went.
+
+    Attributes
+    ----------
+    asked, answered : int
+        Requests, and those answered in time and undamaged.
+    missing : int
+        Requests without an answer until the deadline.
+    late : int
+        Answers that came after their deadline.
+    garbled : int
+        Requests that something unreadable came back to.
+    stray_bytes : int
+        Bytes that belonged to no answer.
+    restarts : int
+        How often the board began anew.
+    round_trips : deque of float
+        The last of them [s].
+    """
+
+    asked: int = 0
+    answered: int = 0
+    missing: int = 0
+    late: int = 0
+    garbled: int = 0
+    stray_bytes: int = 0
+    restarts: int = 0
+    round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def summary(self) -> dict[str, Any]:
+        """As plain values."""
+        counts = ("asked", "answered", "missing", "late", "garbled", "stray_bytes", "restarts")
+        trips = self.round_trips
+        return {name: getattr(self, name) for name in counts} | {
+            "round_trip_median_s": median(trips) if trips else None,
+            "round_trip_max_s": max(trips) if trips else None,
+        }
+
+
+@final
+class TactileReader:
+    """Asks the tactile board, one reading at a time.
+
+    Parameters
+    ----------
+    port : str, optional
+        `/dev/ttyACM0`, `COM4`. None is refused with a list of the ports there are.
+    deadline : float
+        For how long `read` waits [s].
+    thresholds : (int, int, int), optional
+        Of bits 0, 1, 2, from 0 to 1023; none leaves those of the board, 900 as it starts. Kept
+        when the board restarts. Needs protocol 2.
+    settle : float, optional
+        For how long the board is left alone after opening, as its boot loader would take a request
+        for a new program [s]; none: 2 s where opening restarts a board, else 0.
+
+    Attributes
+    ----------
+    statistics : Statistics
+    protocol : int
+        1 is the thesis's, a byte for a byte; 2 adds time and checksum. 0 while not connected.
+    identity : Identity, optional
+        What a board of protocol 2 says of itself.
+    trouble : str
+        Why the connection ended; empty while it lasts.
+
+    Examples
+    --------
+    >>> with TactileReader("/dev/ttyACM0") as fixels:  # doctest: +SKIP
+    ...     fixels.read()
+    Reading(bits=4, time=5120.25, device_time=17.5, values=(81, 79, 1011), problem='')
+    """
+
+    def __init__(
+        self,
+        port: str | None = None,
+        *,
+        deadline: float = DEADLINE,
+        thresholds: tuple[int, int, int] | None = None,
+        settle: float | None = None,
+    ) -> None:
+        self.port = chosen_port(port, "the tactile board")
+        self.deadline = positive(deadline, "deadline", "s")
+        self.statistics = Statistics()
+        self.protocol = 0
+        self.identity: frames.Identity | None = None
+        self.clock = DeviceClock()
+        self.trouble = "not connected"
+        self._thresholds = None if thresholds is None else _checked(thresholds)
+        self._settle = settle
+        self._serial: Serial | None = None
+        self._finder = frames.FrameFinder()
+        self._number = 0
+        self._doubt = False  # an answer of protocol 1 may still be under way
+
+    # --- connection ---------------------------------------------------------------------------
+
+    def connect(self) -> Self:
+        """Open the port and find out who is there.
+
+        Raises
+        ------
+        InvalidInput
+            The port cannot be had, or something else is behind it: with what that said.
+        """
+        self.disconnect()
+        link = open_port(self.port, frames.BAUD, "the tactile board")
+        try:
+            self.protocol, self.identity = shake_hands(link, self.port, self._settle)
+        except BaseException:
+            link.close()
+            raise
+        self._serial, self.trouble = link, ""
+        self._finder, self.clock = frames.FrameFinder(), DeviceClock()
+        self._doubt = False
+        if self._thresholds is not None:
+            self.set_thresholds(self._thresholds)
+        return self
+
+    def disconnect(self) -> None:
+        """Let others have the port."""
+        self._lose("not connected")
+
+    def reconnect(self) -> bool:
+        """Try to get the board back, after its plug was pulled; whether that worked.
+
+        Where opening restarts the board this takes some seconds. The statistics go on.
+        """
+        try:
+            self.connect()
+        except InvalidInput as problem:
+            self.trouble = str(problem)
+        return self.connected
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a board to ask."""
+        return self._serial is not None
+
+    def __enter__(self) -> Self:
+        return self if self.connected else self.connect()
+
+    def __exit__(self, *_: object) -> None:
+        self.disconnect()
+
+    def _lose(self, why: str) -> None:
+        link, self._serial = self._serial, None
+        self.protocol, self.trouble = 0, why
+        if link is not None:
+            with suppress(OSError):  # it is gone, which is what was wanted
+                link.close()
+
+    # --- reading ------------------------------------------------------------------------------
+
+    def read(self) -> Reading:
+        """Ask, and wait for the answer until the deadline.
+
+        Never raises: a board that does not answer, or is no longer there, is a `problem`.
+        """
+        if self._serial is None:
+            return Reading(bits=None, time=time.monotonic(), problem=self.trouble)
+        self.statistics.asked += 1
+        try:
+            reading = self._ask_framed() if self.protocol >= 2 else self._ask_old()
+        except OSError as problem:
+            self._lose(f"{self.port} went away: {problem}; plug it in, then reconnect")
+            self.statistics.missing += 1
+            return Reading(bits=None, time=time.monotonic(), problem=self.trouble)
+        self.statistics.answered += reading.bits is not None
+        return reading
+
+    def _ask_framed(self) -> Reading:
+        link, counted = self._link, self.statistics
+        self._number = (self._number + 1) % 256
+        stray = self._finder.stray
+        sent = time.monotonic()
+        link.write(frames.request(frames.READ, self._number))
+        frame = self._frame_of(frames.READ, sent + self.deadline)
+        received = time.monotonic()
+        garbled = self._finder.stray - stray
+        counted.stray_bytes += garbled
+        if frame is None:
+            return self._without_answer(received, garbled + self._forget_half_a_frame())
+        found = frames.reading_of(frame)
+        if found is None:
+            counted.garbled += 1
+            return Reading(bits=None, time=received, problem="an answer of unknown content")
+        counted.round_trips.append(received - sent)
+        device, host = self.clock.place(
+            found.time_us,
+            sent + frames.READ_REQUEST_BYTES * frames.BYTE_TIME,
+            received - frames.READ_REPLY_BYTES * frames.BYTE_TIME - frames.SAMPLING_TIME,
+        )
+        return Reading(
+            bits=found.bits,
+            time=host,
+            device_time=device,
+            values=found.values,
+            problem=self._restart_noticed(),
+        )
+
+    def _frame_of(self, kind: bytes, until: float) -> frames.Frame | None:
+        """The answer to the last request; older ones are counted as late."""
+        link = self._link
+        while True:
+            # One byte wakes us, and whatever came with it is taken along.
+            link.timeout = max(0.0, until - time.monotonic())
+            arrived = link.read(1)
+            arrived += link.read(link.in_waiting) if arrived else b""
+            for frame in self._finder.add(arrived):
+                if frame.kind == kind and frame.number == self._number:
+                    return frame
+                self.statistics.late += 1
+            if time.monotonic() >= until:
+                return None
+
+    def _without_answer(self, now: float, unreadable: int) -> Reading:
+        if unreadable:
+            self.statistics.garbled += 1
+            problem = f"{unreadable} bytes that are no answer"
+        else:
+            self.statistics.missing += 1
+            problem = f"no answer within {1e3 * self.deadline:.3g} ms"
+        return Reading(bits=None, time=now, problem=problem)
+
+    def _forget_half_a_frame(self) -> int:
+        """What came of an answer whose rest did not; a late rest is stray, and counted then."""
+        given_up = self._finder.forget()
+        self.statistics.stray_bytes += given_up
+        return given_up
+
+    def _restart_noticed(self) -> str:
+        if self.clock.restarts == 0:
+            return ""
+        self.statistics.restarts += self.clock.restarts
+        self.clock.restarts = 0
+        if self._thresholds is None:
+            return "the board restarted"
+        self.set_thresholds(self._thresholds)
+        return "the board restarted: this was read with its own thresholds"
+
+    def _ask_old(self) -> Reading:
+        link, counted = self._link, self.statistics
+        doubt = self._drain()
+        sent = time.monotonic()
+        link.write(frames.OLD_REQUEST)
+        link.timeout = self.deadline
+        answer = link.read(1)
+        received = time.monotonic()
+        if not answer:
+            counted.missing += 1
+            self._doubt = True
+            problem = f"no answer within {1e3 * self.deadline:.3g} ms"
+            return Reading(bits=None, time=received, problem=problem)
+        if answer[0] > frames.OLD_MOST:
+            counted.garbled += 1
+            counted.stray_bytes += 1
+            return Reading(bits=None, time=received, problem=f"byte {answer[0]} is no answer")
+        counted.round_trips.append(received - sent)
+        return Reading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
+
+    def _drain(self) -> str:
+        """Take away what came too late: protocol 1 does not say which request a byte answers."""
+        link = self._link
+        link.timeout = QUIET if self._doubt else 0.0
+        over = link.read(max(1, link.in_waiting))
+        if not over:
+            self._doubt = False
+            return ""
+        if self._doubt:
+            self.statistics.late += len(over)
+        else:
+            self.statistics.stray_bytes += len(over)
+        # What came unasked may have been the answer, and the last reading the one before it.
+        unasked = not self._doubt
+        self._doubt = True
+        return "an extra byte came before it; the last reading may be a frame old" * unasked
+
+    # --- thresholds ---------------------------------------------------------------------------
+
+    def set_thresholds(self, thresholds: tuple[int, int, int]) -> None:
+        """Say above which value a fixel counts as touched; the board forgets it when it restarts.
+
+        Parameters
+        ----------
+        thresholds : (int, int, int)
+            Of bits 0, 1, 2 (blue, red, green), from 0 to 1023.
+
+        Raises
+        ------
+        InvalidInput
+            The board speaks protocol 1, or does not confirm.
+        """
+        thresholds = _checked(thresholds)
+        if self.protocol < 2:
+            raise InvalidInput(
+                "thresholds",
+                found=f"a board of protocol {self.protocol}" if self.protocol else self.trouble,
+                expected="one whose thresholds can be set",
+                hint="upload firmware/tactile to it",
+            )
+        for _ in range(3):
+            self._number = (self._number + 1) % 256
+            self._link.write(frames.thresholds_request(self._number, thresholds))
+            frame = self._frame_of(
+                frames.SET_THRESHOLDS, time.monotonic() + max(0.1, self.deadline)
+            )
+            confirmed = frame and frames.identity_of(frame)
+            if confirmed and confirmed.thresholds == thresholds:
+                self.identity, self._thresholds = confirmed, thresholds
+                return
+        raise InvalidInput("thresholds", found="no confirmation from the board", expected="one")
+
+    @property
+    def _link(self) -> Serial:
+        assert self._serial is not None
+        return self._serial
+
+
+def _checked(thresholds: Sequence[object]) -> tuple[int, int, int]:
+    found = [value for value in thresholds if isinstance(value, int) and 0 <= value <= 1023]
+    if len(thresholds) != frames.SENSORS or len(found) != frames.SENSORS:
+        raise InvalidInput("thresholds", found=thresholds, expected="three numbers from 0 to 1023")
+    return found[0], found[1], found[2]

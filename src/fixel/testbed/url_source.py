@@ -1,0 +1,198 @@
+"""Network cameras: JPEG pictures over HTTP, one after the other."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from threading import Event
+from typing import Final, final
+from urllib.parse import SplitResult, unquote, urlsplit
+
+from fixel.errors import InvalidInput
+from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
+from fixel.testbed.jpeg import END, jpeg_size
+
+MULTIPART: Final = "multipart/x-mixed-replace"
+LONGEST_LINE: Final = 4096  # [bytes] of a header
+LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
+GARBAGE: Final = 10  # pictures in a row that are none
+
+
+@final
+class UrlSource(FrameSource):
+    """A camera that speaks HTTP: `multipart/x-mixed-replace` of JPEG pictures.
+
+    Parameters
+    ----------
+    url : str
+        `http://NAME:PASSWORD@HOST:PORT/PATH`; name and password stay out of all records.
+    patience : float
+        For how long the camera may be silent [s].
+    """
+
+    def __init__(self, url: str, *, patience: float = STALLED) -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise InvalidInput(
+                "camera",
+                found=f"{parts.scheme}://{parts.hostname or ''}",
+                expected="http://... of a camera that sends MJPEG",
+                hint="most cameras with RTSP send MJPEG too: look for an HTTP address",
+            )
+        self.name = _shown(parts)
+        self._parts = parts
+        self._patience = patience
+        self._stop = Event()
+        self._connection: http.client.HTTPConnection | None = None
+        self._answer: http.client.HTTPResponse | None = None
+        self._boundary = b""
+        self._inside = False  # of a part, its boundary read already
+        self._first: Arrived | None = None
+
+    def open(self) -> Stream:
+        """Connect, and read the first picture."""
+        try:
+            self._connect()
+            self._first = self._next()
+        except TimeoutError:
+            self._fail(f"nothing within {self._patience:g} s", "a camera that sends pictures")
+        except (OSError, http.client.HTTPException) as problem:
+            self._fail(_words(problem), "a camera that answers", "is the address right?")
+        size = None if self._first is None else jpeg_size(self._first.jpeg or b"")
+        if size is None:
+            self._fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
+            raise AssertionError
+        return Stream(size=size, rate=0.0, jpeg=True, live=True)
+
+    def frames(self) -> Iterator[Arrived]:
+        """Pictures until the camera is pulled or closed."""
+        arrived, self._first = self._first, None
+        while arrived is not None:
+            yield arrived
+            try:
+                arrived = self._next()
+            except TimeoutError:
+                self.ended = f"the camera has sent nothing for {self._patience:g} s"
+                break
+            except (OSError, ValueError, AttributeError, http.client.HTTPException) as problem:
+                # Closing from another thread takes the file away under a read.
+                self.ended = f"the camera went away: {_words(problem)}"
+                break
+        if self._stop.is_set():
+            self.ended = "stopped"
+
+    def close(self) -> None:
+        """Hang up."""
+        self._stop.set()
+        connection = self._connection
+        if connection is not None and connection.sock is not None:
+            with suppress(OSError):
+                connection.sock.shutdown(socket.SHUT_RDWR)
+        if self._answer is not None:
+            with suppress(OSError, ValueError):
+                self._answer.close()
+        if connection is not None:
+            connection.close()
+
+    def _connect(self) -> None:
+        parts = self._parts
+        secure = parts.scheme == "https"
+        kind = http.client.HTTPSConnection if secure else http.client.HTTPConnection
+        self._connection = kind(parts.hostname or "", parts.port, timeout=self._patience)
+        target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        headers = {"Accept": MULTIPART, "Connection": "close"}
+        if parts.username is not None:
+            user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+            headers["Authorization"] = "Basic " + base64.b64encode(user.encode()).decode()
+        self._connection.request("GET", target, headers=headers)
+        self._answer = answer = self._connection.getresponse()
+        if answer.status != http.HTTPStatus.OK:
+            hint = "http://NAME:PASSWORD@HOST/..." if answer.status == 401 else None
+            self._fail(f"{answer.status} {answer.reason}", "an answer with pictures", hint)
+        kind_of_answer = answer.headers.get_content_type()
+        if kind_of_answer != MULTIPART:
+            self._fail(
+                kind_of_answer, MULTIPART, "is this the page around the pictures, not the stream?"
+            )
+        boundary = answer.headers.get_param("boundary")
+        self._boundary = b"--" + str(boundary or "").strip('"').removeprefix("--").encode()
+
+    def _next(self) -> Arrived | None:
+        """The next picture that is one, or None at the end of the stream."""
+        for _ in range(GARBAGE):
+            data = self._part()
+            now = time.monotonic()
+            if data is None:
+                self.ended = self.ended or "the camera ended the stream"
+                return None
+            if jpeg_size(data) is not None:
+                return Arrived(now, jpeg=data)
+        self.ended = f"{GARBAGE} parts in a row that are no JPEG picture"
+        return None
+
+    def _part(self) -> bytes | None:
+        """What stands between two boundaries; None at the end."""
+        answer = self._answer
+        assert answer is not None
+        length = self._head(answer)
+        if length is None:
+            return None
+        if length >= 0:
+            data = answer.read(length)
+            return data if len(data) == length else None
+        return self._until_boundary(answer)
+
+    def _head(self, answer: http.client.HTTPResponse) -> int | None:
+        """The length of the next part, -1 where it is not said; None at the end of the stream."""
+        begun, length, read = self._inside, -1, 0
+        self._inside = False
+        while line := answer.readline(LONGEST_LINE):
+            read += len(line)
+            text = line.strip()
+            if text == self._boundary or text == b"--" + self._boundary:
+                begun, length = True, -1
+            elif begun and text.lower().startswith(b"content-length:"):
+                length = _length(text)
+            elif begun and not text:
+                return length
+            if read > LARGEST:
+                self.ended = "no picture in the stream"
+                return None
+        return None
+
+    def _until_boundary(self, answer: http.client.HTTPResponse) -> bytes | None:
+        """A part whose length nobody said: up to the boundary, which may stand in the last line."""
+        data = bytearray()
+        while line := answer.readline(LONGEST_LINE):
+            if line.strip() in (self._boundary, b"--" + self._boundary) and line.endswith(b"\n"):
+                self._inside = True
+                return bytes(data[: data.rfind(END) + 2])
+            data += line
+            if len(data) > LARGEST:
+                return None
+        return None
+
+    def _fail(self, found: str, expected: str, hint: str | None = None) -> None:
+        self.close()
+        raise InvalidInput(self.name, found=found, expected=expected, hint=hint)
+
+
+def _length(header: bytes) -> int:
+    value = header.partition(b":")[2].strip()
+    return int(value) if value.isdigit() and int(value) <= LARGEST else -1
+
+
+def _shown(parts: SplitResult) -> str:
+    """The address without name, password and query, which may hold secrets."""
+    host = parts.hostname or ""
+    port = f":{parts.port}" if parts.port else ""
+    return f"{parts.scheme}://{host}{port}{parts.path}"
+
+
+def _words(problem: Exception) -> str:
+    text = getattr(problem, "strerror", None) or str(problem) or type(problem).__name__
+    return str(text).lower()

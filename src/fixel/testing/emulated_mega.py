@@ -1,0 +1,117 @@
+"""The tactile board without the board: its firmware in an emulator, behind a pseudo-terminal.
+
+The emulator is built from `firmware/` of a checkout with Debian's AVR tools and libsimavr (GPL 3);
+it is not part of the installed package. `why_not()` says what is missing.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Final, Self, final
+
+FIRMWARE: Final = Path(__file__).parents[3] / "firmware"
+PACKAGES: Final = (
+    "make arduino-core-avr gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev",
+    "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h",
+    "/usr/include/simavr/sim_avr.h",
+)
+CHANNEL_OF_BIT: Final = (2, 0, 1)  # bit 0 blue A2, bit 1 red A0, bit 2 green A1
+TOUCHED_V, FREE_V = 4.9, 0.4
+
+
+def why_not() -> str:
+    """Why the emulator cannot run here; empty if it can."""
+    packages, *headers = PACKAGES
+    if not (FIRMWARE / "Makefile").is_file():
+        return "the firmware is in a checkout of fixel, not in the installed package"
+    programs = ("make", "avr-gcc", "avr-g++", "cc")
+    missing = [name for name in programs if shutil.which(name) is None]
+    missing += [name for name in headers if not Path(name).is_file()]
+    return f"no {missing[0]}; apt install {packages}" if missing else ""
+
+
+def built(folder: Path) -> Path:
+    """The firmware and the emulator, built into a folder; nothing happens if they are there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    command = ["make", "-s", "-j2", "-C", str(FIRMWARE), f"BUILD={folder}", "emulator"]
+    # Two test processes may want it at once; util-linux's flock makes one of them wait.
+    if shutil.which("flock"):
+        command = ["flock", str(folder / "lock"), *command]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"the firmware was not built:\n{done.stderr[-2000:]}")
+    return folder
+
+
+@final
+class EmulatedMega:
+    """A Mega 2560 that runs the tactile firmware in real time.
+
+    Parameters
+    ----------
+    folder : Path
+        Where `built` put things.
+
+    Attributes
+    ----------
+    port : str
+        What to open.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._place = tempfile.TemporaryDirectory(prefix="fixel-mega-")
+        self.port = f"{self._place.name}/ttyACM0"
+        program, firmware = folder / "emulated_mega", folder / "tactile.elf"
+        self._process = subprocess.Popen(
+            [program, firmware, self.port],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+        if not self._answer().startswith("ready"):
+            self.close()
+            raise RuntimeError("the emulator did not start")
+
+    def tell(self, command: str) -> str:
+        """Give the emulator a command of its own (see `emulated_mega.c`); what it answers."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(command + "\n")
+        answer = self._answer()
+        if not answer.startswith("ok"):
+            raise RuntimeError(f"the emulator does not know {command!r}: {answer!r}")
+        return answer[3:]
+
+    def touch(self, bits: int, after: float = 0.0) -> None:
+        """Close the contacts of these bits and open the others, now or so many seconds from now."""
+        for bit, channel in enumerate(CHANNEL_OF_BIT):
+            volts = TOUCHED_V if bits >> bit & 1 else FREE_V
+            self.tell(f"at {round(1e3 * after)} adc {channel} {round(1e3 * volts)}")
+
+    def volts(self, bit: int, volts: float) -> None:
+        """The voltage at the pin of a bit."""
+        self.tell(f"adc {CHANNEL_OF_BIT[bit]} {round(1e3 * volts)}")
+
+    @property
+    def time(self) -> float:
+        """On the board's clock [s]."""
+        return 1e-6 * int(self.tell("time"))
+
+    def close(self) -> None:
+        """End the emulator; the port goes away."""
+        self._process.kill()
+        self._process.communicate()
+        self._place.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline().strip()

@@ -1,0 +1,167 @@
+"""The bench from above: plate, fixels, object, actuator, and now and then a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from fixel.model import Scene
+from fixel.model.fields import FloatArray
+from fixel.vision.marks import Rig
+from fixel.vision.opencv import opencv
+from fixel.vision.render.canvas import Canvas, FloatPicture, Window
+from fixel.vision.render.eye import Eye
+from fixel.vision.render.looks import Looks
+from fixel.vision.render.plate import backdrop, falloff
+from fixel.vision.render.shadows import shade, shadow_window
+from fixel.vision.render.solids import Placed, Solid, painting_order, place
+from fixel.vision.render.things import (
+    body_solid,
+    fixel_solid,
+    grain,
+    hand_solid,
+    housing_solid,
+    pixel_of,
+    pusher_solids,
+)
+
+Poses = Mapping[str, FloatArray]
+
+HAND: Final = "hand"  # name of its pose among those of bodies and pushers
+
+
+class Bench:
+    """Pictures of a scene on the bench.
+
+    What rests is painted once; what moves, in the window that it and its shadows can touch.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the shapes as they truly are.
+    rig : Rig
+        Parts it does not know are 25.4 mm high, pushers 30 mm, and carry no mark.
+    looks : Looks
+    seed : int
+        Of the textures.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
+        self._rig, self._looks = rig, looks
+        self._eye = Eye(rig.camera)
+        self._size = self._eye.size
+        pixel = pixel_of(rig)
+        dull, turned = grain(seed, "plastic", 0.03), grain(seed, "milled", 0.02)
+        self._moving: list[tuple[str, Solid]] = [
+            (body.name, body_solid(body, rig, pixel, dull)) for body in scene.bodies
+        ]
+        resting = [
+            (fixel_solid(fixel, rig.fixel_height, pixel), fixel.pose) for fixel in scene.fixels
+        ]
+        for pusher in scene.pushers:
+            solids = pusher_solids(pusher, rig, pixel, turned)
+            self._moving += [(pusher.name, solid) for solid in solids]
+            resting.append((housing_solid(pusher, pixel), pusher.pose))
+        self._hand = hand_solid(4.0 * pixel)
+        self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
+        self._plate = backdrop(rig, self._eye, seed)
+        self._falloff = falloff(self._eye, looks.vignetting)
+        self._still = self._developed(Window(0, 0, *self._size), self._painted([]))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self._size
+
+    def light(self, instants: Sequence[Poses]) -> FloatPicture:
+        """(h, w, 3) float32 of what the sensor gets [grey levels].
+
+        Parameters
+        ----------
+        instants : sequence of mapping of str to (3,)
+            Poses of bodies and pushers [m, m, rad], at instants spread evenly over the exposure; a
+            hand where there is a pose for `HAND`.
+        """
+        placed = [self._placed(poses) for poses in instants]
+        window = Window(0, 0, 0, 0)
+        for moving in placed:
+            for thing in moving:
+                window = window.joined(thing.window)
+            window = window.joined(shadow_window(moving, self._eye))
+        margin = int(np.ceil(3.0 * self._looks.blur)) + 1
+        window = window.grown(margin, self._size)
+        picture = self._still.copy()
+        if window.width and window.height:
+            light = self._painted(placed[0], window)
+            for moving in placed[1:]:
+                light += self._painted(moving, window)
+            if len(placed) > 1:
+                light /= np.float32(len(placed))
+            self._paste(picture, window, light, margin)
+        return picture
+
+    def _placed(self, poses: Poses) -> list[Placed]:
+        placed = [place(solid, poses[name], self._eye) for name, solid in self._moving]
+        if HAND in poses:
+            placed.append(place(self._hand, poses[HAND], self._eye))
+        return placed
+
+    def _painted(self, moving: Sequence[Placed], window: Window | None = None) -> FloatPicture:
+        """What rests and what moves, sharp, in a window."""
+        window = window or Window(0, 0, *self._size)
+        depth, eye = self._looks.shadows, self._eye
+        things = [*self._resting, *moving]
+        picture = self._plate[window.slices].copy()
+        dimmed = shade(window, 0.0, things, eye, depth)
+        if dimmed is not None:
+            picture *= dimmed[..., None]
+        canvas = Canvas(window, picture)
+        full = np.ones(picture.shape[:2], np.float32)
+        for thing in painting_order(things, eye.position):
+            if not thing.window.meets(window):
+                continue
+            shades = self._shades(thing, things, window)
+            for stroke, level in thing.strokes:
+                canvas.paint(stroke, full if level is None else shades.get(level, full))
+        return picture
+
+    def _shades(
+        self, thing: Placed, things: Sequence[Placed], window: Window
+    ) -> dict[float, FloatPicture]:
+        """Shadows of higher things on the faces of one that has marks."""
+        if not thing.solid.inks:
+            return {}
+        high = thing.solid.high
+        others = [other for other in things if other is not thing and other.solid.high > high]
+        dimmed = shade(window, high, others, self._eye, self._looks.shadows)
+        if dimmed is None:
+            return {}
+        return {level: dimmed for _, level in thing.strokes if level is not None}
+
+    def _developed(self, window: Window, light: FloatPicture) -> FloatPicture:
+        """Blurred by the lens, darker towards the corners."""
+        if self._looks.blur > 0.0:
+            light = opencv().GaussianBlur(light, (0, 0), self._looks.blur)
+        return np.asarray(light * self._falloff[window.slices][..., None])
+
+    def _paste(
+        self, picture: FloatPicture, window: Window, light: FloatPicture, margin: int
+    ) -> None:
+        """Put a window into the picture, but for the margin that blurring has spoilt."""
+        light = self._developed(window, light)
+        inner = Window(
+            window.left + (margin if window.left > 0 else 0),
+            window.top + (margin if window.top > 0 else 0),
+            0,
+            0,
+        )
+        right, bottom = window.left + window.width, window.top + window.height
+        right -= margin if right < self._size[0] else 0
+        bottom -= margin if bottom < self._size[1] else 0
+        rows, columns = slice(inner.top, bottom), slice(inner.left, right)
+        picture[rows, columns] = light[
+            inner.top - window.top : bottom - window.top,
+            inner.left - window.left : right - window.left,
+        ]

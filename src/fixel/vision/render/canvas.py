@@ -1,0 +1,152 @@
+"""A part of a picture on which polygons are painted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.model.fields import FloatArray
+from fixel.vision.render.fill import cover_most, paint
+
+FloatPicture = NDArray[np.float32]
+
+
+class Window(NamedTuple):
+    """Columns from `left` and rows from `top` of a picture, so many of each [px]."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the whole picture."""
+        return (
+            slice(self.top, self.top + self.height),
+            slice(self.left, self.left + self.width),
+        )
+
+    def joined(self, other: Window) -> Window:
+        """The smallest window that holds both; an empty one adds nothing."""
+        if not self.width or not self.height:
+            return other
+        if not other.width or not other.height:
+            return self
+        left, top = min(self.left, other.left), min(self.top, other.top)
+        right = max(self.left + self.width, other.left + other.width)
+        bottom = max(self.top + self.height, other.top + other.height)
+        return Window(left, top, right - left, bottom - top)
+
+    def grown(self, margin: int, size: tuple[int, int]) -> Window:
+        """So much larger on every side, within a picture of (width, height)."""
+        left, top = max(self.left - margin, 0), max(self.top - margin, 0)
+        right = min(self.left + self.width + margin, size[0])
+        bottom = min(self.top + self.height + margin, size[1])
+        return Window(left, top, max(right - left, 0), max(bottom - top, 0))
+
+    def meets(self, other: Window) -> bool:
+        """Whether they have a pixel in common."""
+        return (
+            self.left < other.left + other.width
+            and other.left < self.left + self.width
+            and self.top < other.top + other.height
+            and other.top < self.top + self.height
+        )
+
+
+def window_of(points: FloatArray, size: tuple[int, int]) -> Window:
+    """The pixels that polygons with corners (n, 2) [px] can touch, in a picture (width, height)."""
+    low, high = np.floor(points.min(axis=0)) - 1.0, np.ceil(points.max(axis=0)) + 1.0
+    left, top = (int(x) for x in np.clip(low, 0, size))
+    right, bottom = (int(x) for x in np.clip(high + 1.0, 0, size))
+    return Window(left, top, right - left, bottom - top)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Grain:
+    """A texture that multiplies a colour.
+
+    Attributes
+    ----------
+    values : (2^k, 2^k) float32
+        Repeats without a seam.
+    from_pixel : (2, 3) float64
+        Its column and row from (u, v, 1).
+    """
+
+    values: FloatPicture
+    from_pixel: FloatArray
+
+
+PLAIN = Grain(np.ones((1, 1), np.float32), np.zeros((2, 3)))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Stroke:
+    """Polygons of one colour, ready to be painted.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+        Corners of one polygon after the other [px].
+    starts : (k + 1,) int64
+        Where each begins.
+    colour : (3,) float64
+        Blue, green, red, from 0 to 255.
+    grain : Grain
+    window : Window
+        What it can touch of the whole picture.
+    """
+
+    points: FloatArray
+    starts: NDArray[np.int64]
+    colour: FloatArray
+    window: Window
+    grain: Grain = PLAIN
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Canvas:
+    """A window of a picture, in light that is linear in grey levels."""
+
+    window: Window
+    picture: FloatPicture
+    cover: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        room = np.zeros((self.window.height, self.window.width + 2))
+        object.__setattr__(self, "cover", room)
+
+    def paint(self, stroke: Stroke, shade: FloatPicture) -> None:
+        """Paint a stroke, its colour multiplied by `shade` (h, w)."""
+        if not stroke.window.meets(self.window):
+            return
+        _paint(
+            stroke.points,
+            stroke.starts,
+            self.window.left,
+            self.window.top,
+            self.picture,
+            self.cover,
+            stroke.colour,
+            shade,
+            stroke.grain.values,
+            stroke.grain.from_pixel,
+        )
+
+
+def cover(mask: FloatPicture, room: FloatArray, points: FloatArray) -> None:
+    """Raise a mask (h, w) to the share of each pixel that one polygon (n, 2) [px] covers."""
+    _cover_most(points, np.array([0, len(points)]), 0, 0, mask, room)
+
+
+# The kernels take any real arrays; their annotations know of float64 only.
+_paint: Any = paint
+_cover_most: Any = cover_most

@@ -1,0 +1,205 @@
+"""How a film looks: light, lens, sensor, and what goes wrong."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.chance import stream
+from fixel.model.fields import FloatArray, fraction, non_negative, settle
+
+LIGHTINGS: Final = ("above", "through")
+
+# A bench is seen from metres away, a microscope's field is millimetres wide.
+MICROSCOPE: Final = 5e-5  # [m/px]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looks:
+    """What stands between the scene and the picture.
+
+    The sensor is linear: a grey level is in proportion to light, so an edge is half way between
+    its two sides where it is.
+
+    Parameters
+    ----------
+    lighting : str
+        `"above"`: a bench under a lamp. `"through"`: a microscope's bright field.
+    exposure : float
+        How long a frame collects light; its time is the middle of it [s].
+    blur : float
+        Standard deviation of the lens's blur [px].
+    vignetting : float
+        Share of the light that the corners of the picture lack [-].
+    shadows : float
+        Share of the light that a full shadow lacks [-].
+    read_noise : float
+        Standard deviation of the noise in the dark [grey levels of 255].
+    shot_noise : float
+        Of what the light itself adds at full white, growing with its root [grey levels].
+    drift : float
+        Standard deviation of the slow wandering of the brightness, as a share [-].
+    light_change : float
+        Share of the light that goes away for a while in the middle of the film [-].
+    colour_change : float
+        By which red grows, and blue falls, at the same time [-].
+    occlusion : float
+        For how long a hand lies over the object [s].
+    occluded : float
+        Share of the object's upper face that the hand covers [-].
+    dropped : float
+        Probability that a frame is lost [-].
+    jitter : float
+        Standard deviation of an interval between frames, as a share of it [-].
+    tab : (float, float)
+        Width and length of what is left of the lead on a short side of a part under the
+        microscope [m].
+    """
+
+    lighting: str = "above"
+    exposure: float = 0.0
+    blur: float = 0.0
+    vignetting: float = 0.0
+    shadows: float = 0.5
+    read_noise: float = 0.0
+    shot_noise: float = 0.0
+    drift: float = 0.0
+    light_change: float = 0.0
+    colour_change: float = 0.0
+    occlusion: float = 0.0
+    occluded: float = 0.5
+    dropped: float = 0.0
+    jitter: float = 0.0
+    tab: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.lighting not in LIGHTINGS:
+            raise InvalidInput(
+                "looks.lighting", found=repr(self.lighting), expected=" or ".join(LIGHTINGS)
+            )
+        for name, unit in _NOT_NEGATIVE.items():
+            settle(self, **{name: non_negative(getattr(self, name), f"looks.{name}", unit)})
+        for name in _SHARES:
+            settle(self, **{name: fraction(getattr(self, name), f"looks.{name}")})
+        width, length = (non_negative(side, "looks.tab", "m") for side in self.tab)
+        settle(self, tab=(width, length))
+
+
+_NOT_NEGATIVE = {
+    "exposure": "s",
+    "blur": "px",
+    "read_noise": "grey levels",
+    "shot_noise": "grey levels",
+    "drift": "",
+    "occlusion": "s",
+    "jitter": "",
+}
+_SHARES = ("vignetting", "shadows", "light_change", "colour_change", "occluded", "dropped")
+
+_THESIS: Final = Looks(
+    exposure=1.0 / 100.0,
+    blur=0.6,
+    vignetting=0.18,
+    read_noise=1.2,
+    shot_noise=2.5,
+    drift=0.01,
+    dropped=0.003,
+    jitter=0.01,
+)
+_MICROSCOPE: Final = Looks(
+    lighting="through",
+    exposure=1.0 / 60.0,
+    blur=1.1,
+    vignetting=0.15,
+    read_noise=1.5,
+    shot_noise=2.0,
+    drift=0.005,
+    tab=(173e-6, 53e-6),
+)
+PRESETS: Final[dict[str, Looks]] = {
+    "clean": Looks(),
+    "thesis": _THESIS,
+    "hard": replace(
+        _THESIS,
+        exposure=1.0 / 33.0,
+        blur=1.1,
+        read_noise=2.0,
+        shot_noise=4.0,
+        light_change=0.3,
+        colour_change=0.06,
+        occlusion=2.0,
+    ),
+    "microscope-clean": Looks(lighting="through"),
+    "microscope": _MICROSCOPE,
+}
+
+
+def looks_named(name: str) -> Looks:
+    """One of the presets.
+
+    Raises
+    ------
+    InvalidInput
+        No preset of this name.
+    """
+    if name in PRESETS:
+        return PRESETS[name]
+    close = difflib.get_close_matches(name, PRESETS, n=1)
+    raise InvalidInput(
+        "looks",
+        found=repr(name),
+        expected=", ".join(PRESETS),
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )
+
+
+def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatArray:
+    """(n,) when frames are taken that arrive: jittered, and without those that are lost [s].
+
+    Parameters
+    ----------
+    duration : float
+        Of the film; the first frame is taken at 0 [s].
+    rate : float
+        Frames a second [Hz].
+    looks : Looks
+    seed : int
+    """
+    count = int(duration * rate + 1e-6) + 1
+    random = stream(seed, "film", "clock")
+    wobble = random.standard_normal(count)
+    kept = random.random(count) >= looks.dropped
+    kept[[0, -1]] = True
+    # No frame overtakes another, however unsteady the clock.
+    late = np.clip(looks.jitter * wobble, -0.3, 0.3)
+    late[0] = 0.0
+    return np.asarray(((np.arange(count) + late) / rate)[kept])
+
+
+def light(looks: Looks, times: FloatArray, seed: int) -> FloatArray:
+    """(n, 3) factors of blue, green and red at instants (n,) of a film [-].
+
+    Brightness wanders slowly. In the middle three tenths of the film `light_change` of the light is
+    missing, as when a cloud passes, and what is left is warmer by `colour_change`.
+    """
+    random = stream(seed, "film", "light")
+    span = max(float(times[-1] - times[0]), 1e-9)
+    phase, pace = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(0.1, 0.7, 3)
+    wander = np.sin(2.0 * np.pi * np.outer(times, pace) + phase).sum(axis=1) * np.sqrt(2.0 / 3.0)
+    begins = random.uniform(0.3, 0.4) * span + times[0]
+    edge = min(0.4, 0.1 * span)  # [s] to come and to go
+    cloud = _smooth((times - begins) / edge) - _smooth((times - begins - 0.3 * span) / edge)
+    bright = (1.0 + looks.drift * wander) * (1.0 - looks.light_change * cloud)
+    warm = looks.colour_change * cloud[:, None] * np.array([-1.0, 0.0, 1.0])
+    return np.asarray(bright[:, None] * (1.0 + warm))
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    """From 0 to 1 between 0 and 1, without a kink."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))

@@ -1,0 +1,184 @@
+"""What never moves and never hides anything: table, aluminium plate, its holes, tags on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.model.chance import stream
+from fixel.model.fields import FloatArray
+from fixel.vision.marks import Rig
+from fixel.vision.opencv import opencv
+from fixel.vision.render.canvas import Canvas, FloatPicture, Stroke, Window, window_of
+from fixel.vision.render.eye import Eye
+from fixel.vision.render.ink import inks
+from fixel.vision.render.solids import circle, polygon
+
+HALF: Final = 0.305  # [m] of the plate's side
+PITCH: Final = 0.0254  # [m] between holes
+HOLE: Final = 0.0031  # [m] radius
+NODES: Final = 16  # [px] between places of the plane that are computed, others lie between
+
+METAL: Final = np.array([171.0, 170.0, 167.0])
+WOOD: Final = np.array([66.0, 92.0, 122.0])
+DARK: Final = np.array([34.0, 33.0, 32.0])
+
+
+def plane_places(eye: Eye) -> NDArray[np.float32]:
+    """(h, w, 2) place of the plane under every pixel [m], good enough for textures."""
+    w, h = eye.size
+    u = np.linspace(0.0, w - 1.0, max(2, w // NODES))
+    v = np.linspace(0.0, h - 1.0, max(2, h // NODES))
+    nodes = eye.camera.on_plane(np.stack(np.meshgrid(u, v), axis=-1))
+    across, down = _hats(u, w), _hats(v, h)
+    places = np.stack([down @ nodes[..., k] @ across.T for k in (0, 1)], axis=-1)
+    return np.asarray(places, dtype=np.float32)
+
+
+def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
+    """(h, w, 3) table and plate, without any shadow."""
+    size = eye.size
+    places = plane_places(eye)
+    middle = _middle(eye)
+    metal = _brushed(places, seed) + _sheen(places, middle)
+    picture = np.asarray(WOOD * _planks(places, seed)[..., None], dtype=np.float32)
+    canvas = Canvas(Window(0, 0, *size), picture)
+    light = np.ones(picture.shape[:2], np.float32)
+    for stroke in _plate_strokes(eye, middle):
+        canvas.paint(stroke, light)
+    sheet = np.asarray(METAL * (metal / METAL.mean())[..., None], dtype=np.float32)
+    picture[:] = _over(picture, sheet, _plate_share(eye, middle))
+    for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
+        canvas.paint(stroke, light)
+    for tag in rig.plate:
+        for ink in inks(tag, eye.pixel_size()):
+            pixels = eye.project_at(ink.points, ink.height)
+            window = window_of(pixels, size)
+            canvas.paint(Stroke(pixels, ink.starts, ink.colour, window), light)
+    return picture
+
+
+def falloff(eye: Eye, vignetting: float) -> FloatPicture:
+    """(h, w) share of the light that reaches the sensor: less towards the corners."""
+    w, h = eye.size
+    u, v = np.arange(w) - 0.5 * (w - 1), np.arange(h) - 0.5 * (h - 1)
+    out = (u**2 + v[:, None] ** 2) / (0.25 * (w * w + h * h))
+    return np.asarray(1.0 - vignetting * out, dtype=np.float32)
+
+
+def _middle(eye: Eye) -> FloatArray:
+    """The place in the middle of the picture, on the grid of holes [m]."""
+    w, h = eye.size
+    seen = eye.camera.on_plane([0.5 * (w - 1), 0.5 * (h - 1)])
+    return np.asarray(np.rint(seen / PITCH) * PITCH)
+
+
+def _corners(middle: FloatArray) -> FloatArray:
+    return middle + HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+def _plate_strokes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
+    """The shadow line under the plate, and its milled edge."""
+    pixel = eye.pixel_size()
+    for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
+        corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
+        yield _level(eye, polygon(corners, pixel).points, colour)
+
+
+def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
+    size = eye.size
+    share = np.zeros((size[1], size[0], 3), np.float32)
+    outline = polygon(_corners(middle), eye.pixel_size()).points
+    canvas = Canvas(Window(0, 0, *size), share)
+    canvas.paint(_level(eye, outline, np.ones(3)), np.ones(share.shape[:2], np.float32))
+    return share
+
+
+def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
+    """Threaded holes with a countersink that catches the light on one side."""
+    pixel = eye.pixel_size()
+    reach = int((HALF - 0.012) / PITCH)
+    rings = (
+        (1.45 * HOLE, (0.0, 0.0), 0.80 * METAL),
+        (1.36 * HOLE, (-0.0003, 0.0003), 1.16 * METAL),
+        (1.12 * HOLE, (0.0, 0.0), 0.55 * METAL),
+        (HOLE, (0.0, 0.0), DARK),
+    )
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            place = middle + PITCH * np.array([i, j])
+            if not eye.camera.lens.sees(eye.project_at(place, 0.0)):
+                continue
+            for radius, aside, colour in rings:
+                yield _level(eye, circle(radius, pixel, place + aside).points, colour)
+
+
+def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
+    random = stream(seed, "film", "scratches")
+    for _ in range(26):
+        place = middle + random.uniform(-HALF, HALF, 2) * 0.97
+        angle = random.normal(0.2, 0.7)
+        along = np.array([np.cos(angle), np.sin(angle)]) * random.uniform(0.01, 0.05)
+        across = np.array([-along[1], along[0]]) / np.hypot(*along) * 1.2e-4
+        line = np.array([place, place + along, place + along + across, place + across])
+        inside = (np.abs(line - middle) < HALF).all()
+        if inside:
+            yield _level(eye, line, METAL * random.uniform(1.04, 1.2))
+
+
+def _level(eye: Eye, points: FloatArray, colour: FloatArray) -> Stroke:
+    pixels = eye.project_at(points, 0.0)
+    window = window_of(pixels, eye.size)
+    return Stroke(pixels, np.array([0, len(pixels)]), colour, window)
+
+
+def _brushed(places: NDArray[np.float32], seed: int) -> FloatPicture:
+    """(h, w) grey of brushed metal, without its sheen."""
+    fine = _noise(seed, "brushed", (512, 512), (40.0, 0.5))
+    slow = _noise(seed, "stains", (512, 512), (18.0, 14.0))
+    return np.asarray(
+        METAL.mean() + 3.2 * _sampled(fine, places, 5e-4) + 2.6 * _sampled(slow, places, 1.1e-3)
+    )
+
+
+def _planks(places: NDArray[np.float32], seed: int) -> FloatPicture:
+    wood = _noise(seed, "wood", (512, 512), (1.2, 30.0))
+    return np.asarray(1.0 + 0.11 * _sampled(wood, places, 8e-4))
+
+
+def _sheen(places: NDArray[np.float32], middle: FloatArray) -> FloatPicture:
+    """(h, w) the lamp's broad reflection [grey levels]."""
+    aside = places - (middle + np.array([-0.11, 0.09])).astype(np.float32)
+    far = aside[..., 0] ** 2 / 0.26**2 + aside[..., 1] ** 2 / 0.17**2
+    return np.asarray(20.0 * np.exp(-0.5 * far) - 6.0)
+
+
+def _noise(
+    seed: int, purpose: str, size: tuple[int, int], soft: tuple[float, float]
+) -> FloatPicture:
+    """A texture without a seam, of deviation 1, smooth over so many values along x and y."""
+    white = stream(seed, "film", purpose).standard_normal(size).astype(np.float32)
+    margin = int(np.ceil(3.0 * max(soft)))
+    wrapped = np.pad(white, margin, mode="wrap")
+    smooth = opencv().GaussianBlur(wrapped, (0, 0), soft[0], sigmaY=soft[1])
+    middle = smooth[margin:-margin, margin:-margin]
+    return np.asarray(middle / middle.std(), dtype=np.float32)
+
+
+def _sampled(texture: FloatPicture, places: NDArray[np.float32], pitch: float) -> FloatPicture:
+    cv2: Any = opencv()
+    at = np.mod(places / np.float32(pitch), np.float32(len(texture)))
+    return np.asarray(cv2.remap(texture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+
+
+def _over(below: FloatPicture, above: FloatPicture, share: FloatPicture) -> FloatPicture:
+    return np.asarray(below + share * (above - below))
+
+
+def _hats(nodes: FloatArray, count: int) -> FloatArray:
+    """(count, n) weights that interpolate linearly between nodes."""
+    unit = np.eye(len(nodes))
+    return np.stack([np.interp(np.arange(count), nodes, row) for row in unit], axis=-1)

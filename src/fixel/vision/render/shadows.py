@@ -1,0 +1,106 @@
+"""Soft shadows on level faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.model.fields import FloatArray
+from fixel.vision.opencv import opencv
+from fixel.vision.render.canvas import FloatPicture, Window, cover
+from fixel.vision.render.eye import Eye
+from fixel.vision.render.solids import Placed
+
+COARSE: Final = 4  # [px] a value; shadows are soft
+
+# Where points of the lamp, and of the bright room, throw shadows: along x and y for each unit of
+# height, and their shares of the light.
+_LAMP = [(0.42 + 0.16 * np.cos(a), -0.37 + 0.16 * np.sin(a)) for a in np.arange(5) * 0.4 * np.pi]
+_ROOM = [(0.75 * np.cos(a), 0.75 * np.sin(a)) for a in 0.3 + np.arange(5) * 0.4 * np.pi]
+RAYS: Final = np.array(_LAMP + _ROOM)
+SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
+REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
+
+
+def shadow_window(things: Sequence[Placed], eye: Eye) -> Window:
+    """The pixels on which the shadows of solids can fall on the plane."""
+    window = Window(0, 0, 0, 0)
+    for thing in things:
+        high = thing.solid.high
+        for piece in thing.footprint:
+            low, top = piece.min(axis=0) - REACH * high, piece.max(axis=0) + REACH * high
+            corners = np.array([low, [top[0], low[1]], top, [low[0], top[1]]])
+            window = window.joined(_window(eye.project_at(corners, 0.0), eye))
+    return window.grown(2 * COARSE, eye.size)
+
+
+def shade(
+    window: Window, level: float, casters: Sequence[Placed], eye: Eye, depth: float
+) -> FloatPicture | None:
+    """What is left of the light on a level, in a window of the picture.
+
+    Parameters
+    ----------
+    window : Window
+    level : float
+        Height of the face above the plane [m].
+    casters : sequence of Placed
+        Those below the level throw none.
+    eye : Eye
+    depth : float
+        Share of the light that a full shadow lacks [-].
+
+    Returns
+    -------
+    (h, w) float32 or None
+        Factors; None for no shadow at all.
+    """
+    hulls = [
+        hull
+        for thing in casters
+        if depth > 0.0 and thing.solid.high > level + 1e-4
+        for piece in thing.footprint
+        for hull in _swept(piece, thing.solid.low, thing.solid.high, level, eye)
+    ]
+    if not hulls:
+        return None
+    w, h = -(-window.width // COARSE), -(-window.height // COARSE)
+    room = np.zeros((h, w + 2))
+    lost: FloatPicture = np.zeros((h, w), np.float32)
+    one: FloatPicture = np.empty((h, w), np.float32)
+    met = False
+    for ray, share in enumerate(SHARES):
+        one[:] = 0.0
+        for hull in hulls[ray :: len(RAYS)]:
+            pixels = (hull + 0.5 - (window.left, window.top)) / COARSE - 0.5
+            if (pixels.max(axis=0) > -1.0).all() and (pixels.min(axis=0) < (w, h)).all():
+                cover(one, room, pixels)
+                met = True
+        lost += share * one
+    if not met:
+        return None
+    cv2 = opencv()
+    smooth = cv2.GaussianBlur(lost, (0, 0), 0.7)
+    fine = cv2.resize(smooth, (w * COARSE, h * COARSE), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(1.0 - np.float32(depth) * fine[: window.height, : window.width])
+
+
+def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -> list[FloatArray]:
+    """A convex polygon [px] for every ray: what lies in the shadow of a piece."""
+    cv2 = opencv()
+    near, far = max(low - level, 0.0), high - level
+    ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)
+    pixels = eye.project_at(ends, level).astype(np.float32)
+    return [_hull(cv2, ray) for ray in pixels]
+
+
+def _hull(cv2: Any, points: Any) -> FloatArray:
+    return np.asarray(cv2.convexHull(points)[:, 0, :], dtype=np.float64)
+
+
+def _window(pixels: FloatArray, eye: Eye) -> Window:
+    from fixel.vision.render.canvas import window_of
+
+    return window_of(pixels, eye.size)

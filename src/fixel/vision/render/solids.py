@@ -1,0 +1,315 @@
+"""Things on the plate: upright prisms, what is printed on them, and how they become polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fixel.model import Disk, Shape
+from fixel.model.fields import FloatArray
+from fixel.model.shape import placed
+from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, Stroke, Window, window_of
+from fixel.vision.render.eye import Eye
+
+CHORD: Final = 8.0  # [px] of a straight edge that may be drawn as a line, in spite of the lens
+SAGITTA: Final = 0.004  # [px] by which a circle's polygon may leave it
+FACETS: Final = 32  # shades round a cylinder
+OVERLAP: Final = 1.2  # [px] by which a face reaches under its neighbour: no ground shines through
+
+# Where the light comes from, for the shading of upright faces.
+TO_LIGHT: Final = np.array([-0.75, 0.66])
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """A closed line, cut fine enough to be projected corner by corner.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+        Counter-clockwise, in the frame of the solid [m].
+    facet : (k + 1,) int64
+        Where each face begins among the points, and n.
+    """
+
+    points: FloatArray
+    facet: NDArray[np.int64]
+
+    def shrunk(self, by: float) -> Outline:
+        """Nearer to the middle by about so much [m]."""
+        middle = self.points.mean(axis=0)
+        r = self.points - middle
+        size = float(np.hypot(*r.T).max())
+        return Outline(middle + r * max(1.0 - by / size, 0.0), self.facet)
+
+
+def outline_of(shape: Shape, pixel: float) -> Outline:
+    """The outline of a shape, where a pixel is about so wide [m]."""
+    if isinstance(shape, Disk):
+        return circle(shape.radius, pixel)
+    return polygon(shape.outline, pixel)
+
+
+def polygon(corners: ArrayLike, pixel: float) -> Outline:
+    """Straight edges between corners (n, 2) [m]."""
+    given = np.asarray(corners, dtype=np.float64)
+    parts, facet = [], [0]
+    for a, b in zip(given, np.roll(given, -1, axis=0), strict=True):
+        pieces = max(1, ceil(float(np.hypot(*(b - a))) / (CHORD * pixel)))
+        parts.append(a + np.outer(np.arange(pieces) / pieces, b - a))
+        facet.append(facet[-1] + pieces)
+    return Outline(np.concatenate(parts), np.array(facet))
+
+
+def circle(radius: float, pixel: float, middle: ArrayLike = (0.0, 0.0)) -> Outline:
+    """A circle as a polygon of the same area [m]."""
+    chords = pi / np.sqrt(2.0 * SAGITTA * pixel / radius)
+    per_facet = max(1, ceil(chords / FACETS))
+    n = FACETS * per_facet
+    angle = 2.0 * pi * np.arange(n) / n
+    wide = radius * np.sqrt(2.0 * pi / n / np.sin(2.0 * pi / n))
+    points = np.asarray(middle) + wide * np.column_stack((np.cos(angle), np.sin(angle)))
+    return Outline(points, np.arange(0, n + 1, per_facet))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Slab:
+    """A prism between two heights.
+
+    Attributes
+    ----------
+    outline : Outline
+    low, high : float
+        Above the plane [m].
+    side, top : (3,) float64
+        Colours; blue, green, red from 0 to 255.
+    rim : float
+        Width of a bright bevel round the upper face [m].
+    """
+
+    outline: Outline
+    low: float
+    high: float
+    side: FloatArray
+    top: FloatArray
+    rim: float = 0.0
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Ink:
+    """Polygons of one colour at one height, on top of a solid.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+        In the frame of the solid, one polygon after the other [m].
+    starts : (k + 1,) int64
+    height : float
+        [m]
+    colour : (3,) float64
+    """
+
+    points: FloatArray
+    starts: NDArray[np.int64]
+    height: float
+    colour: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """Slabs from the lowest to the highest, with ink on top.
+
+    Attributes
+    ----------
+    name : str
+    slabs : tuple of Slab
+    footprint : tuple of (n, 2) float64
+        Convex pieces that hold every slab, for shadows and for what hides what [m].
+    inks : tuple of Ink
+    grain : (2^k, 2^k) float32 or None
+        Of the upper faces, fixed to the solid, half a millimetre a value.
+    """
+
+    name: str
+    slabs: tuple[Slab, ...]
+    footprint: tuple[FloatArray, ...]
+    inks: tuple[Ink, ...] = ()
+    grain: FloatPicture | None = None
+
+    @property
+    def low(self) -> float:
+        """Height of the lowest face [m]."""
+        return min(slab.low for slab in self.slabs)
+
+    @property
+    def high(self) -> float:
+        """Height of the highest face [m]."""
+        return max(slab.high for slab in self.slabs)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A solid at a pose, as polygons in the picture.
+
+    Attributes
+    ----------
+    solid : Solid
+    footprint : tuple of (n, 2) float64
+        In the world [m].
+    strokes : tuple of (Stroke, float or None)
+        In the order of painting; with the height on which shadows may fall, for upper faces [m].
+    window : Window
+        Of all strokes.
+    """
+
+    solid: Solid
+    footprint: tuple[FloatArray, ...]
+    strokes: tuple[tuple[Stroke, float | None], ...]
+    window: Window
+
+
+GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
+
+
+def place(solid: Solid, pose: FloatArray, eye: Eye) -> Placed:
+    """Put a solid at a pose (3,) [m, m, rad]."""
+    size = eye.size
+    strokes: list[tuple[Stroke, float | None]] = []
+    grain = _grain(solid, pose, eye)
+    for slab in solid.slabs:
+        strokes += _slab_strokes(slab, pose, eye, grain)
+    for ink in solid.inks:
+        pixels = eye.project_at(placed(ink.points, pose), ink.height)
+        window = window_of(pixels, size)
+        strokes.append((Stroke(pixels, ink.starts, ink.colour, window), ink.height))
+    window = strokes[0][0].window
+    for stroke, _ in strokes[1:]:
+        window = window.joined(stroke.window)
+    footprint = tuple(placed(piece, pose) for piece in solid.footprint)
+    return Placed(solid, footprint, tuple(strokes), window)
+
+
+def _slab_strokes(
+    slab: Slab, pose: FloatArray, eye: Eye, grain: Grain
+) -> list[tuple[Stroke, float | None]]:
+    size = eye.size
+    world = placed(slab.outline.points, pose)
+    low, high = eye.project_at(world, slab.low), eye.project_at(world, slab.high)
+    middle = high.mean(axis=0)
+    inward = middle - high
+    under = high + inward * (OVERLAP / np.maximum(np.hypot(*inward.T), OVERLAP))[:, None]
+    n = len(world)
+    strokes: list[tuple[Stroke, float | None]] = []
+    flat = slab.high <= slab.low
+    for first, last, shade in [] if flat else _seen_faces(slab.outline, world, eye.position):
+        k = np.arange(first, last + 1) % n
+        beyond = (last + 1) % n
+        step = _towards(low[k[-1]], low[beyond]), _towards(high[k[-1]], high[beyond])
+        points = np.concatenate(
+            (
+                low[k],
+                low[k[-1:]] + step[0],
+                high[k[-1:]] + step[1],
+                under[k[::-1]],
+            )
+        )
+        colour = slab.side * shade
+        strokes.append(
+            (Stroke(points, np.array([0, len(points)]), colour, window_of(points, size)), None)
+        )
+    starts = np.array([0, n])
+    window = window_of(high, size)
+    if slab.rim > 0.0:
+        bright = np.minimum(slab.top * 1.25 + 14.0, 250.0)
+        strokes.append((Stroke(high, starts, bright, window), slab.high))
+        inner = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
+        strokes.append((Stroke(inner, starts, slab.top, window, grain), slab.high))
+    else:
+        strokes.append((Stroke(high, starts, slab.top, window, grain), slab.high))
+    return strokes
+
+
+def _seen_faces(
+    outline: Outline, world: FloatArray, eye: FloatArray
+) -> list[tuple[int, int, float]]:
+    """Faces turned to the camera, the farthest first: first and last corner, and brightness."""
+    corner = world[outline.facet[:-1]]
+    along = np.roll(corner, -1, axis=0) - corner
+    outward = np.column_stack((along[:, 1], -along[:, 0]))
+    outward /= np.maximum(np.hypot(*outward.T), 1e-12)[:, None]
+    to_eye = eye[:2] - (corner + 0.5 * along)
+    seen = np.flatnonzero((outward * to_eye).sum(axis=1) > 0.0)
+    order = seen[np.argsort(-np.hypot(*to_eye[seen].T), kind="stable")]
+    bright = 0.62 + 0.38 * outward @ TO_LIGHT
+    return [(int(outline.facet[k]), int(outline.facet[k + 1]), float(bright[k])) for k in order]
+
+
+def _towards(a: FloatArray, b: FloatArray) -> FloatArray:
+    """A short step from a towards b [px]."""
+    way = b - a
+    length = float(np.hypot(*way))
+    return way * (min(OVERLAP, length) / length) if length > 0.0 else way
+
+
+def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
+    """The solid's grain, as it lies: near its middle, which is near enough for a texture."""
+    if solid.grain is None:
+        return PLAIN
+    local = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]])
+    pixels = eye.project_at(placed(local, pose), solid.high)
+    pixel_from_local = np.column_stack(((pixels[1:] - pixels[0]).T / 0.01, pixels[0]))
+    inverse = np.linalg.inv(pixel_from_local[:, :2])
+    matrix = np.column_stack((inverse, -inverse @ pixel_from_local[:, 2]))
+    return Grain(solid.grain, matrix / GRAIN_PITCH)
+
+
+def painting_order(things: list[Placed], eye: FloatArray) -> list[Placed]:
+    """Those that hide others after these.
+
+    Upright solids hide what lies behind them as seen from the foot of the camera. Where footprints
+    overlap, the higher one is on top.
+    """
+    left = list(things)
+    ordered: list[Placed] = []
+    while left:
+        # A thing that hides none of the others may be painted; in a circle, the first one is.
+        free = (a for a in left if not any(_hides(a, b, eye) for b in left if b is not a))
+        chosen = next(free, left[0])
+        ordered.append(chosen)
+        left.remove(chosen)
+    return ordered
+
+
+def _hides(a: Placed, b: Placed, eye: FloatArray) -> bool:
+    """Whether some of `a` may lie before some of `b`."""
+    return a.window.meets(b.window) and any(
+        _piece_hides(p, q, a.solid.high >= b.solid.high, eye)
+        for p in a.footprint
+        for q in b.footprint
+    )
+
+
+def _piece_hides(p: FloatArray, q: FloatArray, higher: bool, eye: FloatArray) -> bool:
+    best, axis, edge = -np.inf, np.zeros(2), 0.0
+    for one, other, sign in ((p, q, 1.0), (q, p, -1.0)):
+        along = np.roll(one, -1, axis=0) - one
+        outward = np.column_stack((along[:, 1], -along[:, 0]))
+        outward /= np.maximum(np.hypot(*outward.T), 1e-12)[:, None]
+        reach = (one * outward).sum(axis=1)
+        gap = (other @ outward.T).min(axis=0) - reach
+        k = int(np.argmax(gap))
+        if gap[k] > best:
+            best, axis = float(gap[k]), sign * outward[k]
+            edge = sign * float(reach[k] + 0.5 * gap[k])
+    if best < -1e-3:  # [m] deep inside each other: one stands on the other
+        return higher
+    return float(eye[:2] @ axis) < edge

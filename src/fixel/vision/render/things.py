@@ -1,0 +1,181 @@
+"""The bench's solids: objects, head and rod of the actuator, fixels wound with copper, a hand."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Shape
+from fixel.model.chance import stream
+from fixel.model.fields import FloatArray
+from fixel.model.shape import placed
+from fixel.vision.marks import Rig
+from fixel.vision.opencv import opencv
+from fixel.vision.render.canvas import FloatPicture
+from fixel.vision.render.ink import inks
+from fixel.vision.render.solids import Slab, Solid, circle, outline_of, polygon
+
+OBJECT_HEIGHT: Final = 0.0254  # [m] where the rig does not say
+HEAD_HEIGHT: Final = 0.030  # [m] likewise
+
+DELRIN: Final = np.array([62.0, 60.0, 58.0])
+COPPER: Final = np.array([78.0, 122.0, 176.0])  # the tape that closes the fixels' circuits
+WIRE: Final = np.array([52.0, 98.0, 160.0])
+TAPE: Final = np.array([58.0, 56.0, 55.0])
+ALUMINIUM: Final = np.array([178.0, 177.0, 174.0])
+BRIGHT: Final = np.array([226.0, 226.0, 224.0])
+HOUSING: Final = np.array([44.0, 42.0, 41.0])
+HEAD: Final = np.array([150.0, 149.0, 146.0])
+SKIN: Final = np.array([124.0, 150.0, 196.0])
+SLEEVE: Final = np.array([112.0, 84.0, 62.0])
+
+ROD: Final = (0.011, 0.008, 0.019)  # [m] width, from this height, to this height
+ROD_LENGTH: Final = 0.30  # [m]
+ACTUATOR: Final = (0.038, 0.020, 0.34, 0.042)  # [m] width, behind the head, length, height
+HAND_AT: Final = (0.066, 0.092)  # [m] between these heights
+
+
+def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid:
+    """An object: black plastic with copper tape round its sides, and its marks."""
+    part = rig.parts.get(body.name)
+    height = part.height if part else OBJECT_HEIGHT
+    marks = part.marks if part else ()
+    slab = Slab(outline_of(body.shape, pixel), 0.0, height, COPPER, DELRIN, rim=0.0008)
+    drawn = tuple(ink for mark in marks for ink in inks(mark, pixel))
+    return Solid(body.name, (slab,), _pieces(body.shape), drawn, grain)
+
+
+def pusher_solids(pusher: Pusher, rig: Rig, pixel: float, grain: FloatPicture) -> list[Solid]:
+    """The head of the actuator with its marks, and the rod behind it; both move."""
+    part = rig.parts.get(pusher.name)
+    height = part.height if part else HEAD_HEIGHT
+    marks = part.marks if part else ()
+    slab = Slab(outline_of(pusher.shape, pixel), 0.002, height, 0.8 * HEAD, HEAD, rim=0.0006)
+    drawn = tuple(ink for mark in marks for ink in inks(mark, pixel))
+    head = Solid(pusher.name, (slab,), _pieces(pusher.shape), drawn, grain)
+    width, low, high = ROD
+    rod = _behind(pusher, 0.5 * _extent(pusher.shape), ROD_LENGTH, width)
+    steel = Slab(polygon(rod, pixel), low, high, 0.62 * ALUMINIUM, ALUMINIUM, rim=0.002)
+    return [Solid(f"{pusher.name}'s rod", (steel,), (rod,)), head]
+
+
+def housing_solid(pusher: Pusher, pixel: float) -> Solid:
+    """What the rod comes out of, bolted to the plate behind the head's first place."""
+    width, gap, length, height = ACTUATOR
+    start = 0.5 * _extent(pusher.shape) + gap
+    block = _behind(pusher, start, length, width)
+    mount = _behind(pusher, start + 0.012, 0.02, width + 0.034)
+    slabs = (
+        Slab(polygon(mount, pixel), 0.0, 0.008, 0.7 * ALUMINIUM, 0.92 * ALUMINIUM, rim=0.0006),
+        Slab(polygon(block, pixel), 0.0, height, HOUSING, 1.25 * HOUSING, rim=0.0012),
+    )
+    return Solid(f"{pusher.name}'s housing", slabs, (block, mount))
+
+
+def fixel_solid(fixel: Fixel, height: float, pixel: float) -> Solid:
+    """A peg: two coils of copper wire over tape, and a turned end with a threaded hole."""
+    if not isinstance(fixel.shape, Disk):
+        outline = outline_of(fixel.shape, pixel)
+        slab = Slab(outline, 0.0, height, 0.8 * ALUMINIUM, BRIGHT, rim=0.0006)
+        return Solid(fixel.name, (slab,), _pieces(fixel.shape))
+    r = fixel.shape.radius
+    core, coil = circle(0.9 * r, pixel), circle(r, pixel)
+    levels = (  # as shares of the height
+        (core, 0.0, 0.12, TAPE, TAPE),
+        (coil, 0.12, 0.25, WIRE, 0.8 * WIRE),
+        (core, 0.25, 0.31, TAPE, TAPE),
+        (coil, 0.31, 0.44, WIRE, 0.8 * WIRE),
+        (core, 0.44, 0.58, TAPE, TAPE),
+        (core, 0.58, 1.0, 0.86 * ALUMINIUM, 0.45 * ALUMINIUM),
+    )
+    slabs = [
+        Slab(ring, low * height, up * height, side, top) for ring, low, up, side, top in levels
+    ]
+    slabs += [
+        Slab(circle(share * r, pixel), height, height, colour, colour)
+        for share, colour in ((0.78, BRIGHT), (0.30, 0.25 * ALUMINIUM))
+    ]
+    return Solid(fixel.name, tuple(slabs), (coil.points[::8],))
+
+
+def hand_solid(pixel: float) -> Solid:
+    """A hand that reaches along +x, flat; its fingertips near the origin."""
+    fingers = [(-0.031, -0.012), (-0.0105, 0.0), (0.0105, -0.003), (0.030, -0.022)]
+    bones = [
+        ((-0.052, 0.066), (-0.098, 0.040), 0.0105),
+        *(((tip - 0.009, y), (-0.085, 0.85 * y), 0.0093) for y, tip in fingers),
+        ((-0.086, 0.021), (-0.086, -0.021), 0.020),
+        ((-0.110, 0.019), (-0.110, -0.017), 0.022),
+        ((-0.125, 0.0), (-0.23, -0.003), 0.029),
+    ]
+    arm = ((-0.225, -0.003), (-0.9, -0.05), 0.043)
+    slabs: list[Slab] = []
+    for parts, colour in ((bones, SKIN), ([arm], SLEEVE)):
+        # Smaller and brighter layers on top of each other look round.
+        for layer, shrink in enumerate((0.0, 0.22, 0.45, 0.7)):
+            level = HAND_AT[0] + (HAND_AT[1] - HAND_AT[0]) * layer / 3.0
+            bright = colour * (0.82 + 0.07 * layer)
+            for tip, root, radius in parts:
+                ring = polygon(_capsule(tip, root, radius * (1.0 - shrink)), pixel)
+                slabs.append(Slab(ring, level, level, bright, bright))
+    footprint = tuple(_capsule(*bone)[::2] for bone in (*bones, arm))
+    return Solid("hand", tuple(slabs), footprint)
+
+
+def grain(seed: int, purpose: str, rough: float) -> FloatPicture:
+    """(256, 256) a texture of mean 1 and this deviation, without a seam."""
+    cv2 = opencv()
+    white = stream(seed, "film", purpose).standard_normal((256, 256))
+    wrapped = np.pad(white, 24, mode="wrap").astype(np.float32)
+    soft = cv2.GaussianBlur(wrapped, (0, 0), 1.2) + 0.5 * cv2.GaussianBlur(wrapped, (0, 0), 6.0)
+    middle = soft[24:-24, 24:-24]
+    return np.asarray(1.0 + rough * (middle - middle.mean()) / middle.std(), dtype=np.float32)
+
+
+def pixel_of(rig: Rig) -> float:
+    """How much a pixel shows in the middle, a little above the plate [m/px]."""
+    return rig.camera.metres_per_pixel(OBJECT_HEIGHT)
+
+
+def direction_of(pusher: Pusher) -> FloatArray:
+    """(2,) unit, along which a pusher moves, in its own frame at the start."""
+    drive = pusher.drive
+    if isinstance(drive, LineDrive):
+        along = drive.direction
+    else:
+        along = drive.waypoints[-1, 1:3] - drive.waypoints[0, 1:3]
+    length = float(np.hypot(*along))
+    along = along / length if length > 0.0 else np.array([1.0, 0.0])
+    return placed(along, (0.0, 0.0, -pusher.pose[2]))
+
+
+def _behind(pusher: Pusher, start: float, length: float, width: float) -> FloatArray:
+    """(4, 2) a bar behind a pusher, from so far behind its middle [m]."""
+    x = direction_of(pusher)
+    y = np.array([-x[1], x[0]])
+    near, far, half = -start * x, -(start + length) * x, 0.5 * width * y
+    return np.array([far - half, near - half, near + half, far + half])
+
+
+def _extent(shape: Shape) -> float:
+    return float(np.ptp(shape.outline, axis=0).min())
+
+
+def _pieces(shape: Shape) -> tuple[FloatArray, ...]:
+    if isinstance(shape, Disk):
+        return (shape.outline[::2],)
+    return tuple(piece for piece, _ in shape.pieces)
+
+
+def _capsule(tip: ArrayLike, root: ArrayLike, radius: float) -> FloatArray:
+    """(n, 2) round about two points, counter-clockwise."""
+    a, b = np.asarray(tip), np.asarray(root)
+    along = a - b
+    heading = float(np.arctan2(along[1], along[0]))
+    half = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)
+    ends = [(a, heading + half), (b, heading + np.pi + half)]
+    return np.concatenate(
+        [p + radius * np.column_stack((np.cos(angle), np.sin(angle))) for p, angle in ends]
+    )

@@ -1,0 +1,23 @@
+"""From films to trajectories: tags, stickers, silhouettes."""
+
+from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting
+from fixel.vision.tracking.follow import AUTO, METHODS, track
+from fixel.vision.tracking.silhouette import Silhouette
+from fixel.vision.tracking.stickers import Stickers
+from fixel.vision.tracking.tags import Tags
+from fixel.vision.tracking.tracked import FoundFixel, PartTrack, Tracked
+
+__all__ = [
+    "AUTO",
+    "METHODS",
+    "AbstractFollower",
+    "AbstractTracking",
+    "FoundFixel",
+    "PartTrack",
+    "Sighting",
+    "Silhouette",
+    "Stickers",
+    "Tags",
+    "Tracked",
+    "track",
+]

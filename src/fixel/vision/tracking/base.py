@@ -1,0 +1,130 @@
+"""What every method of tracking is and promises."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, final
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Body, Pusher
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig
+
+Thing = Body | Pusher
+
+FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
+
+# Standard deviations of a pose beyond which a sight is none: a mark of which too little shows.
+VAGUE_POSITION: Final = 0.25e-3  # [m] at 0.55 mm a pixel; scaled with the pixel
+VAGUE_ANGLE: Final = 0.004  # [rad]
+USUAL_PIXEL: Final = 0.55e-3  # [m]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """What one frame tells of one part.
+
+    Attributes
+    ----------
+    pose : (3,) float64, or None
+        [m, m, rad]; none where it cannot be told, and `reason` says why.
+    residual : float
+        Root mean square distance from where the marks should be [px].
+    scale : float
+        What a pixel is there [m].
+    sd : (3,) float64
+        Standard deviations of the pose, from the residual [m, m, rad].
+    marks : int
+        How many marks, or edges of an outline, took part.
+    share : float
+        Of what should be seen of them [-].
+    reason : str
+    """
+
+    pose: FloatArray | None = None
+    residual: float = 0.0
+    scale: float = 0.0
+    sd: FloatArray = field(default_factory=lambda: np.zeros(3))
+    marks: int = 0
+    share: float = 0.0
+    reason: str = ""
+
+
+class AbstractFollower(ABC):
+    """Follows the parts of one film, frame by frame, in order."""
+
+    @abstractmethod
+    def see(self, frame: Frame) -> dict[str, Sighting]:
+        """Where the parts are in the next frame, by name."""
+
+
+class AbstractTracking(ABC):
+    """A method of finding parts in pictures.
+
+    Final members know what they look for from the rig and the outlines; what they find are poses in
+    the plane, and a reason wherever there is none.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+        """Names of the parts it can follow."""
+
+    @abstractmethod
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+        """Begin a film.
+
+        Parameters
+        ----------
+        rig : Rig
+        things : dict of str to Thing
+            Bodies and pushers of the scene, where there is one: what outlines they have, and about
+            how they lie at the start.
+
+        Raises
+        ------
+        InvalidInput
+            There is nothing in the rig that it could look for.
+        """
+
+
+@final
+class Prediction:
+    """Where a part should be now, from where it was."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, FloatArray] | None = None
+        self._rate = np.zeros(3)
+
+    @property
+    def pose(self) -> FloatArray | None:
+        """(3,) last seen; none if never."""
+        return None if self._last is None else self._last[1]
+
+    def at(self, time: float) -> FloatArray | None:
+        """(3,) pose to be expected at an instant [s]."""
+        if self._last is None:
+            return None
+        then, pose = self._last
+        return pose + self._rate * min(time - then, FORGET)
+
+    def seen(self, time: float, pose: FloatArray) -> None:
+        """Take note of a sight."""
+        self._rate = np.zeros(3)
+        if self._last is not None:
+            then, before = self._last
+            if time - then < FORGET:
+                self._rate = (pose - before) / (time - then)
+        self._last = (time, pose)
+
+
+def vague(sd: FloatArray, scale: float) -> bool:
+    """Whether too little shows to tell a pose."""
+    most = VAGUE_POSITION * scale / USUAL_PIXEL
+    return bool(np.hypot(sd[0], sd[1]) > most or sd[2] > VAGUE_ANGLE)

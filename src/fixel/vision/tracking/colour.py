@@ -1,0 +1,164 @@
+"""Round patches of one colour: finding them anywhere, and where exactly they lie."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame, Gray, Picture
+from fixel.vision.marks import Sticker
+from fixel.vision.opencv import opencv
+from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose
+
+# Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
+HUES: Final = {
+    "red": 0.0,
+    "orange": 25.0,
+    "yellow": 52.0,
+    "green": 125.0,
+    "cyan": 182.0,
+    "blue": 220.0,
+    "magenta": 310.0,
+}
+HUE_SLACK: Final = 30.0  # [deg]
+LEAST_SATURATION: Final = 75  # of 255
+LEAST_BRIGHTNESS: Final = 35  # of 255
+AREA: Final = (0.45, 1.8)  # of what it should be, for what might be a sticker
+ROUND: Final = 0.6  # least share of its box, and of the box's sides, of something round
+CORE, RING = 0.55, (1.35, 1.75)  # of the radius: surely inside, surely outside
+CONTRAST: Final = 25.0  # of 255 between a sticker and what is around it
+COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
+RIM: Final = 14.0  # [px] around a sticker that is looked at
+
+
+class Patch(NamedTuple):
+    """Something of the right colour and size."""
+
+    pixel: FloatArray  # (2,) of its middle [px]
+    area: float  # [px^2]
+
+
+def find_patches(
+    picture: Picture, stickers: tuple[Sticker, ...], camera: Camera, corner: FloatArray
+) -> dict[str, list[Patch]]:
+    """All patches that might be stickers, by colour.
+
+    Parameters
+    ----------
+    picture : (height, width, 3) uint8
+        A window of the camera's picture.
+    stickers : tuple of Sticker
+        Every colour of the rig: a pixel is of the one whose hue is nearest.
+    camera : Camera
+    corner : (2,) float64
+        Where the window begins [px].
+    """
+    cv2 = opencv()
+    hue, saturation, value = np.moveaxis(
+        cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_BGR2HSV), -1, 0
+    )
+    coloured = (saturation >= LEAST_SATURATION) & (value >= LEAST_BRIGHTNESS)
+    kind = _nearest_hue(tuple(sticker.colour for sticker in stickers))[hue]
+    found: dict[str, list[Patch]] = {}
+    for index, sticker in enumerate(stickers):
+        mask = ((kind == index) & coloured).astype(np.uint8)
+        n, _, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        full = np.pi * (sticker.diameter / 2.0 / camera.metres_per_pixel(sticker.height)) ** 2
+        found[sticker.colour] = [
+            Patch(middles[k] + corner, float(boxes[k][4]))
+            for k in range(1, n)
+            if AREA[0] * full < boxes[k][4] < AREA[1] * full and _round(boxes[k])
+        ]
+    return found
+
+
+def _nearest_hue(colours: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """(256,) which colour each of OpenCV's hues is of; -1 for none."""
+    degrees = 2.0 * np.arange(256)[:, None]
+    apart = np.abs((degrees - [HUES[c] for c in colours] + 180.0) % 360.0 - 180.0)
+    return np.where(apart.min(1) <= HUE_SLACK, apart.argmin(1), -1)
+
+
+def _round(box: np.ndarray[tuple[int], np.dtype[np.int32]]) -> bool:
+    _, _, width, height, area = box
+    return bool(min(width, height) >= ROUND * max(width, height) and area >= ROUND * width * height)
+
+
+def fit_sticker(
+    frame: Frame, camera: Camera, sticker: Sticker, place: FloatArray, reach: float
+) -> Fit | str:
+    """Where a sticker lies, from the edge of what it covers.
+
+    Its colour and that of what is around it are read where it is expected, so that it does not
+    matter what the light is. Every pixel then has a share that the sticker covers, and a circle at
+    the sticker's height, seen through the camera, is fitted to the edge of that: exact under
+    perspective, and from the part that shows where the rest is covered.
+
+    Parameters
+    ----------
+    frame : Frame
+    camera : Camera
+    sticker : Sticker
+    place : (2,) float64
+        Where it is expected in the world [m].
+    reach : float
+        How far from there it may be [px].
+
+    Returns
+    -------
+    Fit, or a reason why there is none.
+    """
+    radius = sticker.diameter / 2.0
+    middle = camera.project_at(place, sticker.height)
+    in_pixels = radius / camera.metres_per_pixel(sticker.height)
+    window, corner = _window(frame, middle, RING[1] * in_pixels + RIM)
+    if window is None:
+        return f"the {sticker.colour} sticker is out of the picture"
+    fit: Fit | None = None
+    pose = np.append(place, 0.0)
+    for look in (reach, 3.2):
+        covered = _coverage(window, camera.project_at(pose[:2], sticker.height) - corner, in_pixels)
+        if covered is None:
+            return f"the {sticker.colour} sticker does not show"
+        edges = circle_edges(radius, sticker.height, dark_inside=False)
+        fit = fit_pose(
+            covered, camera, edges, pose, reach=look, turns=False, rounds=2, corner=corner
+        )
+        if fit is None:
+            return f"too little of the {sticker.colour} sticker's edge shows"
+        moved = np.hypot(*(fit.pose - pose)[:2]) / radius
+        pose = fit.pose
+        if moved < 0.1:
+            break
+    return fit if fit is not None else ""
+
+
+def _window(
+    frame: Frame, middle: FloatArray, half: float
+) -> tuple[Picture | None, tuple[int, int]]:
+    width, height = frame.size
+    left, top = (max(int(x), 0) for x in np.floor(middle - half))
+    right, bottom = min(int(middle[0] + half) + 1, width), min(int(middle[1] + half) + 1, height)
+    if right - left < half or bottom - top < half:
+        return None, (0, 0)
+    return frame.colour(slice(top, bottom), slice(left, right)), (left, top)
+
+
+def _coverage(window: Picture, middle: FloatArray, radius: float) -> Gray | None:
+    """How much of each pixel the sticker covers, as a picture; None where nothing stands out."""
+    height, width = window.shape[:2]
+    apart = np.hypot(np.arange(height)[:, None] - middle[1], np.arange(width) - middle[0]) / radius
+    inside, around = window[apart < CORE], window[(apart > RING[0]) & (apart < RING[1])]
+    if len(inside) < 4 or len(around) < 8:
+        return None
+    colour, ground = np.median(inside, axis=0), np.median(around, axis=0)
+    difference = (colour - ground).astype(np.float32)
+    square = float(difference @ difference)
+    if square < CONTRAST**2:
+        return None
+    share = window.astype(np.float32) @ (difference / square) - float(ground @ difference) / square
+    covered: Gray = np.clip(BARE + (COVERED - BARE) * share, 0.0, 255.0).astype(np.uint8)
+    return covered

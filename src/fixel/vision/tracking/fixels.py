@@ -1,0 +1,81 @@
+"""Where the fixels stand, from the rims of their tops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, final
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Disk, Fixel
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig
+from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose
+from fixel.vision.tracking.tracked import FoundFixel
+
+REACH_FIRST: Final = 10.0  # [px] from where the scene has it
+REACH: Final = 4.0
+# Radii of what one sees of a top, as shares of the fixel's: a turned end has rings, all about one
+# middle.
+RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
+LEAST_SHARE: Final = 0.45  # of a ring
+MOST_RESIDUAL: Final = 0.5  # [px]
+LEAST: Final = 3  # frames that a place is worth something from
+
+Ring = tuple[float, bool]  # share of the radius, whether it is dark inside
+
+
+@final
+class FixelFinder:
+    """Measures fixels in some frames of a film.
+
+    Which ring of the top shows best, and whether it is dark or bright, is found out where a fixel
+    is first seen. Where the side of the cylinder shows, its edge is another one, and is left out.
+    """
+
+    def __init__(self, rig: Rig, fixels: Sequence[Fixel]) -> None:
+        self._camera = rig.camera
+        self._height = rig.fixel_height
+        self._fixels = [fixel for fixel in fixels if isinstance(fixel.shape, Disk)]
+        self._found: dict[str, list[FloatArray]] = {f.name: [] for f in self._fixels}
+        self._rings: dict[str, Ring] = {}
+
+    def see(self, frame: Frame) -> None:
+        """Measure what shows in a frame."""
+        for fixel in self._fixels:
+            places = self._found[fixel.name]
+            if places:
+                rings, start, reach = [self._rings[fixel.name]], places[-1], REACH
+            else:
+                rings = [(share, dark) for share in RINGS for dark in (True, False)]
+                start, reach = fixel.pose[:2], REACH_FIRST
+            fits = {ring: self._fit(frame, fixel, ring, start, reach) for ring in rings}
+            good = {ring: fit for ring, fit in fits.items() if fit is not None}
+            if good:
+                ring = max(good, key=lambda ring: good[ring].share - good[ring].residual)
+                self._rings[fixel.name] = ring
+                places.append(good[ring].pose[:2])
+
+    def _fit(
+        self, frame: Frame, fixel: Fixel, ring: Ring, start: FloatArray, reach: float
+    ) -> Fit | None:
+        assert isinstance(fixel.shape, Disk)
+        share, dark = ring
+        edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
+        pose = np.append(start, 0.0)
+        fit = fit_pose(frame.luma, self._camera, edges, pose, reach=reach, turns=False)
+        if fit is None or fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
+            return None
+        return fit
+
+    def found(self) -> tuple[FoundFixel, ...]:
+        """Fixels that were measured often enough."""
+        result = []
+        for name, places in self._found.items():
+            if len(places) < LEAST:
+                continue
+            place = np.median(places, axis=0)
+            scatter = float(np.sqrt(np.mean(np.sum((np.array(places) - place) ** 2, axis=1))))
+            result.append(FoundFixel(name=name, place=place, scatter=scatter, n=len(places)))
+        return tuple(result)

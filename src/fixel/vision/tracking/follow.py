@@ -1,0 +1,178 @@
+"""From a film to trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Scene
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig
+from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
+from fixel.vision.tracking.checks import (
+    MOVED,
+    plate_offsets,
+    refuse_flipped,
+    refuse_moved,
+    refuse_size,
+    registered,
+)
+from fixel.vision.tracking.fixels import FixelFinder
+from fixel.vision.tracking.judge import judged
+from fixel.vision.tracking.silhouette import Silhouette
+from fixel.vision.tracking.stickers import Stickers
+from fixel.vision.tracking.tags import Tags
+from fixel.vision.tracking.tracked import Tracked
+
+METHODS: Final[Mapping[str, AbstractTracking]] = {
+    method.name: method for method in (Tags(), Stickers(), Silhouette())
+}
+AUTO: Final = "auto"
+
+FIXELS_EVERY: Final = 15  # frames
+PLATE_EVERY: Final = 60  # frames
+
+
+def track(
+    frames: Iterable[Frame],
+    rig: Rig,
+    scene: Scene | None = None,
+    *,
+    method: str | AbstractTracking = AUTO,
+    register: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Tracked:
+    """Find the parts of a rig in all frames of a film.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        In order of time.
+    rig : Rig
+    scene : Scene, optional
+        Outlines for silhouettes, and about where fixels stand.
+    method : str or AbstractTracking
+        `auto` takes tags where a part has any, else stickers, else its outline.
+    register : bool
+        Find the camera's place anew, from the tags on the plate.
+    progress : callable, optional
+        Called with the number of frames done.
+
+    Raises
+    ------
+    InvalidInput
+        Pictures of another size than the rig's camera, mirrored or turned ones, a camera that was
+        moved, a part that shows in no frame, or no frame at all.
+    """
+    things = {} if scene is None else things_of(scene)
+    followers: list[AbstractFollower] = []
+    finder: FixelFinder | None = None
+    sightings: dict[str, list[Sighting]] = {}
+    times: list[float] = []
+    remarks: list[str] = []
+    names: tuple[str, ...] = ()
+    for index, frame in enumerate(frames):
+        if index == 0:
+            rig, remarks = _checked(rig, frame, register=register)
+            names, followers = _followers(rig, things, method)
+            sightings = {name: [] for name in names}
+            finder = FixelFinder(rig, scene.fixels) if scene is not None else None
+        times.append(frame.time)
+        for follower in followers:
+            for name, sight in follower.see(frame).items():
+                sightings[name].append(sight)
+        if index == 0 and any(own[0].pose is None for own in sightings.values()):
+            refuse_flipped(rig, frame.luma)
+        if finder is not None and index % FIXELS_EVERY == 0:
+            finder.see(frame)
+        if rig.plate and index and index % PLATE_EVERY == 0:
+            remarks += _moved(rig, frame)
+        if progress is not None:
+            progress(index + 1)
+    if not times:
+        raise InvalidInput("video", found="no frames", expected="at least one")
+    _refuse_unseen(sightings)
+    time = np.array(times)
+    return Tracked(
+        method=method if isinstance(method, str) else method.name,
+        time=time,
+        parts={name: judged(name, time, sightings[name]) for name in names},
+        fixels=finder.found() if finder is not None else (),
+        remarks=tuple(remarks[:5]),
+    )
+
+
+def things_of(scene: Scene) -> dict[str, Thing]:
+    """Bodies and pushers, by name."""
+    bodies: dict[str, Thing] = {body.name: body for body in scene.bodies}
+    return bodies | {pusher.name: pusher for pusher in scene.pushers}
+
+
+def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
+    """The rig, with its camera where it is now."""
+    refuse_size(rig, frame)
+    if not register:
+        refuse_moved(rig, frame)
+        return rig, []
+    camera = registered(rig, frame)
+    shift = float(np.hypot(*(camera.position - rig.camera.position)[:2]))
+    remark = f"the camera was registered anew from the plate's tags, {shift * 1e3:.1f} mm away"
+    return replace(rig, camera=camera), [remark]
+
+
+def _followers(
+    rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
+) -> tuple[tuple[str, ...], list[AbstractFollower]]:
+    """Which parts are followed, and by what."""
+    if method != AUTO:
+        chosen = METHODS.get(method) if isinstance(method, str) else method
+        if chosen is None:
+            raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
+        follower = chosen.follow(rig, things)
+        return chosen.parts(rig, things), [follower]
+    names: list[str] = []
+    followers = []
+    for member in METHODS.values():
+        left = {name: part for name, part in rig.parts.items() if name not in names}
+        own = replace(rig, parts=left)
+        found = member.parts(own, things)
+        if found:
+            followers.append(member.follow(own, things))
+            names += found
+    if not names:
+        raise InvalidInput(
+            f"rig {rig.name!r}",
+            found="parts without a tag, two stickers, or an outline in the scene",
+            expected="something to track them by",
+            hint="give the scene with --scene, or marks in the rig file",
+        )
+    return tuple(names), followers
+
+
+def _moved(rig: Rig, frame: Frame) -> list[str]:
+    """A remark if the plate is no longer where it was."""
+    offsets: list[FloatArray] = list(plate_offsets(rig, frame).values())
+    if not offsets:
+        return []
+    off = float(np.hypot(*np.median(offsets, axis=0))) / rig.camera.metres_per_pixel()
+    if off <= MOVED:
+        return []
+    return [f"camera or plate moved during the film: {off:.1f} px off at {frame.time:.2f} s"]
+
+
+def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:
+    for name, own in sightings.items():
+        if any(sight.pose is not None for sight in own):
+            continue
+        reasons = [sight.reason for sight in own]
+        raise InvalidInput(
+            f"part {name!r}",
+            found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}",
+            expected="a part that shows",
+            hint="is this the rig the film was taken with?",
+        )

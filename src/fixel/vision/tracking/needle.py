@@ -1,0 +1,242 @@
+"""The needle of a probe, which comes in over the border and ends in a blunt tip."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Shape
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame, Gray
+from fixel.vision.opencv import opencv
+from fixel.vision.tracking.base import Prediction, Sighting
+from fixel.vision.tracking.edges import EdgeLine, find_edges
+
+STATIONS: Final = 24  # places along the needle at which its two sides are looked for
+NEAREST, FARTHEST = 5.0, 75.0  # [px] of these from the tip
+REACH: Final = 5.0  # [px] from where a side is expected
+REACH_TIP: Final = 12.0  # [px] from where the tip is expected
+ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] beside the axis, where the end is looked for
+LEAST: Final = 8  # stations that must show
+MOST_RESIDUAL: Final = 0.6  # [px]
+BRIGHT: Final = 0.6  # of the contrast at the sides, that the end must have to be one
+
+
+class Needle(NamedTuple):
+    """What stays the same from frame to frame.
+
+    Attributes
+    ----------
+    axis : (2,) float64
+        In the picture, towards the tip [-].
+    half, taper : float
+        Half of its width at the tip [px], and how that grows with the distance from there [-].
+    """
+
+    axis: FloatArray
+    half: float
+    taper: float
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class NeedleFollower:
+    """Follows the tip of a probe.
+
+    The axis is fitted to both sides of the needle. Along it, the tip is where dark ends; or, where
+    the needle runs into the part without a gap, where the outline of the part is.
+
+    Parameters
+    ----------
+    camera : Camera
+    name : str
+    shape : Shape
+        Of the pusher, whose foremost point is the tip.
+    height : float
+        Above the plane [m].
+    """
+
+    camera: Camera
+    name: str
+    shape: Shape
+    height: float
+    _needle: Needle | None = None
+    _prediction: Prediction | None = None
+
+    def see(
+        self, frame: Frame, part: FloatArray | None, dark: NDArray[np.uint8] | None
+    ) -> Sighting:
+        """Where the probe is.
+
+        Parameters
+        ----------
+        frame : Frame
+        part : (n, 2) float64, optional
+            Outline of the part in the picture [px]; none where it is not known.
+        dark : (height, width) uint8, optional
+            What is dark and not the part: to look for the probe in.
+        """
+        expected = None if self._prediction is None else self._prediction.at(frame.time)
+        if expected is not None:
+            sight = self._followed(frame, self._tip_of(expected), part)
+            if sight.pose is not None:
+                return sight
+        if dark is None:
+            return Sighting(reason=f"the tip of {self.name} does not show")
+        start = self._found(dark)
+        if start is None:
+            return Sighting(reason=f"no {self.name} reaches into the picture")
+        return self._followed(frame, start, part)
+
+    def _followed(self, frame: Frame, tip: FloatArray, part: FloatArray | None) -> Sighting:
+        needle = self._needle
+        assert needle is not None
+        residual = math.inf
+        scatter = np.zeros(2)
+        for _ in range(2):
+            sides = _sides(frame.luma, needle, tip)
+            if sides is None:
+                return Sighting(reason=f"too little of the needle of {self.name} shows")
+            shift, tilt, residual, spread, contrast = sides
+            across = np.array([-needle.axis[1], needle.axis[0]])
+            axis = needle.axis + tilt * across
+            needle = needle._replace(axis=axis / np.hypot(*axis))
+            tip = tip + shift * across
+            along = _end(frame.luma, needle, tip, part, contrast)
+            if along is None:
+                return Sighting(reason=f"where the needle of {self.name} ends does not show")
+            tip = tip + along * needle.axis
+            scatter = np.array([max(residual, 0.05) * spread, max(residual, 0.05)])
+        if residual > MOST_RESIDUAL:
+            return Sighting(reason=f"sides of the needle scatter by {residual:.2f} px")
+        scale = self.camera.metres_per_pixel(self.height)
+        pose = self._pose_of(tip, needle)
+        if self._prediction is None:
+            self._prediction = Prediction()
+        self._prediction.seen(frame.time, pose)
+        self._needle = needle
+        return Sighting(
+            pose=pose,
+            residual=residual,
+            scale=scale,
+            sd=np.array([scatter[1] * scale, scatter[1] * scale, 0.0]),
+            marks=STATIONS,
+            share=1.0,
+        )
+
+    def _ahead(self, needle: Needle, tip: FloatArray) -> FloatArray:
+        """(2,) from the pusher's origin to its foremost point, in the world [m]."""
+        behind, at = self.camera.on_plane(np.array([tip - 20.0 * needle.axis, tip]), self.height)
+        direction = (at - behind) / np.hypot(*(at - behind))
+        return np.asarray(float((self.shape.outline @ direction).max()) * direction)
+
+    def _pose_of(self, tip: FloatArray, needle: Needle) -> FloatArray:
+        place = self.camera.on_plane(tip, self.height) - self._ahead(needle, tip)
+        return np.append(place, 0.0)
+
+    def _tip_of(self, pose: FloatArray) -> FloatArray:
+        assert self._needle is not None
+        rough = self.camera.project_at(pose[:2], self.height)
+        return self.camera.project_at(pose[:2] + self._ahead(self._needle, rough), self.height)
+
+    def _found(self, dark: NDArray[np.uint8]) -> FloatArray | None:
+        """(2,) the tip [px], roughly: the farthest place of what reaches in over the border."""
+        cv2 = opencv()
+        n, labels, boxes, _ = cv2.connectedComponentsWithStats(dark)
+        height, width = dark.shape
+        left, top = boxes[:, 0], boxes[:, 1]
+        right, bottom = left + boxes[:, 2], top + boxes[:, 3]
+        at_border = (left == 0) | (top == 0) | (right == width) | (bottom == height)
+        own = [k for k in range(1, n) if at_border[k] and boxes[k][4] > 50]
+        if not own:
+            return None
+        mask = labels == max(own, key=lambda k: int(boxes[k][4]))
+        rows, columns = np.nonzero(mask)
+        border = (rows == 0) | (columns == 0) | (rows == height - 1) | (columns == width - 1)
+        root = np.array([columns[border].mean(), rows[border].mean()])
+        far = int(np.argmax(np.hypot(columns - root[0], rows - root[1])))
+        tip = np.array([columns[far], rows[far]], dtype=np.float64)
+        axis = (tip - root) / np.hypot(*(tip - root))
+        pixels = np.column_stack((columns, rows))
+        behind = (tip - pixels) @ axis
+        near = behind < FARTHEST
+        aside = (pixels - tip) @ np.array([-axis[1], axis[0]])
+        tip = tip + np.median(aside[behind < 10.0]) * np.array([-axis[1], axis[0]])
+        # Its width at distances from the tip, from how many pixels there are.
+        count, edges = np.histogram(behind[near], bins=np.arange(2.0, FARTHEST, 4.0))
+        taper, half = np.polyfit(0.5 * (edges[1:] + edges[:-1]), count / 8.0, 1)
+        self._needle = Needle(axis, max(float(half), 1.0), max(float(taper), 0.0))
+        return np.asarray(tip)
+
+
+def _sides(
+    picture: Gray, needle: Needle, tip: FloatArray
+) -> tuple[float, float, float, float, float] | None:
+    """Shift across and tilt of the axis, residual [px], its leverage at the tip, and contrast."""
+    behind = np.linspace(NEAREST, FARTHEST, STATIONS)
+    height, width = picture.shape
+    middle = tip - behind[:, None] * needle.axis
+    inside = ((middle > 2.0) & (middle < (width - 3.0, height - 3.0))).all(1)
+    behind, middle = behind[inside], middle[inside]
+    if len(behind) < LEAST:
+        return None
+    across = np.array([-needle.axis[1], needle.axis[0]])
+    half = (needle.half + needle.taper * behind)[:, None]
+    pixel = np.concatenate((middle + half * across, middle - half * across))
+    normal = np.concatenate((np.tile(across, (len(middle), 1)), np.tile(-across, (len(middle), 1))))
+    found = find_edges(picture, EdgeLine(pixel, normal), REACH)
+    n = len(middle)
+    both = found.clear[:n] & found.clear[n:]
+    if both.sum() < LEAST:
+        return None
+    centre = 0.5 * (found.offset[:n] - found.offset[n:])
+    for _ in range(3):
+        slope, shift = np.polyfit(behind[both], centre[both], 1)
+        rest = centre - (shift + slope * behind)
+        kept = both & (np.abs(rest) < 3.0 * max(1.48 * np.median(np.abs(rest[both])), 0.05))
+        if kept.sum() < LEAST:
+            return None
+        both = kept
+    residual = float(np.sqrt(np.mean(rest[both] ** 2)))
+    contrast = float(np.median((found.bright - found.dark)[found.clear]))
+    x = behind[both]
+    leverage = math.sqrt(1.0 / len(x) + x.mean() ** 2 / float(((x - x.mean()) ** 2).sum()))
+    return float(shift), -float(slope), residual, leverage, contrast
+
+
+def _end(
+    picture: Gray, needle: Needle, tip: FloatArray, part: FloatArray | None, contrast: float
+) -> float | None:
+    """How far the end is from where it is expected, along the axis [px]."""
+    across = np.array([-needle.axis[1], needle.axis[0]])
+    pixel = tip + np.array(ACROSS)[:, None] * across
+    found = find_edges(picture, EdgeLine(pixel, np.tile(needle.axis, (len(pixel), 1))), REACH_TIP)
+    open_ = found.clear & (found.bright - found.dark > BRIGHT * contrast)
+    wall = None if part is None else _wall(part, tip, needle.axis)
+    if open_.all():
+        free = float(np.mean(found.offset))
+        # The far side of the part is an edge too; the tip ends before its near side.
+        if wall is None or free < wall + 1.0:
+            return free
+    if wall is not None and abs(wall) < REACH_TIP:
+        return wall
+    return None
+
+
+def _wall(part: FloatArray, tip: FloatArray, axis: FloatArray) -> float | None:
+    """Distance along the axis from the tip to where it enters an outline [px]."""
+    start = tip - 2.0 * REACH_TIP * axis
+    a, b = part, np.roll(part, -1, axis=0)
+    edge = b - a
+    cross = axis[0] * edge[:, 1] - axis[1] * edge[:, 0]
+    cross = np.where(np.abs(cross) < 1e-12, np.inf, cross)
+    to = a - start
+    along = (to[:, 0] * edge[:, 1] - to[:, 1] * edge[:, 0]) / cross
+    share = (to[:, 0] * axis[1] - to[:, 1] * axis[0]) / cross
+    hit = np.isfinite(cross) & (along > 0.0) & (share >= 0.0) & (share <= 1.0)
+    return float(along[hit].min()) - 2.0 * REACH_TIP if hit.any() else None

@@ -1,0 +1,290 @@
+"""Outlines against a bright field, as under the microscope: no marks at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Disk, Shape
+from fixel.model.shape import placed
+from fixel.model.trajectory import wrapped
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame, Gray
+from fixel.vision.marks import Rig
+from fixel.vision.opencv import opencv
+from fixel.vision.tracking.base import (
+    AbstractFollower,
+    AbstractTracking,
+    Prediction,
+    Sighting,
+    Thing,
+    vague,
+)
+from fixel.vision.tracking.needle import NeedleFollower
+from fixel.vision.tracking.outline import Edges, fit_pose
+
+POINTS: Final = 160  # on an outline
+CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
+REACH: Final = 8.0  # [px] from where an outline is expected
+REACH_FIRST: Final = 20.0  # [px] from where moments put it
+MOST_RESIDUAL: Final = 0.7  # [px]
+LEAST_SHARE: Final = 0.3
+ALIKE: Final = 0.1  # [-] of shares and [px] of residuals, that do not tell two poses apart
+NEEDLE: Final = 0.3  # of the part's narrower side: what is thinner is taken for the probe
+CONTRAST: Final = 25.0  # of 255 between part and field
+AREA: Final = (0.6, 1.5)  # of what it should be, for what might be the part
+DARK = np.uint8
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Silhouette(AbstractTracking):
+    """Dark parts on a bright field, by their outlines.
+
+    A threshold splits dark from bright, an opening takes off the needle of the probe, an ellipse
+    with the moments of what is left gives the pose to start from, as in the paper. Then the
+    outline of the scene is fitted to the edge itself, to a fraction of a pixel; where the probe
+    covers it, it shows no edge, and counts for nothing. What is dark beside the part and reaches
+    the border is the probe; its tip is fitted likewise, without turning.
+
+    Source
+    ------
+    The ASME 2006 paper, section on vision.
+    """
+
+    name: ClassVar[str] = "silhouette"
+
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+        """Those without marks whose outline is known; the larger one is the part."""
+        bare = [name for name in rig.parts if not rig.parts[name].marks and name in things]
+        return tuple(sorted(bare, key=lambda name: -things[name].shape.area))
+
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+        """Begin a film; see `AbstractTracking.follow`."""
+        names = self.parts(rig, things)
+        if not names:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found="no part without marks whose outline the scene tells",
+                expected="a part of the names in the scene",
+                hint="names of parts in the rig file are those of bodies and pushers in the scene",
+            )
+        if len(names) > 2:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found=f"{len(names)} parts without marks",
+                expected="a part and a probe: more outlines cannot be told apart",
+            )
+        return _SilhouetteFollower(rig, {name: things[name] for name in names})
+
+
+@final
+class _SilhouetteFollower(AbstractFollower):
+    def __init__(self, rig: Rig, things: Mapping[str, Thing]) -> None:
+        part, *probe = things
+        self._part = _Outlined(rig, part, things[part])
+        self._probe = (
+            NeedleFollower(
+                camera=rig.camera,
+                name=probe[0],
+                shape=things[probe[0]].shape,
+                height=rig.parts[probe[0]].height,
+            )
+            if probe
+            else None
+        )
+
+    def see(self, frame: Frame) -> dict[str, Sighting]:
+        part = self._part.followed(frame)
+        dark: NDArray[np.uint8] | None = None
+        if part.pose is None:
+            dark = _dark(frame.luma)
+            part = self._part.found(frame, dark)
+        sights = {self._part.name: part}
+        if self._probe is not None:
+            outline = None if part.pose is None else self._part.in_picture(part.pose)
+            probe = self._probe.see(frame, outline, None)
+            if probe.pose is None and outline is not None:
+                dark = _dark(frame.luma) if dark is None else dark
+                probe = self._probe.see(frame, outline, _without(dark, outline))
+            sights[self._probe.name] = probe
+        return sights
+
+
+@final
+class _Outlined:
+    """One outline, from frame to frame."""
+
+    def __init__(self, rig: Rig, name: str, thing: Thing) -> None:
+        self.name = name
+        self._camera: Camera = rig.camera
+        self._shape = thing.shape
+        self._angle = float(thing.pose[2])
+        self._height = rig.parts[name].height
+        self._scale = rig.camera.metres_per_pixel(self._height)
+        self._edges = outline_edges(thing.shape, self._height, CORNER * self._scale)
+        self._prediction = Prediction()
+
+    def followed(self, frame: Frame) -> Sighting:
+        expected = self._prediction.at(frame.time)
+        if expected is None:
+            return Sighting(reason="not found yet")
+        sight = self._fitted(frame, expected, REACH)
+        if sight.pose is not None:
+            self._prediction.seen(frame.time, sight.pose)
+        return sight
+
+    def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
+        fit = fit_pose(frame.luma, self._camera, self._edges, pose, reach=reach, rounds=6)
+        if fit is None or fit.share < LEAST_SHARE:
+            return Sighting(reason=f"too little of the outline of {self.name} shows")
+        if fit.residual > MOST_RESIDUAL:
+            return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
+        sd = np.sqrt(np.diag(fit.covariance))
+        if vague(sd, self._scale):
+            return Sighting(reason=f"too little of the outline of {self.name} shows")
+        return Sighting(
+            pose=fit.pose,
+            residual=fit.residual,
+            scale=self._scale,
+            sd=sd,
+            marks=int(fit.used.sum()),
+            share=fit.share,
+        )
+
+    def found(self, frame: Frame, dark: NDArray[np.uint8]) -> Sighting:
+        """The part, looked for in the whole picture."""
+        blob, reason = self._blob(dark)
+        if blob is None:
+            return Sighting(reason=reason)
+        best = Sighting(reason="nothing in the picture has its outline")
+        for start in self._starts(blob):
+            sight = self._fitted(frame, start, REACH_FIRST)
+            if sight.pose is not None and self._better(sight, best):
+                best = sight
+        self._prediction = Prediction()
+        if best.pose is not None:
+            self._prediction.seen(frame.time, best.pose)
+        return best
+
+    def _better(self, sight: Sighting, best: Sighting) -> bool:
+        """Whether a pose fits better; of two that fit alike, the one nearer to the scene's."""
+        if best.pose is None or sight.pose is None:
+            return best.pose is None
+        gain = (sight.share - sight.residual) - (best.share - best.residual)
+        if abs(gain) > ALIKE:
+            return gain > 0.0
+        off = [abs(float(wrapped(pose[2] - self._angle))) for pose in (sight.pose, best.pose)]
+        return off[0] < off[1]
+
+    def in_picture(self, pose: FloatArray) -> FloatArray:
+        """(n, 2) the outline at a pose [px]."""
+        return self._camera.project_at(placed(self._shape.outline, pose), self._height)
+
+    def _blob(self, dark: NDArray[np.uint8]) -> tuple[NDArray[np.bool_] | None, str]:
+        """Pixels of the part, without those of a needle."""
+        cv2 = opencv()
+        outline = self._shape.outline
+        narrow = float(min(cv2.minAreaRect(outline.astype(np.float32) / self._scale)[1]))
+        size = max(int(NEEDLE * narrow), 1)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        opened = cv2.morphologyEx(dark, cv2.MORPH_OPEN, disc)
+        n, labels, boxes, _ = cv2.connectedComponentsWithStats(opened)
+        full = self._shape.area / self._scale**2
+        own = [k for k in range(1, n) if AREA[0] * full < boxes[k][4] < AREA[1] * full]
+        if not own:
+            return None, f"nothing dark of the size of {self.name} in the picture"
+        if len(own) > 1:
+            return None, f"{len(own)} dark things of the size of {self.name} in the picture"
+        return labels == own[0], ""
+
+    def _starts(self, blob: NDArray[np.bool_]) -> list[FloatArray]:
+        """Poses that give the outline the same ellipse: two, half a turn apart."""
+        rows, columns = np.nonzero(blob)
+        step = max(len(rows) // 4000, 1)
+        pixels = np.column_stack((columns, rows))[::step].astype(np.float64)
+        seen = self._camera.on_plane(pixels, self._height)
+        own = filled(self._shape, 4000)
+        angle = _axis(seen) - _axis(own)
+        starts = []
+        for turn in (0.0, math.pi):
+            pose = np.array([0.0, 0.0, angle + turn])
+            pose[:2] = seen.mean(0) - placed(own.mean(0), pose)
+            starts.append(pose)
+        return starts
+
+
+def outline_edges(shape: Shape, height: float, corner: float) -> Edges:
+    """Points on an outline, dark inside, none within `corner` [m] of a corner."""
+    if isinstance(shape, Disk):
+        angle = 2.0 * np.pi * np.arange(POINTS) / POINTS
+        outward = np.column_stack((np.cos(angle), np.sin(angle)))
+        point = shape.radius * outward
+    else:
+        point, outward = _along(shape.outline, corner)
+    return Edges(
+        point=point,
+        outward=outward,
+        height=np.full(len(point), height),
+        group=np.zeros(len(point), dtype=np.int64),
+    )
+
+
+def _along(outline: FloatArray, corner: float) -> tuple[FloatArray, FloatArray]:
+    following = np.roll(outline, -1, axis=0)
+    length = np.hypot(*(following - outline).T)
+    points, outward = [], []
+    for start, end, long in zip(outline, following, length, strict=True):
+        left_out = min(corner, 0.3 * float(long))
+        n = max(round(POINTS * float(long / length.sum())), 3)
+        along = np.linspace(left_out, long - left_out, n)[:, None]
+        direction = (end - start) / long
+        points.append(start + along * direction)
+        outward.append(np.tile([direction[1], -direction[0]], (n, 1)))
+    return np.concatenate(points), np.concatenate(outward)
+
+
+def filled(shape: Shape, about: int) -> FloatArray:
+    """(n, 2) points of a grid over a shape, about so many [m]."""
+    import shapely
+
+    polygon = shapely.Polygon(shape.outline)
+    low, high = shape.outline.min(0), shape.outline.max(0)
+    step = math.sqrt(float(np.prod(high - low)) / about)
+    x, y = np.meshgrid(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step))
+    inside = shapely.contains_xy(polygon, x.ravel(), y.ravel())
+    return np.asarray(np.column_stack((x.ravel(), y.ravel()))[inside])
+
+
+def _axis(points: FloatArray) -> float:
+    """Angle of the long axis of the ellipse with the moments of points [rad]."""
+    (xx, xy), (_, yy) = np.cov(points.T).tolist()
+    return 0.5 * math.atan2(2.0 * xy, xx - yy)
+
+
+def _dark(picture: Gray) -> NDArray[np.uint8]:
+    """255 where it is dark, by Otsu's threshold; nothing where it is all the same."""
+    cv2 = opencv()
+    contiguous = np.ascontiguousarray(picture)
+    low, high = np.percentile(contiguous[::4, ::4], (1.0, 99.0))
+    if high - low < CONTRAST:
+        return np.zeros(picture.shape, dtype=DARK)
+    _, mask = cv2.threshold(contiguous, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)
+    return np.asarray(mask, dtype=DARK)
+
+
+def _without(dark: NDArray[np.uint8], outline: FloatArray) -> NDArray[np.uint8]:
+    """What is dark beside an outline."""
+    cv2 = opencv()
+    rest = dark.copy()
+    corners = np.rint(outline).astype(np.int32)
+    cv2.fillPoly(rest, [corners], 0)
+    cv2.polylines(rest, [corners], True, 0, thickness=5)
+    return rest

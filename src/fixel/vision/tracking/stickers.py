@@ -1,0 +1,205 @@
+"""Coloured stickers, as in the thesis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import ClassVar, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.shape import placed
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig, Sticker
+from fixel.vision.tracking.base import (
+    AbstractFollower,
+    AbstractTracking,
+    Prediction,
+    Sighting,
+    Thing,
+    vague,
+)
+from fixel.vision.tracking.colour import find_patches, fit_sticker
+from fixel.vision.tracking.tags import rigid
+
+REACH: Final = 6.0  # [px] from where a sticker is expected
+APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
+MOST_RESIDUAL: Final = 0.7  # [px]
+SEARCH_ALL: Final = 15  # lost frames between two looks at the whole picture
+MARGIN: Final = 60  # [px] around the last place, in the others
+LEAST_SHARE: Final = 0.35  # of a sticker's edge
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Stickers(AbstractTracking):
+    """Round stickers of one colour each, two or more a part.
+
+    They are found by hue and followed by their edges; see `colour.fit_sticker`. Their distances
+    must be as in the rig, else something else was taken for one of them.
+
+    Source
+    ------
+    The thesis's appendix on tracking: two coloured stickers on object and actuator.
+    """
+
+    name: ClassVar[str] = "stickers"
+
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+        """Those with at least two stickers."""
+        return tuple(name for name in rig.parts if len(_stickers(rig, name)) >= 2)
+
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+        """Begin a film; see `AbstractTracking.follow`."""
+        names = self.parts(rig, things)
+        if not names:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found="no part with two stickers",
+                expected="two stickers on each part to track: one tells no angle",
+                hint="use --method tags, or describe the stickers in the rig file",
+            )
+        return _StickerFollower(rig, names)
+
+
+def _stickers(rig: Rig, name: str) -> tuple[Sticker, ...]:
+    return tuple(mark for mark in rig.parts[name].marks if isinstance(mark, Sticker))
+
+
+@final
+class _StickerFollower(AbstractFollower):
+    def __init__(self, rig: Rig, names: Sequence[str]) -> None:
+        everything = tuple(sticker for name in rig.parts for sticker in _stickers(rig, name))
+        self._parts = {
+            name: _StickeredPart(rig.camera, _stickers(rig, name), everything) for name in names
+        }
+
+    def see(self, frame: Frame) -> dict[str, Sighting]:
+        return {name: part.see(frame) for name, part in self._parts.items()}
+
+
+@final
+class _StickeredPart:
+    """One part, from frame to frame."""
+
+    def __init__(
+        self, camera: Camera, own: tuple[Sticker, ...], everything: tuple[Sticker, ...]
+    ) -> None:
+        self._camera = camera
+        self._own = own
+        self._everything = everything
+        self._scale = camera.metres_per_pixel(max(sticker.height for sticker in own))
+        self._place = np.array([sticker.place for sticker in own])
+        self._prediction = Prediction()
+        self._lost = 0
+
+    def see(self, frame: Frame) -> Sighting:
+        expected = self._prediction.at(frame.time)
+        sight = Sighting(reason="not found yet")
+        if expected is not None:
+            sight = self._fitted(frame, placed(self._place, expected))
+        if sight.pose is None:
+            found, reason = self._found(frame)
+            sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
+        if sight.pose is None:
+            self._lost += 1
+        else:
+            self._lost = 0
+            self._prediction.seen(frame.time, sight.pose)
+        return sight
+
+    def _fitted(self, frame: Frame, places: FloatArray) -> Sighting:
+        """The pose, from stickers near places (n, 2) [m]."""
+        fits = [
+            fit_sticker(frame, self._camera, sticker, place, REACH)
+            for sticker, place in zip(self._own, places, strict=True)
+        ]
+        missing = [fit for fit in fits if isinstance(fit, str)]
+        good = [
+            (k, fit)
+            for k, fit in enumerate(fits)
+            if not isinstance(fit, str)
+            and fit.share >= LEAST_SHARE
+            and fit.residual <= MOST_RESIDUAL
+        ]
+        if len(good) < 2:
+            return Sighting(reason=missing[0] if missing else "its stickers are not round")
+        index = [k for k, _ in good]
+        seen = np.array([fit.pose[:2] for _, fit in good])
+        own = self._place[index]
+        wrong = self._wrong_distance(index, own, seen)
+        if wrong:
+            return Sighting(reason=wrong)
+        pose = rigid(own, seen)
+        sd = _spread(own, [fit.covariance[:2, :2] for _, fit in good])
+        if vague(sd, self._scale):
+            return Sighting(reason="too little of its stickers shows to tell a pose")
+        rest = float(np.sqrt(np.mean((placed(own, pose) - seen) ** 2))) / self._scale
+        return Sighting(
+            pose=pose,
+            residual=max(rest, float(np.mean([fit.residual for _, fit in good]))),
+            scale=self._scale,
+            sd=sd,
+            marks=len(good),
+            share=float(np.mean([fit.share for _, fit in good])),
+        )
+
+    def _wrong_distance(self, index: list[int], own: FloatArray, seen: FloatArray) -> str:
+        slack = APART * self._scale / 0.55e-3
+        for i, j in combinations(range(len(own)), 2):
+            should = float(np.hypot(*(own[i] - own[j])))
+            found = float(np.hypot(*(seen[i] - seen[j])))
+            if abs(found - should) > slack:
+                a, b = self._own[index[i]].colour, self._own[index[j]].colour
+                return (
+                    f"the {a} and {b} stickers are {found * 1e3:.2f} mm apart, "
+                    f"not {should * 1e3:.2f} mm as in the rig"
+                )
+        return ""
+
+    def _found(self, frame: Frame) -> tuple[FloatArray | None, str]:
+        """(n, 2) places of the stickers [m], looked for by colour; or why there are none."""
+        rows, columns = self._where(frame)
+        corner = np.array([columns.start or 0, rows.start or 0], dtype=np.float64)
+        patches = find_patches(frame.colour(rows, columns), self._everything, self._camera, corner)
+        places = []
+        for sticker in self._own:
+            candidates = patches[sticker.colour]
+            if not candidates:
+                return None, f"no {sticker.colour} sticker in the picture"
+            if len(candidates) > 1:
+                at = " and ".join(f"({p.pixel[0]:.0f}, {p.pixel[1]:.0f}) px" for p in candidates)
+                return None, (
+                    f"{len(candidates)} things of one colour look like the {sticker.colour} "
+                    f"sticker, at {at}: take the others away, or mask them"
+                )
+            places.append(self._camera.on_plane(candidates[0].pixel, sticker.height))
+        return np.array(places), ""
+
+    def _where(self, frame: Frame) -> tuple[slice, slice]:
+        last = self._prediction.pose
+        if last is None or self._lost % SEARCH_ALL == SEARCH_ALL - 1:
+            return slice(None), slice(None)
+        pixel = np.array(
+            [
+                self._camera.project_at(place, sticker.height)
+                for place, sticker in zip(placed(self._place, last), self._own, strict=True)
+            ]
+        )
+        width, height = frame.size
+        low = np.maximum(pixel.min(0).astype(int) - MARGIN, 0)
+        high = np.minimum(pixel.max(0).astype(int) + MARGIN, (width, height))
+        return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def _spread(own: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
+    """(3,) standard deviations of a pose from those of its stickers."""
+    information = np.zeros((3, 3))
+    for (x, y), covariance in zip(own - own.mean(0), covariances, strict=True):
+        row = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+        information += row.T @ np.linalg.inv(covariance) @ row
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))

@@ -1,0 +1,86 @@
+"""Tags: finding and reading them anywhere in a picture."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import BoolArray
+from fixel.vision.frame import Gray
+from fixel.vision.marks import Tag
+from fixel.vision.opencv import opencv
+
+DICTIONARIES: Final = {
+    "apriltag-36h11": "DICT_APRILTAG_36h11",
+    "aruco-4x4-50": "DICT_4X4_50",
+    "aruco-5x5-100": "DICT_5X5_100",
+}
+# Corners of a tag of side 1, as they are found: clockwise in the picture from the upper left.
+CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+
+TagName = tuple[str, int]
+
+
+def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArray]]:
+    """All tags in a picture.
+
+    Returns
+    -------
+    dict from (family, id) to list of (4, 2) float64
+        Corners [px], clockwise from the upper left of the tag; rough, to half a pixel. More than
+        one of an id is a sign of a second tag like it.
+    """
+    found: dict[TagName, list[FloatArray]] = {}
+    contiguous = np.ascontiguousarray(picture)
+    for family in sorted(families):
+        corners, ids, _ = _detector(family).detectMarkers(contiguous)
+        for quad, id_ in zip(corners, () if ids is None else np.ravel(ids), strict=True):
+            found.setdefault((family, int(id_)), []).append(quad.reshape(4, 2).astype(np.float64))
+    return found
+
+
+@functools.cache
+def _detector(family: str) -> Any:
+    cv2 = opencv()
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    return cv2.aruco.ArucoDetector(_dictionary(family), parameters)
+
+
+@functools.cache
+def _dictionary(family: str) -> Any:
+    cv2 = opencv()
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
+
+
+@functools.cache
+def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
+    """Middles of the cells of a tag of side 1, border included, (n, 2), and which are white."""
+    dictionary = _dictionary(family)
+    if id_ >= len(dictionary.bytesList):
+        raise InvalidInput(
+            "tag.id", found=id_, expected=f"below {len(dictionary.bytesList)} in {family}"
+        )
+    size = dictionary.markerSize
+    inner = dictionary.getBitsFromByteList(dictionary.bytesList[id_ : id_ + 1], size)
+    white: NDArray[np.bool_] = np.pad(np.asarray(inner).reshape(size, size) > 0, 1)
+    middle = (np.arange(size + 2) + 0.5) / (size + 2) - 0.5
+    x, y = np.meshgrid(middle, -middle)
+    return np.column_stack((x.ravel(), y.ravel())), white.ravel()
+
+
+def tag_corners(tag: Tag) -> FloatArray:
+    """(4, 2) corners of a tag in the frame of its part, as `read_tags` orders them [m]."""
+    return on_tag(tag, CORNERS)
+
+
+def on_tag(tag: Tag, points: FloatArray) -> FloatArray:
+    """(n, 2) points of a tag of side 1 in the frame of its part [m]."""
+    x, y, angle = tag.pose
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(tag.size * points @ np.array([[c, s], [-s, c]]) + (x, y))

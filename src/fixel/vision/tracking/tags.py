@@ -1,0 +1,258 @@
+"""Tags: read once, then followed by their edges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final, final
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model.shape import placed
+from fixel.vision.camera import Camera
+from fixel.vision.frame import Frame, Gray
+from fixel.vision.marks import Rig, Tag
+from fixel.vision.tracking.base import (
+    AbstractFollower,
+    AbstractTracking,
+    Prediction,
+    Sighting,
+    Thing,
+    vague,
+)
+from fixel.vision.tracking.outline import Edges, Fit, fit_pose
+from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
+
+POINTS: Final = 12  # on each side of a tag
+FROM_CORNERS: Final = 0.08  # of a side, at either end, that is left out: corners are rounded
+REACH: Final = 7.0  # [px] from where a tag is expected
+REACH_READ: Final = 5.0  # [px] from where it was read
+AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
+CONTRAST: Final = 15.0  # of brightness between black and white cells
+MOST_RESIDUAL: Final = 0.6  # [px]
+SEARCH_ALL: Final = 15  # lost frames between two looks at the whole picture
+MARGIN: Final = 40  # [px] around the last place, in the others
+WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Tags(AbstractTracking):
+    """AprilTag or ArUco tags on the parts.
+
+    All edges of all tags of a part are fitted by one pose in the plane, through the camera's whole
+    model at the height of the tags: no pose is taken from a tag by itself, so that nothing flips.
+    Tags are read where a film starts and where they were lost; in between, their edges are
+    followed, and their cells compared with what they should be in every frame.
+
+    Sources
+    -------
+    E. Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011;
+    S. Garrido-Jurado et al., "Automatic generation and detection of highly reliable fiducial
+    markers under occlusion", Pattern Recognition 47(6), 2014.
+    """
+
+    name: ClassVar[str] = "tags"
+
+    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+        """Those with at least one tag."""
+        return tuple(
+            name for name, part in rig.parts.items() if any(isinstance(m, Tag) for m in part.marks)
+        )
+
+    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+        """Begin a film; see `AbstractTracking.follow`."""
+        names = self.parts(rig, things)
+        if not names:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found="no tag on any part",
+                expected="tags to track",
+                hint="use --method stickers, or describe the tags in the rig file",
+            )
+        tags = {
+            name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag)) for name in names
+        }
+        return _TagFollower(rig.camera, tags)
+
+
+@final
+class _TagFollower(AbstractFollower):
+    def __init__(self, camera: Camera, tags: Mapping[str, Sequence[Tag]]) -> None:
+        self._parts = {name: _TaggedPart(camera, name, own) for name, own in tags.items()}
+
+    def see(self, frame: Frame) -> dict[str, Sighting]:
+        return {name: part.see(frame) for name, part in self._parts.items()}
+
+
+@final
+class _TaggedPart:
+    """One part, from frame to frame."""
+
+    def __init__(self, camera: Camera, name: str, tags: Sequence[Tag]) -> None:
+        self._camera = camera
+        self._name = name
+        self._tags = tuple(tags)
+        self._edges = joined([tag_edges(tag, k) for k, tag in enumerate(tags)])
+        self._families = {tag.family for tag in tags}
+        self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
+        self._prediction = Prediction()
+        self._lost = 0
+
+    def see(self, frame: Frame) -> Sighting:
+        expected = self._prediction.at(frame.time)
+        if expected is not None:
+            sight = self._followed(frame.luma, expected, REACH)
+            if sight.pose is not None:
+                return self._took(frame, sight)
+        else:
+            sight = Sighting(reason=f"no tag of {self._name} found yet")
+        read, reason = self._read(frame.luma)
+        if read is None:
+            self._lost += 1
+            return Sighting(reason=reason or sight.reason)
+        sight = self._followed(frame.luma, read, REACH_READ)
+        if sight.pose is None:
+            self._lost += 1
+            return sight
+        return self._took(frame, sight)
+
+    def _took(self, frame: Frame, sight: Sighting) -> Sighting:
+        assert sight.pose is not None
+        self._lost = 0
+        self._prediction.seen(frame.time, sight.pose)
+        return sight
+
+    def _followed(self, picture: Gray, pose: FloatArray, reach: float) -> Sighting:
+        fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach)
+        if fit is None:
+            return Sighting(reason="too few edges of its tags are to be seen")
+        agreeing = self._agreeing(picture, fit)
+        if not agreeing:
+            return Sighting(reason="what is there does not read as its tags")
+        sd = np.sqrt(np.diag(fit.covariance))
+        if fit.residual > MOST_RESIDUAL:
+            return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
+        if vague(sd, self._scale):
+            return Sighting(reason="too little of its tags shows to tell a pose")
+        return Sighting(
+            pose=fit.pose,
+            residual=fit.residual,
+            scale=self._scale,
+            sd=sd,
+            marks=agreeing,
+            share=fit.share,
+        )
+
+    def _agreeing(self, picture: Gray, fit: Fit) -> int:
+        """How many tags read as they should, at a pose."""
+        return sum(
+            reads_as(picture, self._camera, tag, fit.pose) >= AGREES
+            for k, tag in enumerate(self._tags)
+            if fit.used[self._edges.group == k].any()
+        )
+
+    def _read(self, picture: Gray) -> tuple[FloatArray | None, str]:
+        """Pose from tags that are read, roughly; or why not."""
+        window, corner = self._window(picture)
+        found = read_tags(window, self._families)
+        own, seen = [], []
+        for tag in self._tags:
+            quads = found.get((tag.family, tag.id), [])
+            if len(quads) > 1:
+                return None, f"{tag.family} tag {tag.id} is in the picture {len(quads)} times"
+            for quad in quads:
+                own.append(tag_corners(tag))
+                seen.append(self._camera.on_plane(quad + corner, tag.height))
+                _refuse_size(self._name, tag, seen[-1])
+        if not own:
+            return None, ""
+        return rigid(np.concatenate(own), np.concatenate(seen)), ""
+
+    def _window(self, picture: Gray) -> tuple[Gray, FloatArray]:
+        """Where to read: near the last place, and now and then everywhere."""
+        last = self._prediction.pose
+        if last is None or self._lost % SEARCH_ALL == SEARCH_ALL - 1:
+            return picture, np.zeros(2)
+        corners = [
+            self._camera.project_at(placed(tag_corners(tag), last), tag.height)
+            for tag in self._tags
+        ]
+        low = np.floor(np.min(np.concatenate(corners), axis=0)).astype(int) - MARGIN
+        high = np.ceil(np.max(np.concatenate(corners), axis=0)).astype(int) + MARGIN
+        height, width = picture.shape
+        left, top = max(int(low[0]), 0), max(int(low[1]), 0)
+        right, bottom = min(int(high[0]), width), min(int(high[1]), height)
+        if right - left < MARGIN or bottom - top < MARGIN:
+            return picture, np.zeros(2)
+        return picture[top:bottom, left:right], np.array([left, top], dtype=np.float64)
+
+
+def tag_edges(tag: Tag, group: int) -> Edges:
+    """Points on the sides of a tag's black square."""
+    along = np.linspace(FROM_CORNERS, 1.0 - FROM_CORNERS, POINTS)[:, None]
+    sides = [
+        corner + along * (following - corner)
+        for corner, following in zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)
+    ]
+    outward = np.repeat(np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]), POINTS, 0)
+    point = on_tag(tag, np.concatenate(sides))
+    turned = (on_tag(tag, outward) - tag.pose[:2]) / tag.size
+    n = len(point)
+    return Edges(
+        point=point, outward=turned, height=np.full(n, tag.height), group=np.full(n, group)
+    )
+
+
+def joined(edges: Sequence[Edges]) -> Edges:
+    """All edges of a part."""
+    return Edges(
+        point=np.concatenate([e.point for e in edges]),
+        outward=np.concatenate([e.outward for e in edges]),
+        height=np.concatenate([e.height for e in edges]),
+        group=np.concatenate([e.group for e in edges]),
+    )
+
+
+def reads_as(picture: Gray, camera: Camera, tag: Tag, pose: FloatArray) -> float:
+    """Share of a tag's cells that are as black and white as they should be, at a pose."""
+    middle, white = cells(tag.family, tag.id)
+    u, v = camera.project_at(placed(on_tag(tag, middle), pose), tag.height).T
+    level = map_coordinates(
+        picture, (v, u), output=np.float64, order=1, mode="nearest", prefilter=False
+    )
+    dark, bright = np.median(level[~white]), np.median(level[white])
+    if bright - dark < CONTRAST:
+        return 0.0
+    return float(((level > 0.5 * (dark + bright)) == white).mean())
+
+
+def rigid(own: FloatArray, seen: FloatArray) -> FloatArray:
+    """(3,) pose that brings points (n, 2) of a part onto places (n, 2), by least squares."""
+    a, b = own - own.mean(0), seen - seen.mean(0)
+    cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    angle = math.atan2(cross, float((a * b).sum()))
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = own.mean(0)
+    return np.append(seen.mean(0) - (c * x - s * y, s * x + c * y), angle)
+
+
+def _refuse_size(part: str, tag: Tag, corners: FloatArray) -> None:
+    sides = np.hypot(*(corners - np.roll(corners, -1, axis=0)).T)
+    mean = float(sides.mean())
+    if abs(mean / tag.size - 1.0) > WRONG_SIZE and np.ptp(sides) < WRONG_SIZE * mean:
+        raise InvalidInput(
+            f"tag {tag.id} of {part}",
+            found=f"{mean * 1e3:.1f} mm wide in the picture",
+            expected=f"{tag.size * 1e3:.1f} mm, as the rig says",
+            hint="is its size in the rig that of the black square, and its height right?",
+        )
+
+
+def names_of(tags: Sequence[Tag]) -> set[TagName]:
+    """What `read_tags` calls these."""
+    return {(tag.family, tag.id) for tag in tags}

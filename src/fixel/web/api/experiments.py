@@ -1,0 +1,518 @@
+"""Experiments: the table, its marks, and all of one."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
+from typing import TYPE_CHECKING, Annotated, Any, Final, final
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import FileResponse, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from fixel.database.browsing import Row
+from fixel.drawing.thumbnail import thumbnail
+from fixel.errors import NotStored
+from fixel.exchange.trajectory_file import plain_numbers
+from fixel.model import Experiment, Flag, Trajectory
+from fixel.web.api._values import LARGEST, Array, Id, Number, Text
+from fixel.workflows.browse import coverage, view_of, vocabulary
+from fixel.workflows.experiments import summary
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+MOST_ROWS: Final = 500  # on one page
+MOST_MARKED: Final = 20_000  # in one act
+MOST_THUMBNAILS: Final = 5000  # kept; about 2 kB each
+FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
+
+Filter = Annotated[
+    str,
+    Query(
+        max_length=1000,
+        description="words, `shape=square`, `error>5` [mm], `flag:NAME`, `is:faulty`, ...",
+    ),
+]
+
+
+# --- what is asked for and answered -----------------------------------------------------------
+
+
+class FlagOut(BaseModel):
+    """Something one should know before using an experiment."""
+
+    name: str
+    detail: str
+    fault: bool = Field(description="whether analyses leave the experiment out")
+
+
+class NoteOut(BaseModel):
+    """What somebody wrote."""
+
+    id: int
+    text: str
+    created_utc: str
+
+
+class RowOut(BaseModel):
+    """A line of the table."""
+
+    id: int
+    dataset: str
+    name: str
+    real: bool
+    shape: str | None
+    layout: str | None
+    frames: int
+    duration_s: float
+    start: list[float] = Field(description="x [m], y [m], angle [rad]")
+    end: list[float] = Field(description="x [m], y [m], angle [rad]")
+    moved_m: float
+    turned_rad: float
+    contacts: str = Field(description="measured at the end, a digit a fixel")
+    conditions: dict[str, str | float]
+    created_utc: str
+    content: str = Field(description="beginning of the checksum of its content")
+    before_mm: float | None = Field(
+        description="root of the thesis's E, of the newest stored simulation with nominal values"
+    )
+    after_mm: float | None = Field(description="the same, of the newest calibration it is part of")
+    flags: list[FlagOut]
+    notes: int
+    deleted: bool
+
+
+class TableOut(BaseModel):
+    """One page of the table."""
+
+    experiments: list[RowOut]
+    total: int = Field(description="that match, on this page or not")
+    faulty: int = Field(description="of these, with a fault in their data")
+
+
+class IdsOut(BaseModel):
+    """Ids of experiments."""
+
+    ids: list[int]
+
+
+class ValuesOut(BaseModel):
+    """What a condition was."""
+
+    texts: dict[str, int]
+    low: float | None
+    high: float | None
+    total: int
+
+
+class VocabularyOut(BaseModel):
+    """What experiments can be told apart by."""
+
+    datasets: dict[str, int]
+    flags: dict[str, int]
+    conditions: dict[str, ValuesOut]
+
+
+class AxisOut(BaseModel):
+    """An axis of the coverage."""
+
+    name: str
+    edges: list[float]
+    centres: list[float]
+
+
+class CoverageOut(BaseModel):
+    """How many experiments there are at each place of a plane of configurations."""
+
+    x: AxisOut
+    y: AxisOut
+    number: list[list[int]] = Field(description="a row for each place along x")
+    shapes: list[str]
+    layouts: list[str]
+    table: list[list[int]] = Field(description="a row a shape, a column a layout")
+    axes: list[str] = Field(description="names that an axis may have")
+    without: int = Field(description="experiments that have no such value")
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
+
+
+class Marked(_Asked):
+    """Which experiments."""
+
+
+class FlagIn(_Asked):
+    """A flag for experiments."""
+
+    name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
+    detail: Text = Field(default="", max_length=2000)
+    fault: bool = Field(default=True, description="whether analyses leave them out")
+
+
+class UnflagIn(_Asked):
+    """A flag to take off."""
+
+    name: Text = Field(max_length=100)
+
+
+class NoteIn(_Asked):
+    """A note beside experiments."""
+
+    text: Text = Field(min_length=1, max_length=10_000)
+
+
+class ChangedOut(BaseModel):
+    """What an act changed: taking it back means these and no others."""
+
+    changed: list[int]
+
+
+class TrackOut(BaseModel):
+    """Poses against time."""
+
+    time: Array = Field(description="(n,) [s]")
+    pose: Array = Field(description="(n, 3) x [m], y [m], angle [rad]")
+
+
+class TrajectoryOut(TrackOut):
+    """What was measured."""
+
+    object: str
+    pusher: TrackOut | None
+    effective_s: list[float] | None = Field(description="first and last instant of useful data")
+
+
+class SimulationOut(BaseModel):
+    """A stored simulation of an experiment."""
+
+    id: int
+    parameters: dict[str, float]
+    status: str
+    contacts: str
+    error_mm: float | None = Field(description="root of the thesis's E")
+    created_utc: str
+    command: str
+    method: dict[str, Any]
+    track: TrackOut
+    pusher: TrackOut | None
+
+
+class SimulationsOut(BaseModel):
+    """The newest simulations of an experiment, the newest first."""
+
+    total: int
+    simulations: list[SimulationOut]
+
+
+class SignalOut(BaseModel):
+    """A channel."""
+
+    name: str
+    columns: list[str]
+    time: Array = Field(description="(n,) [s]")
+    values: Array = Field(description="(n, n_column); NaN where there was no reading")
+
+
+class TactileOut(BaseModel):
+    """Which fixel was touched when."""
+
+    measured: SignalOut | None
+    fixels: list[str]
+
+
+class ExperimentOut(BaseModel):
+    """All that is known of an experiment but for what is long."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: int
+    key: str
+    notes: list[NoteOut]
+    deleted: bool
+    content: str
+    has_video: bool
+
+
+# --- routes -----------------------------------------------------------------------------------
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/experiments`, `/coverage` and `/vocabulary`."""
+    found = APIRouter(tags=["experiments"])
+    _add_table(found, desk)
+    _add_marks(found, desk)
+    _add_one(found, desk)
+    return found
+
+
+def _add_table(router: APIRouter, desk: Desk) -> None:
+    @router.get("/experiments", summary="One page of the table, sorted and filtered")
+    def table(
+        filter: Filter = "",
+        sort: Annotated[str, Query(max_length=100, description="a column or a condition")] = "id",
+        descending: bool = False,
+        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+        offset: Annotated[int, Query(ge=0, le=LARGEST)] = 0,
+    ) -> TableOut:
+        view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
+        leaf = desk.store.browse(view)
+        rows = [row_out(row) for row in leaf.rows]
+        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty)
+
+    @router.get("/experiments/ids", summary="Ids of all that match, in order")
+    def ids(
+        filter: Filter = "",
+        sort: Annotated[str, Query(max_length=100)] = "id",
+        descending: bool = False,
+    ) -> IdsOut:
+        view = view_of(filter, sort=sort, descending=descending)
+        return IdsOut(ids=desk.store.browse_ids(view))
+
+    @router.get("/vocabulary", summary="What experiments can be told apart by")
+    def words() -> VocabularyOut:
+        known = vocabulary(desk.store)
+        return VocabularyOut(
+            datasets=known.datasets,
+            flags=known.flags,
+            conditions={k: ValuesOut(**v._asdict()) for k, v in known.conditions.items()},
+        )
+
+    @router.get("/coverage", summary="Which configurations have been run")
+    def covered(
+        filter: Filter = "",
+        x: Annotated[str | None, Query(max_length=100)] = None,
+        y: Annotated[str | None, Query(max_length=100)] = None,
+    ) -> CoverageOut:
+        found = coverage(desk.store, view_of(filter), x, y)
+        axes = {
+            name: AxisOut(name=axis.name, edges=axis.edges.tolist(), centres=axis.centres.tolist())
+            for name, axis in (("x", found.x), ("y", found.y))
+        }
+        return CoverageOut(
+            **axes,
+            number=found.number.astype(int).tolist(),
+            shapes=list(found.shapes),
+            layouts=list(found.layouts),
+            table=found.table.astype(int).tolist(),
+            axes=list(found.axes),
+            without=found.without,
+        )
+
+
+def _add_marks(router: APIRouter, desk: Desk) -> None:
+    store = desk.store
+
+    @router.post("/experiments/flag", summary="Add a flag to experiments")
+    def flag(asked: FlagIn) -> ChangedOut:
+        made = Flag(asked.name, asked.detail, asked.fault)
+        return ChangedOut(changed=store.flag_all(asked.ids, made))
+
+    @router.post("/experiments/unflag", summary="Take a flag off experiments")
+    def unflag(asked: UnflagIn) -> ChangedOut:
+        return ChangedOut(changed=store.unflag_all(asked.ids, asked.name))
+
+    @router.post("/experiments/delete", summary="Leave experiments out of everything")
+    def delete(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_all(asked.ids))
+
+    @router.post("/experiments/undelete", summary="Take deletions of experiments back")
+    def undelete(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_all(asked.ids, back=True))
+
+    @router.post("/experiments/note", summary="Write a note beside experiments")
+    def note(asked: NoteIn) -> ChangedOut:
+        """`changed` are the ids of the notes."""
+        return ChangedOut(changed=store.annotate(asked.ids, asked.text))
+
+    @router.post("/notes/delete", summary="Delete notes, by their ids")
+    def delete_notes(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_notes(asked.ids))
+
+    @router.post("/notes/undelete", summary="Take deletions of notes back, by their ids")
+    def undelete_notes(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_notes(asked.ids, back=True))
+
+
+def _add_one(router: APIRouter, desk: Desk) -> None:
+    store = desk.store
+    drawn = Thumbnails(lambda number: thumbnail(store.experiment(number)))
+
+    @router.get("/experiments/{number}", summary="All that is known of an experiment")
+    def one(number: Number) -> ExperimentOut:
+        return experiment_out(desk, number)
+
+    @router.get("/experiments/{number}/trajectory", summary="Poses that were measured")
+    def trajectory(number: Number) -> TrajectoryOut:
+        experiment = store.experiment(number)
+        return TrajectoryOut(
+            object=experiment.object_name,
+            **_track(experiment.trajectory),
+            pusher=None if experiment.pusher is None else TrackOut(**_track(experiment.pusher)),
+            effective_s=None if experiment.effective is None else list(experiment.effective),
+        )
+
+    @router.get("/experiments/{number}/simulations", summary="Its newest stored simulations")
+    def simulations(
+        number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
+    ) -> SimulationsOut:
+        store.content(number)  # refuses one that is not there
+        stored = store.simulations(number)[::-1]
+        return SimulationsOut(
+            total=len(stored), simulations=[_simulation(desk, one) for one in stored[:limit]]
+        )
+
+    @router.get("/experiments/{number}/tactile", summary="Which fixel was touched when")
+    def tactile(number: Number) -> TactileOut:
+        experiment = store.experiment(number)
+        scene, channel = experiment.scene, experiment.channel("tactile")
+        return TactileOut(
+            measured=None
+            if channel is None
+            else SignalOut(
+                name=channel.name,
+                columns=list(channel.columns),
+                time=Array.of(channel.time),
+                values=Array.of(channel.values),
+            ),
+            fixels=[] if scene is None else [fixel.name for fixel in scene.fixels],
+        )
+
+    @router.get(
+        "/experiments/{number}/thumbnail.svg",
+        summary="A small picture of the run",
+        response_class=Response,
+        responses={200: {"content": {"image/svg+xml": {}}}},
+    )
+    def small(
+        number: Number,
+        content: Annotated[
+            str, Query(max_length=64, description="its checksum: then the answer may be kept")
+        ] = "",
+    ) -> Response:
+        picture = drawn.of(number, content or store.content(number))
+        headers = {"cache-control": FOR_EVER} if content else None
+        return Response(picture, media_type="image/svg+xml", headers=headers)
+
+    @router.get(
+        "/experiments/{number}/video",
+        summary="Its video, whole or by ranges",
+        response_class=FileResponse,
+        responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
+    )
+    def video(number: Number, request: Request) -> Response:
+        path = store.video(number)
+        if path is None or not path.is_file():
+            raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
+        return FileResponse(path, media_type="video/mp4", headers={"cache-control": FOR_EVER})
+
+
+def row_out(row: Row) -> RowOut:
+    """A line of the table, for JSON."""
+    dx, dy = row.end[0] - row.start[0], row.end[1] - row.start[1]
+    return RowOut(
+        id=row.id,
+        dataset=row.dataset,
+        name=row.name,
+        real=row.real,
+        shape=_text(row.conditions.get("shape")),
+        layout=_text(row.conditions.get("layout")),
+        frames=row.frames,
+        duration_s=row.duration_s,
+        start=list(row.start),
+        end=list(row.end),
+        moved_m=(dx * dx + dy * dy) ** 0.5,
+        turned_rad=row.end[2] - row.start[2],
+        contacts=row.contacts,
+        conditions=row.conditions,
+        created_utc=row.created,
+        content=row.content[:16],
+        before_mm=_root(row.before_mm2),
+        after_mm=_root(row.after_mm2),
+        flags=[FlagOut(name=name, detail=detail, fault=fault) for name, detail, fault in row.flags],
+        notes=row.notes,
+        deleted=row.deleted,
+    )
+
+
+def experiment_out(desk: Desk, number: int) -> ExperimentOut:
+    """All that is known of an experiment but for what is long, for JSON."""
+    experiment: Experiment = desk.store.experiment(number)
+    known = plain_numbers(summary(experiment))
+    return ExperimentOut(
+        id=number,
+        key=experiment.key,
+        notes=[
+            NoteOut(id=note.id, text=note.text, created_utc=note.created)
+            for note in desk.store.notes(number)
+        ],
+        deleted=desk.store.deleted(number),
+        content=desk.store.content(number)[:16],
+        has_video=bool(experiment.video),
+        **known,
+    )
+
+
+def _simulation(desk: Desk, number: int) -> SimulationOut:
+    record = desk.store.simulation(number)
+    return SimulationOut(
+        id=number,
+        parameters=dict(record.parameters),
+        status=record.status,
+        contacts=record.contact_mode,
+        error_mm=_root(record.error_mm2),
+        created_utc=record.provenance.created,
+        command=record.provenance.command,
+        method=dict(record.method),
+        track=TrackOut(**_track(record.trajectory)),
+        pusher=None if record.pusher is None else TrackOut(**_track(record.pusher)),
+    )
+
+
+def _track(trajectory: Trajectory) -> dict[str, Array]:
+    return {"time": Array.of(trajectory.time), "pose": Array.of(trajectory.pose)}
+
+
+def _root(square: float | None) -> float | None:
+    return None if square is None else square**0.5
+
+
+def _text(value: str | float | None) -> str | None:
+    return None if value is None else f"{value:g}" if isinstance(value, float) else value
+
+
+@final
+class Thumbnails:
+    """Small pictures that have been drawn, the newest kept in memory.
+
+    Parameters
+    ----------
+    draw : callable
+        Told the id of an experiment, gives an SVG.
+    most : int
+        So many are kept.
+    """
+
+    def __init__(self, draw: Callable[[int], str], most: int = MOST_THUMBNAILS) -> None:
+        self._draw = draw
+        self._most = most
+        self._kept: OrderedDict[tuple[int, str], str] = OrderedDict()
+        self._lock = Lock()
+
+    def of(self, number: int, content: str) -> str:
+        """The picture of an experiment whose content has this checksum."""
+        key = (number, content[:16])
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        picture = self._draw(number)
+        with self._lock:
+            self._kept[key] = picture
+            while len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        return picture

@@ -1,0 +1,20 @@
+from pathlib import Path
+
+import pytest
+
+from fixel.testing import emulated_mega
+
+
+@pytest.fixture(scope="session")
+def mega_folder() -> Path:
+    """Where the firmware and its emulator were built."""
+    reason = emulated_mega.why_not()
+    if reason:
+        pytest.skip(reason)
+    return emulated_mega.built(emulated_mega.FIRMWARE / "build")
+
+
+@pytest.fixture
+def mega(mega_folder):
+    with emulated_mega.EmulatedMega(mega_folder) as board:
+        yield board

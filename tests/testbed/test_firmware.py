@@ -1,0 +1,86 @@
+"""The firmware as a program of the thesis meets it: bytes on a port, nothing of fixel between."""
+
+import pytest
+import serial
+
+from fixel.testbed import tactile_frames as frames
+
+
+@pytest.fixture
+def port(mega):
+    with serial.Serial(mega.port, frames.BAUD, timeout=2.0) as opened:
+        yield opened
+
+
+def asked(port: serial.Serial, question: bytes, size: int) -> bytes:
+    port.write(question)
+    return port.read(size)
+
+
+def test_the_board_says_nothing_unasked(port):
+    port.timeout = 0.05
+
+    assert port.read(1) == b""
+
+
+@pytest.mark.parametrize("bits", range(8))
+def test_an_old_program_gets_the_old_byte(mega, port, bits):
+    mega.touch(bits)
+
+    assert asked(port, b"?", 1) == bytes([bits])
+
+
+@pytest.mark.parametrize("question", [b"\x00", b"a", b"\xff", b"R", b"\xfa", b"\xf5"])
+def test_any_single_byte_is_an_old_request(mega, port, question):
+    mega.touch(5)
+
+    assert asked(port, question, 1) == b"\x05"
+
+
+@pytest.mark.parametrize(
+    "bytes_sent",
+    [
+        pytest.param(b"\xf5\xf5\xf5", id="beginnings alone"),
+        pytest.param(b"\xf5Q", id="no such kind"),
+        pytest.param(b"\xf5R\x01ab", id="wrong checksum"),
+        pytest.param(b"\xf5T\x01" + bytes(8), id="thresholds with a wrong checksum"),
+        pytest.param(bytes(range(60)), id="as many as its buffer holds"),
+    ],
+)
+def test_whatever_is_no_request_gets_a_byte_for_a_byte(mega, port, bytes_sent):
+    mega.touch(3)
+
+    assert asked(port, bytes_sent, len(bytes_sent)) == b"\x03" * len(bytes_sent)
+
+
+@pytest.mark.parametrize(("volts", "touched"), [(4.39, 0), (4.42, 2)])
+def test_a_fixel_is_touched_above_900_of_1023(mega, port, volts, touched):
+    mega.touch(0)
+    mega.volts(1, volts)
+
+    assert asked(port, b"?", 1) == bytes([touched])
+
+
+def test_a_request_behind_a_stray_beginning_is_understood(mega, port):
+    mega.touch(6)
+
+    answer = asked(port, b"\xf5" + frames.request(frames.READ, 7), 1 + frames.READ_REPLY_BYTES)
+
+    assert answer[0] == 6
+    (frame,) = frames.FrameFinder().add(answer[1:])
+    reading = frames.reading_of(frame)
+    assert (frame.number, reading.bits, reading.protocol) == (7, 6, 2)
+    assert reading.values[0] < 100 < 900 < reading.values[1]
+
+
+def test_contacts_change_at_the_scripted_time(mega, port):
+    mega.touch(0)
+    mega.touch(1, after=0.05)
+
+    first = asked(port, b"?", 1)
+    port.timeout = 0.06
+    port.read(1)
+
+    assert first == b"\x00"
+    port.timeout = 2.0
+    assert asked(port, b"?", 1) == b"\x01"

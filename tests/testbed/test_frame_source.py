@@ -1,0 +1,335 @@
+"""Cameras of every kind, and what is wrong with them."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from tests.testbed.films import SIZE, film, picture
+
+from fixel.errors import InvalidInput
+from fixel.exchange.recording import open_recording
+from fixel.exchange.recording_video import jpeg_of
+from fixel.exchange.video_file import VideoWriter
+from fixel.testbed.device_source import DeviceSource
+from fixel.testbed.file_source import FileSource, PlayedTactile
+from fixel.testbed.frame_source import Stream, refuse_size, source_of
+from fixel.testbed.jpeg import decoded_small, jpeg_size, shrunk
+from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.recorder import Recorder
+from fixel.testbed.url_source import UrlSource
+from fixel.vision.frame import Frame
+
+JPEG = jpeg_of(picture(0))
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("codec", ["near", "exact"])
+def test_a_recording_plays_as_it_was(tmp_path: Path, codec: str) -> None:
+    folder = film(tmp_path / "film", codec=codec)
+    with FileSource(folder, as_fast_as_possible=True) as source:
+        stream = source.open()
+        frames = list(source.frames())
+    assert stream == Stream(SIZE, pytest.approx(100.0), codec != "exact", False)
+    assert source.ended == "the file is at its end"
+    times = np.array([frame.time for frame in frames])
+    np.testing.assert_allclose(times - times[0], np.arange(30) / 100.0, atol=1e-9)
+    kept = open_recording(folder)
+    for arrived, frame in zip(frames, kept.frames(), strict=True):
+        assert np.abs(arrived.picture().astype(int) - frame.picture).max() <= 3
+
+
+def test_a_video_plays_too(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.mkv", SIZE, codec="ffv1") as writer:
+        for k in range(5):
+            writer.write(Frame(k * 0.04, picture(k)))
+    source = FileSource(tmp_path / "v.mkv", as_fast_as_possible=True)
+    assert source.open() == Stream(SIZE, 0.0, False, False)
+    assert [frame.picture().tolist() for frame in source.frames()] == [
+        picture(k).tolist() for k in range(5)
+    ]
+
+
+def test_a_file_keeps_its_own_pace(tmp_path: Path) -> None:
+    source = FileSource(film(tmp_path / "film", n=11, rate=50.0))
+    assert source.open().live
+    times = np.array([frame.time for frame in source.frames()])
+    # Never early; a busy machine may be late.
+    assert (times - times[0] - np.arange(11) / 50.0 > -0.005).all()
+
+
+def test_a_file_may_begin_anew(tmp_path: Path) -> None:
+    source = FileSource(film(tmp_path / "film", n=3), as_fast_as_possible=True, loop=True)
+    source.open()
+    frames = source.frames()
+    times = [next(frames).time for _ in range(7)]
+    source.close()
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-9)
+    assert next(frames, None) is None
+
+
+def test_readings_play_with_their_film(tmp_path: Path) -> None:
+    folder = film(tmp_path / "film", n=20)
+    source = FileSource(folder, as_fast_as_possible=True)
+    recorder = Recorder(
+        source=source,
+        stream=source.open(),
+        folder=tmp_path / "r",
+        codec="as-it-comes",
+        tactile=PlayedTactile(folder, in_turn=True),
+    )
+    recorder.run()
+    assert open_recording(tmp_path / "r").readings.tolist() == [k % 8 for k in range(20)]
+    paced = PlayedTactile(folder)
+    assert paced.read().bits == 0
+    time.sleep(0.2)
+    assert paced.read().bits == 19 % 8
+
+
+# --- network cameras --------------------------------------------------------------------------
+
+
+def test_a_film_goes_round_the_loop_bit_by_bit(tmp_path: Path) -> None:
+    folder = film(tmp_path / "film")
+    with LoopbackCamera(folder) as camera:
+        source = UrlSource(camera.url)
+        stream = source.open()
+        assert stream == Stream(SIZE, 0.0, True, True)
+        recorder = Recorder(
+            source=source, stream=stream, folder=tmp_path / "r", codec="as-it-comes"
+        )
+        done = recorder.run()
+    assert (done.frames, done.lost, done.reason) == (30, 0, "the camera ended the stream")
+    sent = [data for _, data in open_recording(folder).jpegs()]
+    assert [data for _, data in open_recording(tmp_path / "r").jpegs()] == sent
+
+
+def test_a_pulled_network_camera_ends_the_recording(tmp_path: Path) -> None:
+    folder = film(tmp_path / "film", n=500)
+    camera = LoopbackCamera(folder).start()
+    pull = threading.Timer(0.3, camera.stop)
+    source = UrlSource(camera.url)
+    recorder = Recorder(
+        source=source, stream=source.open(), folder=tmp_path / "r", codec="as-it-comes"
+    )
+    pull.start()
+    done = recorder.run()
+    pull.join()
+    assert 5 < done.frames < 500
+    assert done.reason.startswith("the camera")
+    assert open_recording(tmp_path / "r").complete
+
+
+@contextmanager
+def answering(*parts: bytes, hold: bool = False) -> Iterator[str]:
+    """A server that says exactly this to whoever connects; the address of its camera."""
+    server = socket.create_server(("127.0.0.1", 0))
+    done = threading.Event()
+    heard: list[bytes] = []
+
+    def serve() -> None:
+        try:
+            talk, _ = server.accept()
+        except OSError:
+            return
+        with talk:
+            heard.append(talk.recv(65536))
+            for part in parts:
+                talk.sendall(part)
+            if hold:
+                done.wait(5.0)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.getsockname()[1]}/video"
+    finally:
+        done.set()
+        server.close()
+        thread.join()
+        answering.heard = heard  # type: ignore[attr-defined]
+
+
+HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=%s\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "part"),
+    [
+        (HEAD % b"x", b"--x\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%b\r\n"),
+        (HEAD % b'"--x"', b"--x\r\ncontent-length:%d\r\n\r\n%b"),
+        (HEAD % b"--x", b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n"),
+    ],
+    ids=["usual", "quoted", "dashes"],
+)
+def test_dialects_of_network_cameras(head: bytes, part: bytes) -> None:
+    with answering(head, *[part % (len(JPEG), JPEG)] * 3) as url:
+        source = UrlSource(url)
+        assert source.open().size == SIZE
+        assert [arrived.jpeg for arrived in source.frames()] == [JPEG] * 3
+
+
+def test_parts_without_a_length(tmp_path: Path) -> None:
+    part = b"--x\r\nContent-Type: image/jpeg\r\n\r\n" + JPEG + b"\r\n"
+    with answering(HEAD % b"x", part * 3 + b"--x--\r\n") as url:
+        source = UrlSource(url)
+        source.open()
+        assert [arrived.jpeg for arrived in source.frames()][:2] == [JPEG] * 2
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (b"HTTP/1.0 401 Unauthorized\r\n\r\n", r"401 Unauthorized.*NAME:PASSWORD"),
+        (b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n<html>", "text/html, expected multi"),
+        (b"SSH-2.0-OpenSSH_9.2\r\n", "a camera that answers"),
+        (b"", "a camera that answers"),
+        (HEAD % b"x", "the camera ended the stream"),
+        (HEAD % b"x" + b"\x00\xff garbage" * 999, "the camera ended the stream"),
+        (HEAD % b"x" + b"--x\r\nContent-Length: 3\r\n\r\nabc\r\n" * 20, "no JPEG picture"),
+        (HEAD % b"x" + b"--x\r\nContent-Length: 999\r\n\r\nabc", "the camera ended the stream"),
+    ],
+)
+def test_what_is_no_camera_is_refused(answer: bytes, sentence: str) -> None:
+    with answering(answer) as url, pytest.raises(InvalidInput, match=sentence):
+        UrlSource(url).open()
+
+
+def test_a_camera_that_says_nothing_is_refused() -> None:
+    with (
+        answering(HEAD % b"x", hold=True) as url,
+        pytest.raises(InvalidInput, match=r"nothing within 0\.2 s"),
+    ):
+        UrlSource(url, patience=0.2).open()
+
+
+def test_a_camera_that_falls_silent_says_so() -> None:
+    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
+    with answering(HEAD % b"x", part, hold=True) as url:
+        source = UrlSource(url, patience=0.2)
+        source.open()
+        assert len(list(source.frames())) == 1
+    assert source.ended == "the camera has sent nothing for 0.2 s"
+
+
+def test_passwords_stay_out_of_records() -> None:
+    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
+    with answering(HEAD % b"x", part) as url:
+        source = UrlSource(url.replace("//", "//me:se%20cret@") + "?token=t")
+        source.open()
+        source.close()
+    assert source.name == url
+    assert b"Authorization: Basic bWU6c2UgY3JldA==" in answering.heard[0]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("url", ["rtsp://cam/1", "http://", "ftp://cam/video"])
+def test_other_addresses_are_refused(url: str) -> None:
+    with pytest.raises(InvalidInput, match="http://"):
+        source_of(url)
+
+
+def test_nobody_there_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(InvalidInput, match="connection refused"):
+        UrlSource(f"http://127.0.0.1:{port}/").open()
+
+
+# --- cameras at this computer -----------------------------------------------------------------
+
+
+class Webcam:
+    """Answers as OpenCV does: JPEG data in one row of bytes, or pixels."""
+
+    def __init__(self, n: int = 5, raw: bool = True, opens: bool = True) -> None:
+        self.n, self.raw, self.opens = n, raw, opens
+        self.settings: dict[int, float] = {}
+        self.released = False
+
+    def isOpened(self) -> bool:
+        return self.opens
+
+    def set(self, what: int, value: float) -> bool:
+        self.settings[what] = value
+        return True
+
+    def get(self, what: int) -> float:
+        return self.settings.get(what, 0.0)
+
+    def grab(self) -> bool:
+        self.n -= 1
+        return self.n >= 0
+
+    def retrieve(self) -> tuple[bool, Any]:
+        if self.raw and not self.settings[cv2.CAP_PROP_CONVERT_RGB]:
+            return True, np.frombuffer(JPEG + bytes(99), np.uint8)[None]
+        return True, picture(0)
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_webcam_hands_on_its_jpeg() -> None:
+    webcam = Webcam()
+    source = DeviceSource("0", size=SIZE, rate=30.0, capture=lambda device: webcam)
+    assert source.open() == Stream(SIZE, 30.0, True, True)
+    frames = list(source.frames())
+    assert [arrived.jpeg for arrived in frames] == [JPEG] * 5
+    assert webcam.settings[cv2.CAP_PROP_FRAME_WIDTH] == SIZE[0]
+    assert source.ended == "the camera sends no more pictures"
+    assert webcam.released
+
+
+def test_a_webcam_without_jpeg_gives_pixels() -> None:
+    source = DeviceSource("0", capture=lambda device: Webcam(raw=False))
+    assert not source.open().jpeg
+    assert all(np.array_equal(arrived.picture(), picture(0)) for arrived in source.frames())
+
+
+def test_webcams_that_do_not_work_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="does not open"):
+        DeviceSource("0", capture=lambda device: Webcam(opens=False)).open()
+    webcam = Webcam(n=0)
+    with pytest.raises(InvalidInput, match="no pictures"):
+        DeviceSource("0", capture=lambda device: webcam).open()
+    assert webcam.released
+    with pytest.raises(InvalidInput, match=r"/dev/video9: found no such device"):
+        source_of("/dev/video9").open()
+    with pytest.raises(InvalidInput, match=r"/dev/video7: found no such device"):
+        source_of("7").open()
+
+
+def test_files_that_are_no_film_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="no such file"):
+        source_of(str(tmp_path / "nothing.mp4")).open()
+    (tmp_path / "text.mkv").write_text("no film")
+    with pytest.raises(InvalidInput, match="not a video"):
+        source_of(str(tmp_path / "text.mkv")).open()
+    with pytest.raises(InvalidInput, match="a folder"):
+        source_of(str(tmp_path)).open()
+
+
+def test_another_size_than_the_rigs_is_refused() -> None:
+    stream = Stream((640, 480), 30.0, True, True)
+    with pytest.raises(InvalidInput, match="640 x 480 pixels, expected 1280 x 720"):
+        refuse_size(stream, (1280, 720), "camera 0")
+
+
+def test_jpeg_sizes() -> None:
+    assert jpeg_size(JPEG) == SIZE
+    assert jpeg_size(JPEG[:-2]) is None
+    assert jpeg_size(b"\xff\xd8\xff") is None
+    assert jpeg_size(b"") is None
+    small = decoded_small(JPEG)
+    assert small.shape == (SIZE[1] // 8, SIZE[0] // 8)
+    assert np.abs(small.astype(int) - shrunk(picture(0))).max() < 6

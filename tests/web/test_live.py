@@ -1,0 +1,139 @@
+"""Pictures from one thread to others: the newest, to whoever looks, and nobody waits."""
+
+import asyncio
+import threading
+
+import numpy as np
+import pytest
+
+from fixel.web.live import BOUNDARY, LiveView
+
+PICTURE = np.full((24, 32, 3), 90, dtype=np.uint8)
+
+
+def jpegs(parts):
+    return [part for part in parts if b"image/jpeg" in part]
+
+
+async def take(stream, n):
+    parts = []
+    async for part in stream:
+        parts.append(part)
+        if len(parts) == n:
+            break
+    await stream.aclose()
+    return parts
+
+
+def test_nothing_is_drawn_that_nobody_looks_at():
+    view, drawn = LiveView(), []
+
+    def draw():
+        drawn.append(1)
+        return PICTURE
+
+    for _ in range(5):
+        view.show(draw, {})
+    assert not drawn
+    assert not view.watched
+
+
+def test_a_picture_is_compressed_once_for_all_who_look():
+    view, drawn = LiveView(), []
+
+    def draw():
+        drawn.append(1)
+        return PICTURE
+
+    view.show(draw, {})
+    first, second = view.newest.drawing.jpeg(), view.newest.drawing.jpeg()
+    assert first == second
+    assert len(drawn) == 1
+
+
+def test_the_stream_shows_the_newest():
+    view = LiveView()
+    for number in range(4):
+        view.show(np.full((8, 8, 3), 60 * number, dtype=np.uint8), {"n": number})
+    border, part = asyncio.run(take(view.pictures(), 2))
+    assert border == f"--{BOUNDARY}\r\n".encode()
+    head, _, rest = part.partition(b"\r\n\r\n")
+    length = int(head.split(b"Content-Length: ")[1])
+    assert rest[:length] == view.newest.drawing.jpeg()
+    assert rest[length:] == f"\r\n--{BOUNDARY}\r\n".encode()  # right behind, or it is shown late
+
+
+def test_a_slow_watcher_misses_pictures_and_lags_by_none():
+    """Five pictures come while the watcher is busy with one: it goes on with the last."""
+    view = LiveView()
+
+    async def watch():
+        stream, reports = view.pictures(), []
+        view.show(PICTURE, {"n": 0})
+        await anext(stream)
+        await anext(stream)
+        assert view.watched
+        for number in range(1, 6):
+            view.show(np.full((8, 8, 3), number, dtype=np.uint8), {"n": number})
+        part = await anext(stream)
+        assert view.newest.drawing.jpeg() in part
+        reports.append(view.report)
+        view.close()
+        with pytest.raises(StopAsyncIteration):
+            await anext(stream)
+        return reports
+
+    assert asyncio.run(watch()) == ['{"n": 5}']
+    assert not view.watched
+
+
+def test_showing_from_another_thread_wakes_who_waits():
+    view = LiveView()
+    show = threading.Timer(0.05, view.show, (PICTURE, {"n": 1}))
+
+    async def watch():
+        show.start()
+        return await view.after(0, patience=5.0)
+
+    shot = asyncio.run(watch())
+    assert shot.report == '{"n": 1}'
+
+
+def test_a_status_alone_keeps_the_picture():
+    view = LiveView()
+    view.show(PICTURE, {"n": 1})
+    drawing = view.newest.drawing
+    view.show(None, {"n": 2})
+    assert view.newest.drawing is drawing
+    assert view.report == '{"n": 2}'
+
+
+def test_closing_ends_who_waits():
+    view = LiveView()
+
+    async def watch():
+        asyncio.get_running_loop().call_later(0.02, view.close)
+        return await view.after(0, patience=5.0)
+
+    assert asyncio.run(watch()) is None
+
+
+def test_showing_does_not_fail_for_a_server_that_has_ended():
+    view = LiveView()
+    loop = asyncio.new_event_loop()
+    loop.close()
+    view._waiting[asyncio.Event()] = loop
+    view.show(PICTURE, {})
+
+
+def test_events_carry_every_newest_status():
+    view = LiveView()
+    view.show(None, {"n": 1})
+    retry, first = asyncio.run(take(view.reports(), 2))
+    assert retry.startswith("retry:")
+    assert first == 'data: {"n": 1}\n\n'
+
+
+def test_a_status_that_is_no_number_is_refused():
+    with pytest.raises(ValueError, match="JSON"):
+        LiveView().show(None, {"error_mm": float("nan")})

@@ -1,0 +1,240 @@
+"""Every route, with and without what opens it."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+from fixel.web.app import create_app
+from fixel.web.live import LiveView
+from fixel.web.overlay_page import overlay_page
+from fixel.web.record_page import RecordPreview
+from fixel.web.security import HEADERS, WORD_HEADER, Gate
+from tests.web.client import Client
+
+HERE = "http://127.0.0.1:8000"
+GET = (
+    "/",
+    "/overlay",
+    "/overlay/picture.jpg",
+    "/overlay/status",
+    "/overlay/stream",
+    "/overlay/events",
+    "/record",
+    "/record/picture.jpg",
+    "/record/status",
+    "/static/style.css",
+    "/static/live.js",
+)
+
+
+class Bench:
+    def __init__(self):
+        self.gate = Gate()
+        self.view = LiveView()
+        self.preview = RecordPreview("pushes/<141>")
+        pages = [overlay_page(self.view, "square & three fixels"), self.preview.page()]
+        self.app = create_app(pages, self.gate)
+
+    def client(self, *, let_in=True, **options) -> Client:
+        cookies = {self.gate.cookie: self.gate.session} if let_in else None
+        return Client(self.app, HERE, cookies=cookies, **options)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+# --- who gets in ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", GET)
+def test_nothing_opens_without_the_link(bench, path):
+    answer = bench.client(let_in=False).get(path)
+    assert answer.status_code == 403
+    assert "link" in answer.text
+
+
+@pytest.mark.parametrize("token", ["", "guess", "a" * 43])
+def test_nor_with_another_token(bench, token):
+    answer = bench.client(let_in=False).get(f"/overlay?token={token}")
+    assert answer.status_code == 403
+    assert "set-cookie" not in answer.headers
+
+
+def test_nor_with_another_cookie(bench):
+    client = Client(bench.app, HERE, cookies={bench.gate.cookie: bench.gate.token})
+    assert client.get("/overlay").status_code == 403
+
+
+def test_the_token_becomes_a_cookie_and_leaves_the_address(bench):
+    client = bench.client(let_in=False, follow_redirects=False)
+    answer = client.get(f"/overlay?token={bench.gate.token}&scale=2")
+    assert answer.status_code == 303
+    assert answer.headers["location"] == "/overlay?scale=2"
+    cookie = answer.headers["set-cookie"].lower()
+    assert "httponly" in cookie
+    assert "samesite=lax" in cookie
+    assert bench.gate.token.lower() not in cookie
+    assert client.get("/overlay").status_code == 200
+
+
+def test_the_token_leads_nowhere_else(bench):
+    client = bench.client(let_in=False, follow_redirects=False)
+    answer = client.get(f"{HERE}//elsewhere.example/?token={bench.gate.token}")
+    assert answer.headers["location"] == "/elsewhere.example/"
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "192.168.0.4"])
+def test_foreign_names_of_this_machine_are_refused(bench, host):
+    answer = bench.client().get("/overlay", headers={"host": host})
+    assert answer.status_code == 400
+    forwarded = {"host": host, "x-forwarded-host": "127.0.0.1", "forwarded": "host=127.0.0.1"}
+    assert bench.client().get("/overlay", headers=forwarded).status_code == 400
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:1", "localhost:80", "LOCALHOST"])
+def test_its_own_names_are_not(bench, host):
+    cookie = f"{bench.gate.cookie}={bench.gate.session}"
+    answer = bench.client(let_in=False).get("/overlay", headers={"host": host, "cookie": cookie})
+    assert answer.status_code == 200
+
+
+def test_the_secrets_do_not_print(bench):
+    gate = bench.gate
+    assert not {gate.token, gate.session, gate.word} & set(repr(gate).replace("'", " ").split())
+
+
+@pytest.mark.parametrize("path", ["/overlay", "/overlay/status", "/nowhere", "/static/live.js"])
+def test_every_answer_carries_the_headers(bench, path):
+    for client in (bench.client(), bench.client(let_in=False)):
+        answer = client.get(path)
+        for name in HEADERS:
+            assert name in answer.headers, name
+    assert "'unsafe" not in HEADERS["content-security-policy"]
+
+
+@pytest.mark.parametrize(
+    "path", ["/docs", "/openapi.json", "/redoc", "/static/../app.py", "/nowhere"]
+)
+def test_what_is_not_there(bench, path):
+    assert bench.client().get(path).status_code == 404
+
+
+def test_sockets_are_refused(bench):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    async def receive():
+        return {"type": "websocket.connect"}
+
+    scope = {
+        "type": "websocket",
+        "path": "/overlay/events",
+        "query_string": b"",
+        "headers": [(b"host", b"127.0.0.1")],
+        "extensions": {},
+    }
+    asyncio.run(bench.app(scope, receive, send))
+    assert sent
+    assert "websocket.accept" not in [message["type"] for message in sent]
+
+
+# --- pages ------------------------------------------------------------------------------------
+
+
+def test_pages_fetch_nothing_from_elsewhere(bench):
+    client = bench.client()
+    for path in ("/overlay", "/record"):
+        page = client.get(path).text
+        assert "http://" not in page
+        assert "https://" not in page
+        assert 'style="' not in page
+        assert "<script>" not in page
+
+
+def test_names_of_people_are_escaped(bench):
+    page = bench.client().get("/record").text
+    assert "pushes/&lt;141&gt;" in page
+    assert "square &amp; three fixels" in bench.client().get("/overlay").text
+
+
+def test_the_first_page_is_home(bench):
+    answer = bench.client(follow_redirects=False).get("/")
+    assert (answer.status_code, answer.headers["location"]) == (303, "/overlay")
+
+
+def test_pages_lead_to_each_other(bench):
+    page = bench.client().get("/overlay").text
+    assert 'href="/record"' in page
+    assert page.count("aria-current") == 1
+
+
+# --- live pictures ----------------------------------------------------------------------------
+
+
+def test_status_and_picture(bench):
+    client = bench.client()
+    assert client.get("/overlay/status").json() == {}
+    assert client.get("/overlay/picture.jpg").status_code == 404
+    bench.view.show(np.full((24, 32, 3), 90, dtype=np.uint8), {"state": "off"})
+    assert client.get("/overlay/status").json() == {"state": "off"}
+    answer = client.get("/overlay/picture.jpg")
+    assert answer.headers["content-type"] == "image/jpeg"
+    assert answer.content[:2] == b"\xff\xd8"
+
+
+def test_streams_end_when_the_view_is_closed(bench):
+    bench.view.show(np.zeros((24, 32, 3), dtype=np.uint8), {"frames": 1})
+    bench.view.close()
+    client = bench.client()
+    stream = client.get("/overlay/stream")
+    assert stream.headers["content-type"].startswith("multipart/x-mixed-replace")
+    events = client.get("/overlay/events")
+    assert events.headers["content-type"].startswith("text/event-stream")
+    assert "event: end" in events.text
+
+
+# --- the recording ----------------------------------------------------------------------------
+
+
+def test_stop_needs_the_word_of_the_page(bench):
+    client = bench.client()
+    assert client.post("/record/stop").status_code == 403
+    assert client.post("/record/stop", headers={WORD_HEADER: "guess"}).status_code == 403
+    foreign = {WORD_HEADER: bench.gate.word, "origin": "http://127.0.0.1:9999"}
+    assert client.post("/record/stop", headers=foreign).status_code == 403
+    no_cookie = bench.client(let_in=False).post(
+        "/record/stop", headers={WORD_HEADER: bench.gate.word}
+    )
+    assert no_cookie.status_code == 403
+    assert not bench.preview.stop_wanted
+
+
+def test_looking_does_not_stop(bench):
+    assert bench.client().get("/record/stop").status_code == 405
+    assert not bench.preview.stop_wanted
+
+
+def test_stop_from_the_page(bench):
+    client = bench.client()
+    page = client.get("/record").text
+    word = page.split('name="fixel-word" content="')[1].split('"')[0]
+    answer = client.post("/record/stop", headers={WORD_HEADER: word, "origin": HERE})
+    assert answer.json() == {"stopping": True}
+    assert bench.preview.stop_wanted
+
+
+def test_bits_of_the_tactile_byte_are_lamps(bench):
+    preview = bench.preview
+    status = preview.status(elapsed_s=2.5, frames=75, lost=0, reading=0b101, disk_free_bytes=4e9)
+    assert [lamp["on"] for lamp in status["tactile"]] == [True, False, True]
+    assert status["disk_free_gb"] == 4.0
+    nothing = preview.status(elapsed_s=2.5, frames=75, lost=0)
+    assert [lamp["on"] for lamp in nothing["tactile"]] == [None, None, None]
+    preview.show(None, status)
+    assert json.loads(preview.view.report)["frames"] == 75

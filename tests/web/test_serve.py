@@ -1,0 +1,104 @@
+"""The server as a program runs it: a thread, a free port, and an end at once."""
+
+import http.client
+import socket
+import sys
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+import fixel.web
+from fixel.errors import InvalidInput
+from fixel.web.live import LiveView
+from fixel.web.overlay_page import overlay_page
+from fixel.web.serve import WebServer
+
+
+@pytest.fixture
+def view():
+    return LiveView()
+
+
+@pytest.fixture
+def server(view):
+    with WebServer([overlay_page(view, "a scene")]) as server:
+        yield server
+
+
+def connected(server, path):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection.request(
+        "GET", path, headers={"Cookie": f"{server.gate.cookie}={server.gate.session}"}
+    )
+    return connection, connection.getresponse()
+
+
+def test_the_link_opens_the_page(server):
+    jar = urllib.request.HTTPCookieProcessor()
+    with urllib.request.build_opener(jar).open(server.link, timeout=10) as answer:
+        assert answer.url == f"{server.address}overlay"
+        assert b"a scene" in answer.read()
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(server.address, timeout=10)
+
+
+def test_it_listens_here_only(server):
+    assert server._socket.getsockname()[0] == "127.0.0.1"
+
+
+def test_a_port_in_use_is_refused(server):
+    with pytest.raises(InvalidInput, match=f"{server.port} of 127.0.0.1.*leave --port out"):
+        WebServer([], port=server.port)
+
+
+def test_it_ends_at_once_with_open_streams(view):
+    view.show(np.zeros((24, 32, 3), dtype=np.uint8), {"n": 1})
+    server = WebServer([overlay_page(view, "a scene")]).start()
+    streams = [connected(server, f"/overlay/{name}") for name in ("stream", "events", "stream")]
+    for _, answer in streams:
+        assert answer.read(20)
+    begun = time.monotonic()
+    server.stop()
+    assert time.monotonic() - begun < 2.5
+    for connection, _ in streams:
+        connection.close()
+    assert not server._thread.is_alive()
+
+
+def test_it_ends_though_a_browser_does_not_read(view):
+    """A browser that stands still holds up its own stream, and neither the program nor others."""
+    picture = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    server = WebServer([overlay_page(view, "a scene")]).start()
+    still = socket.create_connection(("127.0.0.1", server.port))
+    still.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    cookie = f"Cookie: {server.gate.cookie}={server.gate.session}"
+    still.sendall(f"GET /overlay/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode())
+    view.show(picture, {"n": 0})
+    connection, quick = connected(server, "/overlay/stream")
+    for number in range(1, 30):
+        begun = time.monotonic()
+        view.show(picture, {"n": number})
+        assert time.monotonic() - begun < 0.1
+        assert len(quick.read(60_000)) == 60_000
+    begun = time.monotonic()
+    server.stop()
+    assert time.monotonic() - begun < 4.0
+    connection.close()
+    still.close()
+
+
+def test_without_its_packages_the_way_to_them_is_said(monkeypatch):
+    fixel.web.require_server()
+    monkeypatch.setattr(fixel.web, "find_spec", lambda name: None)
+    with pytest.raises(InvalidInput, match=r"fastapi and uvicorn; pip install 'fixel\[web\]'"):
+        fixel.web.require_server()
+
+
+def test_the_package_itself_is_light():
+    assert "fixel.web" in sys.modules
+    import importlib
+
+    assert not hasattr(importlib.import_module("fixel.web"), "FastAPI")
