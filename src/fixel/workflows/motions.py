@@ -16,7 +16,6 @@ from fixel.calibration.target import scene_of
 from fixel.drawing.view import forces
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Channel, Experiment, Scene, Trajectory
-from fixel.model.fields import BoolArray
 from fixel.model.records import SimulationRecord
 from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
@@ -192,7 +191,7 @@ def simulated_motion(
 ) -> Motion:
     """A simulation, `start` [s] later than on its own clock."""
     poses = np.stack(list(simulation.pose.values()), axis=1)
-    known: BoolArray = np.isfinite(poses).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     n = int(np.argmin(np.append(known, False)))  # of those before the first that fails
     return Motion(
         id=id,

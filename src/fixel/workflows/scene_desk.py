@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
@@ -103,8 +104,9 @@ def simulated(content: Any) -> Simulated:
     return Simulated(story, simulation.summary())
 
 
-def bounded() -> Bounded:
-    """`simulated`, in a process that ends with its time."""
+@functools.cache
+def beside() -> Bounded:
+    """`simulated`, in a process of its own; one for all who ask."""
     return Bounded(simulated, limit=LIMIT, ready=warm_up)
 
 

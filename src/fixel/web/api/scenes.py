@@ -69,7 +69,6 @@ ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
 def router(desk: Desk) -> APIRouter:
     """`/scenes` and `/simulate`."""
     found = APIRouter(tags=["scenes"])
-    beside = scene_desk.bounded()
 
     @found.get("/scenes/examples", summary="Scenes that come with fixel")
     def examples() -> list[ExampleOut]:
@@ -105,7 +104,7 @@ def router(desk: Desk) -> APIRouter:
         gone = asyncio.Event()
         watch = asyncio.create_task(_watch(request, gone))
         try:
-            answer = await asyncio.to_thread(_simulated, beside, wanted.scene, gone)
+            answer = await asyncio.to_thread(_simulated, wanted.scene, gone)
         finally:
             watch.cancel()
         return answer
@@ -113,10 +112,10 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _simulated(beside: Any, scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
+def _simulated(scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
     scene_desk.check_scene(scene)  # what cannot be needs no other process
     try:
-        answer: scene_desk.Simulated = beside.call(scene, gone.is_set)
+        answer: scene_desk.Simulated = scene_desk.beside().call(scene, gone.is_set)
     except Cancelled:
         raise HTTPException(NOBODY_WAITS, "Nobody waits for this any more.") from None
     return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)

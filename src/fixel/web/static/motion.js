@@ -163,12 +163,16 @@ export class Motion {
     return found;
   }
 
-  /** Sizes of all contact forces, the smallest first [N]. */
+  /** The largest contact force of every sample that has one [N]. */
   get forces() {
-    const sizes = [];
-    const force = this.contacts?.force ?? [];
-    for (let k = 0; k < force.length; k += 2) sizes.push(Math.hypot(force[k], force[k + 1]));
-    return sizes.sort((a, b) => a - b);
+    /** @type {Map<number, number>} */
+    const largest = new Map();
+    const { sample, force } = this.contacts ?? { sample: [], force: [] };
+    for (let k = 0; k < sample.length; k += 1) {
+      const size = Math.hypot(force[2 * k], force[2 * k + 1]);
+      largest.set(sample[k], Math.max(size, largest.get(sample[k]) ?? 0));
+    }
+    return [...largest.values()].filter((size) => size > 0);
   }
 }
 

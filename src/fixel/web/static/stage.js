@@ -76,17 +76,21 @@ export class Stage {
     this.#listen();
     new ResizeObserver(() => this.resize()).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.request());
-    this.resize();
+    this.#measure();
   }
 
   resize() {
+    this.#measure();
+    if (this.fitted) this.fit();
+    this.render();
+  }
+
+  #measure() {
     const ratio = window.devicePixelRatio || 1;
     this.width = Math.max(1, this.canvas.clientWidth);
     this.height = Math.max(1, this.canvas.clientHeight);
     this.canvas.width = Math.round(this.width * ratio);
     this.canvas.height = Math.round(this.height * ratio);
-    if (this.fitted) this.fit();
-    this.render();
   }
 
   /**
