@@ -226,8 +226,8 @@ export function drawnRow(row, index, { selected, active }) {
     before: fixed(row.before_mm, 2),
     after: fixed(row.after_mm, 2),
     marks: make("span", { class: "tags" },
-      ...tags(row.flags),
-      row.notes ? make("span", { class: "tag", title: `${row.notes} notes` }, `\u270e ${row.notes}`) : null),
+      row.notes ? make("span", { class: "tag", title: `${row.notes} notes` }, `\u270e ${row.notes}`) : null,
+      ...tags(row.flags)),
   };
   const node = make("tr", {
     "data-index": index, "data-id": row.id, "aria-rowindex": index + 2, "aria-selected": String(selected),
