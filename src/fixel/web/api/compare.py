@@ -6,8 +6,9 @@ import threading
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from fixel.exchange.trajectory_file import plain_numbers
 from fixel.web.api._values import Id, Number
 from fixel.web.api.motion import MotionOut
 from fixel.workflows import compare
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from fixel.workflows.experiments import Comparison
 
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
+# A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
+Finite = Annotated[float | None, BeforeValidator(plain_numbers)]
 Value = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -63,10 +66,10 @@ class ComparedOut(BaseModel):
     """A simulation of the experiment, and how far it is from what was measured."""
 
     motion: MotionOut
-    position_rms_m: float | None = Field(description="none where the simulation stopped early")
-    final_position_m: float | None
-    final_angle_rad: float | None
-    error_mm2: float | None = Field(description="the thesis's E, angles counted at 35 mm/rad")
+    position_rms_m: Finite = Field(description="none where the simulation stopped early")
+    final_position_m: Finite
+    final_angle_rad: Finite
+    error_mm2: Finite = Field(description="the thesis's E, angles counted at 35 mm/rad")
     contact_mode: str = Field(description="at the end, a digit a fixel")
     measured_contact_mode: str
     command: str = Field(description="what to type for the same")

@@ -247,7 +247,7 @@ export class Player extends EventTarget {
         "div", { class: "controls" },
         make("label", {}, speed),
         make("label", {}, this.loop, "loop"),
-        make("label", { title: "On the part. A dashed arrow is cut off: that force is larger." }, this.forces, "forces"),
+        make("label", { title: "On the part, in the first simulation that is shown. A dashed arrow is cut off: that force is larger." }, this.forces, "forces"),
         fit,
         this.legend,
       ),
@@ -329,7 +329,9 @@ export class Player extends EventTarget {
     });
     for (const motion of shown) this.#trail(context, stage, motion);
     for (const motion of shown) this.#moving(context, stage, motion);
-    if (this.forces.checked) for (const motion of shown) this.#contacts(context, stage, motion);
+    // Those of one motion: more would lie on each other.
+    const pushed = shown.find((motion) => motion.contacts);
+    if (this.forces.checked && pushed) this.#contacts(context, stage, pushed);
     context.setLineDash([]);
     stage.scaleBar();
     if (this.forces.checked && this.perNewton > 0) this.#forceKey(context, stage);
