@@ -27,6 +27,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "memory": ("processes", "run_memory", "memory of a batch"),
+    "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }

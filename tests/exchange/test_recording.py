@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import jpeg_of
 from fixel.exchange.recording import (
     VIDEO,
     RecordingHeader,
@@ -19,8 +20,7 @@ from fixel.exchange.recording import (
     repair_recording,
 )
 from fixel.exchange.recording_header import CODECS, END, HEADER, ROWS
-from fixel.exchange.recording_video import jpeg_of
-from fixel.vision.frame import Frame, Picture
+from fixel.vision.frame import LUMA, Frame, Picture
 
 SIZE = (64, 48)
 STEP = 1.0 / 30.0
@@ -208,6 +208,29 @@ def test_writing_refuses_what_cannot_be(tmp_path: Path) -> None:
         RecordingWriter(tmp_path / "file" / "r", RecordingHeader(size=SIZE))
     with pytest.raises(InvalidInput, match=r"recording\.codec"):
         RecordingHeader(size=SIZE, codec="h266")
+
+
+def test_a_picture_the_camera_sent_spoilt_is_named(tmp_path: Path) -> None:
+    good = jpeg_of(picture(0))
+    with RecordingWriter(tmp_path / "r", RecordingHeader(size=SIZE, codec="as-it-comes")) as writer:
+        writer.write_jpeg(0.0, good)
+        writer.write_jpeg(0.1, good[:200] + good[-2:])
+        writer.write_jpeg(0.2, jpeg_of(picture(0)[:8]))
+    frames = open_recording(tmp_path / "r").frames()
+    assert next(frames).luma.shape == (SIZE[1], SIZE[0])
+    spoilt = next(frames)
+    with pytest.raises(InvalidInput, match=r"video\.nut, frame 1: found spoilt JPEG data"):
+        _ = spoilt.picture
+    with pytest.raises(InvalidInput, match=r"video\.nut, frame 2: found no picture"):
+        next(frames)
+
+
+def test_brightness_is_that_of_the_colours(tmp_path: Path) -> None:
+    write(tmp_path / "r", n=1)
+    (frame,) = open_recording(tmp_path / "r").frames()
+    # Colours end at 0, brightness comes from before that.
+    assert np.abs(frame.luma - frame.picture @ LUMA).mean() < 0.5
+    assert (frame.colour(slice(3, 9), slice(4, 7)) == frame.picture[3:9, 4:7]).all()
 
 
 def test_an_error_while_writing_leaves_no_mark_of_a_good_end(tmp_path: Path) -> None:

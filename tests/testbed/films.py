@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fixel.exchange.jpeg import jpeg_of
 from fixel.exchange.recording import RecordingHeader, RecordingWriter
-from fixel.exchange.recording_video import jpeg_of
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 from fixel.vision.frame import Frame, Picture
 
@@ -25,11 +25,17 @@ def picture(k: int, size: tuple[int, int] = SIZE) -> Picture:
     return grain
 
 
-def film(folder: Path, n: int = 30, rate: float = 100.0, codec: str = "near") -> Path:
-    """A recording, whose readings count."""
+def film(
+    folder: Path,
+    n: int = 30,
+    rate: float = 100.0,
+    codec: str = "near",
+    bits: Callable[[int], int] = lambda k: k % 8,
+) -> Path:
+    """A recording, whose readings count unless told otherwise."""
     with RecordingWriter(folder, RecordingHeader(size=SIZE, codec=codec)) as writer:
         for k in range(n):
-            writer.write(Frame(k / rate, picture(k)), k % 8, k / rate)
+            writer.write(Frame(k / rate, picture(k)), bits(k), k / rate)
     return folder
 
 

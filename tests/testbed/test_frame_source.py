@@ -16,13 +16,12 @@ import pytest
 from tests.testbed.films import SIZE, film, picture
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.exchange.recording import open_recording
-from fixel.exchange.recording_video import jpeg_of
 from fixel.exchange.video_file import VideoWriter
 from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_source import Stream, refuse_size, source_of
-from fixel.testbed.jpeg import decoded_small, jpeg_size, shrunk
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import Recorder
 from fixel.testbed.url_source import UrlSource
@@ -330,6 +329,6 @@ def test_jpeg_sizes() -> None:
     assert jpeg_size(JPEG[:-2]) is None
     assert jpeg_size(b"\xff\xd8\xff") is None
     assert jpeg_size(b"") is None
-    small = decoded_small(JPEG)
+    small = brightness(JPEG, 8)
     assert small.shape == (SIZE[1] // 8, SIZE[0] // 8)
     assert np.abs(small.astype(int) - shrunk(picture(0))).max() < 6

@@ -15,8 +15,8 @@ import pytest
 from tests.testbed.films import SIZE, Fixels, Pictures, picture
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import jpeg_of
 from fixel.exchange.recording import open_recording
-from fixel.exchange.recording_video import jpeg_of
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed import room
 from fixel.testbed.frame_source import Arrived, FrameSource
@@ -213,6 +213,7 @@ def test_a_disk_that_takes_no_more_leaves_what_it_took(tmp_path: Path, codec: st
     assert 0 < done.frames < 100
     kept = open_recording(tmp_path / "r")
     assert kept.complete
+    assert kept.problems == ()
     assert kept.n_frames == done.frames
     assert len(list(kept.frames())) == done.frames
 

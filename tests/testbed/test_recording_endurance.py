@@ -19,11 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from benchmarks.recording import plate
 
 from fixel.exchange.recording import RecordingHeader, RecordingWriter, open_recording
 from fixel.exchange.recording_header import ROWS
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.vision.frame import Frame, Picture
+from fixel.vision.frame import Frame
 
 FIXEL = "from fixel.cli.main import run; run()"
 LATEST = 0.5  # [s] before the kill that may be missing
@@ -40,20 +41,10 @@ def start(*arguments: str | Path, core: int | None = None) -> subprocess.Popen[s
     )
 
 
-def bench(k: int, size: tuple[int, int]) -> Picture:
-    """A plate with holes and noise, and a part that moves."""
-    width, height = size
-    y, x = np.mgrid[:height, :width]
-    plate = np.where(((x % 46) - 23) ** 2 + ((y % 46) - 23) ** 2 < 40, 60, 160)
-    plate[height // 3 : height // 2, width // 4 + k : width // 2 + k] = 40
-    noise = np.random.default_rng(k).normal(0.0, 2.0, (height, width, 3))
-    return np.clip(plate[..., None] + noise, 0, 255).astype(np.uint8)
-
-
 def film(folder: Path, n: int, size: tuple[int, int], codec: str = "near") -> Path:
     with RecordingWriter(folder, RecordingHeader(size=size, codec=codec)) as writer:
         for k in range(n):
-            writer.write(Frame(k / 30.0, bench(k, size)), k % 8)
+            writer.write(Frame(k / 30.0, plate(k, size)), k % 8)
     return folder
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fixel.model import placed
+from fixel.model import Disk, placed
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
-from fixel.vision.locate import CORNERS, DICTIONARIES
 from fixel.vision.marks import MarkedPart, Rig, Tag
+from fixel.vision.outlines import outline_pixels
+from fixel.vision.tracking.tag_reader import CORNERS, DICTIONARIES
 
 FINE = 4  # subpixels along a side
 CELLS = 10  # of a tag of 36h11, its white border included; 8 without
@@ -33,8 +34,8 @@ def small_rig(**changed) -> Rig:
     return Rig(**(values | changed))
 
 
-def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]]) -> np.ndarray:
-    """(h, w, 3) uint8 of the plate with its tags and these parts at these poses."""
+def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]], tops=()) -> np.ndarray:
+    """(h, w, 3) uint8 of the plate with its tags, parts at poses, and tops of fixels."""
     width, height = rig.camera.lens.image_size
     fine = np.full((FINE * height, FINE * width), 165, dtype=np.uint8)
     for tag in rig.plate:
@@ -43,6 +44,11 @@ def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]]) -> np.
         for tag in rig.parts[name].marks:
             there = placed(tag.pose[:2], pose)
             _lay(fine, rig, tag, (*there, tag.pose[2] + pose[2]))
+    for place, radius in tops:
+        rim = outline_pixels(rig.camera, Disk(radius), (*place, 0.0), rig.fixel_height)
+        cv2.fillPoly(
+            fine, [np.round(16 * (FINE * (rim + 0.5) - 0.5)).astype(np.int32)], 70, shift=4
+        )
     gray = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
     return cv2.cvtColor(cv2.GaussianBlur(gray, (0, 0), 0.6), cv2.COLOR_GRAY2BGR)
 

@@ -1,5 +1,6 @@
 """A project of simulated runs, made once; a server of a copy of it; a real browser."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,17 @@ from fixel.model import Flag
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+NAMES = (os.environ.get("CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
+QUIET = [
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-features=OptimizationHints,MediaRouter",
+    "--disable-dev-shm-usage",
+    "--disable-gpu",
+]
 SCRIPTS = ["<img src=x onerror=window.hacked=1>", "</script><script>window.hacked=1</script>"]
 
 
@@ -63,12 +74,13 @@ def server(project):
 @pytest.fixture(scope="session")
 def chromium():
     """One browser for all tests."""
-    if CHROMIUM is None:
+    found = next((path for name in NAMES if name and (path := shutil.which(name))), None)
+    if found is None:
         pytest.skip("no Chromium on this machine")
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+            executable_path=found, chromium_sandbox=os.geteuid() != 0, args=QUIET
         )
         yield browser
         browser.close()

@@ -11,10 +11,6 @@ from fixel.web.live import BOUNDARY, LiveView
 PICTURE = np.full((24, 32, 3), 90, dtype=np.uint8)
 
 
-def jpegs(parts):
-    return [part for part in parts if b"image/jpeg" in part]
-
-
 async def take(stream, n):
     parts = []
     async for part in stream:
@@ -55,12 +51,9 @@ def test_the_stream_shows_the_newest():
     view = LiveView()
     for number in range(4):
         view.show(np.full((8, 8, 3), 60 * number, dtype=np.uint8), {"n": number})
-    border, part = asyncio.run(take(view.pictures(), 2))
-    assert border == f"--{BOUNDARY}\r\n".encode()
-    head, _, rest = part.partition(b"\r\n\r\n")
-    length = int(head.split(b"Content-Length: ")[1])
-    assert rest[:length] == view.newest.drawing.jpeg()
-    assert rest[length:] == f"\r\n--{BOUNDARY}\r\n".encode()  # right behind, or it is shown late
+    head, part = asyncio.run(take(view.pictures(), 2))
+    assert head == f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()
+    assert part == view.newest.drawing.jpeg() + b"\r\n" + head  # or it is shown one late
 
 
 def test_a_slow_watcher_misses_pictures_and_lags_by_none():
@@ -132,6 +125,14 @@ def test_events_carry_every_newest_status():
     retry, first = asyncio.run(take(view.reports(), 2))
     assert retry.startswith("retry:")
     assert first == 'data: {"n": 1}\n\n'
+
+
+def test_the_last_words_are_heard():
+    view = LiveView()
+    view.show(None, {"problems": ["the camera failed"]})
+    view.close()
+    told = "".join(asyncio.run(take(view.reports(), 3)))
+    assert told.index("the camera failed") < told.index("event: end")
 
 
 def test_a_status_that_is_no_number_is_refused():

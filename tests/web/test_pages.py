@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from tests.web.client import Client
 
 from fixel.web.app import create_app
 from fixel.web.live import LiveView
 from fixel.web.overlay_page import overlay_page
 from fixel.web.record_page import RecordPreview
 from fixel.web.security import HEADERS, WORD_HEADER, Gate
-from tests.web.client import Client
 
 HERE = "http://127.0.0.1:8000"
 GET = (
@@ -67,6 +67,13 @@ def test_nor_with_another_token(bench, token):
 def test_nor_with_another_cookie(bench):
     client = Client(bench.app, HERE, cookies={bench.gate.cookie: bench.gate.token})
     assert client.get("/overlay").status_code == 403
+
+
+def test_cookies_of_other_servers_do_no_harm(bench):
+    gate = bench.gate
+    mixed = f'a:b={{"x": 1}}; ; =;{gate.cookie}={gate.session}; x'
+    answer = bench.client(let_in=False).get("/overlay", headers={"cookie": mixed})
+    assert answer.status_code == 200
 
 
 def test_the_token_becomes_a_cookie_and_leaves_the_address(bench):

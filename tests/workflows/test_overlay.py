@@ -6,13 +6,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.workflows.overlay import Overlay, Tolerance, watch, write_picture
-from tests.vision.plate import plate_picture, small_rig
+from fixel.workflows.overlay import Overlay, watch, write_picture
+from fixel.workflows.overlay_look import Tolerance
 
 RIG = small_rig()
 WANTED = (0.11, -0.01, 0.35)
@@ -44,8 +45,12 @@ SCENE = Scene(
 AT_HOME = {"object": WANTED, "actuator": (0.0, 0.0, 0.0)}
 
 
+def frame(picture, time=0.0):
+    return Frame(time, picture)
+
+
 def look_at(poses, rig=RIG, seen_by=None):
-    return Overlay(rig, SCENE, TOLERANCE).look(plate_picture(seen_by or rig, poses))
+    return Overlay(rig, SCENE, TOLERANCE).look(frame(plate_picture(seen_by or rig, poses)))
 
 
 def test_everything_in_place():
@@ -88,7 +93,7 @@ def test_an_actuator_off_its_start_is_no_start():
 def test_angles_go_the_short_way_round():
     scene = replace(SCENE, bodies=(replace(SCENE.bodies[0], pose=(0.11, -0.01, 3.1)),))
     picture = plate_picture(RIG, AT_HOME | {"object": (0.11, -0.01, -3.1)})
-    part = Overlay(RIG, scene, TOLERANCE).look(picture).summary()["parts"][0]
+    part = Overlay(RIG, scene, TOLERANCE).look(frame(picture)).summary()["parts"][0]
     assert part["angle_deg"] == pytest.approx(math.degrees(2 * math.pi - 6.2), abs=0.3)
 
 
@@ -107,7 +112,7 @@ def test_a_camera_that_has_moved_is_told_from_a_part_that_has():
     moved = Camera.looking_down(camera.lens, 0.516, above=(0.125, 0.01), turned=0.05)
     look = look_at(AT_HOME, seen_by=small_rig(camera=moved))
     assert look.state == "trouble"
-    assert "has moved" in look.problems[0]
+    assert "was moved" in look.problems[0]
     assert "mm" in look.problems[0]
 
 
@@ -117,9 +122,11 @@ def test_plate_tags_out_of_sight_are_a_remark():
     assert "No plate tag" in look.remarks[0]
 
 
-@pytest.mark.parametrize(("shape", "words"), [((480, 640), "640 x 480"), ((640, 360), "its side")])
+@pytest.mark.parametrize(
+    ("shape", "words"), [((480, 640), "640 x 480"), ((640, 360), "by a quarter")]
+)
 def test_another_resolution_is_refused_with_both(shape, words):
-    look = Overlay(RIG, SCENE, TOLERANCE).look(np.zeros((*shape, 3), dtype=np.uint8))
+    look = Overlay(RIG, SCENE, TOLERANCE).look(frame(np.zeros((*shape, 3), np.uint8)))
     assert look.state == "trouble"
     assert words in look.problems[0]
     assert "640 x 360" in look.problems[0]
@@ -128,15 +135,22 @@ def test_another_resolution_is_refused_with_both(shape, words):
 def test_a_mirrored_picture():
     overlay = Overlay(RIG, SCENE, TOLERANCE)
     mirrored = np.ascontiguousarray(plate_picture(RIG, AT_HOME)[:, ::-1])
-    for _ in range(3):
-        assert "mirrored" in overlay.look(mirrored).problems[0]
-    assert overlay.look(plate_picture(RIG, AT_HOME)).placed
-    assert overlay.look(np.full((360, 640, 3), 90, dtype=np.uint8)).state == "not-seen"
+    for k in range(3):
+        assert "mirror" in overlay.look(frame(mirrored, 0.1 * k)).problems[0]
+    assert overlay.look(frame(plate_picture(RIG, AT_HOME), 1.0)).placed
+    empty = np.full((360, 640, 3), 90, dtype=np.uint8)
+    assert overlay.look(frame(empty, 2.0)).state == "not-seen"
+
+
+def test_a_picture_turned_by_half_a_turn():
+    turned = np.ascontiguousarray(plate_picture(RIG, AT_HOME)[::-1, ::-1])
+    look = Overlay(RIG, SCENE, TOLERANCE).look(frame(turned))
+    assert look.state == "trouble"
 
 
 def test_a_rig_that_knows_none_of_the_parts():
     rig = small_rig(parts={"probe": RIG.parts["object"]})
-    with pytest.raises(InvalidInput, match="marks on probe, expected .*object, actuator"):
+    with pytest.raises(InvalidInput, match=r"knows probe, expected .*object, actuator"):
         Overlay(rig, SCENE)
 
 
@@ -151,7 +165,7 @@ def test_drawing_leaves_the_picture_alone(poses):
     picture = plate_picture(RIG, poses)
     before = picture.copy()
     overlay = Overlay(RIG, SCENE, TOLERANCE)
-    look = overlay.look(picture)
+    look = overlay.look(frame(picture))
     drawn = overlay.drawn(picture, look, words=True)
     np.testing.assert_array_equal(picture, before)
     assert (drawn != picture).any()
@@ -161,7 +175,7 @@ def test_outlines_stand_where_the_part_stands():
     """In place, the drawn upper outline runs through the projected corners of the part."""
     picture = plate_picture(RIG, AT_HOME)
     overlay = Overlay(RIG, SCENE, TOLERANCE)
-    drawn = overlay.drawn(picture, overlay.look(picture))
+    drawn = overlay.drawn(picture, overlay.look(frame(picture)))
     changed = np.abs(drawn.astype(int) - picture).max(axis=2) > 60
     c, s = math.cos(0.35), math.sin(0.35)
     corners = SQUARE.outline @ np.array([[c, s], [-s, c]]) + WANTED[:2]
@@ -174,11 +188,12 @@ def test_watching_shows_every_frame():
                 for dx in (0.01, 0.005, 0.0)]  # fmt: skip
     shown = []
     frames = (Frame(0.1 * k, picture) for k, picture in enumerate(pictures))
-    last = watch(Overlay(RIG, SCENE, TOLERANCE), frames, lambda draw, status: shown.append(status))
+    overlay = Overlay(RIG, SCENE, TOLERANCE)
+    *_, last = watch(overlay, frames, lambda draw, status: shown.append(status))
     assert [status["state"] for status in shown] == ["off", "off", "placed"]
     errors = [status["parts"][0]["distance_mm"] for status in shown]
     assert errors == sorted(errors, reverse=True)
-    assert last is not None and last.placed
+    assert last.placed
 
 
 def test_a_picture_is_written_as_it_is(tmp_path):

@@ -39,6 +39,14 @@ def film(
             show_default="thesis, or microscope",
         ),
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A number of the looks, e.g. occlusion=1.5; may be repeated.",
+            metavar="NAME=VALUE",
+        ),
+    ] = None,
     seed: Seed = 1,
     exact: Annotated[
         bool, typer.Option("--exact", help="Keep every bit of every picture; larger files.")
@@ -70,6 +78,7 @@ def film(
         Shooting(
             rig=rig,
             looks=looks or "",
+            changes=tuple(set_ or ()),
             seed=seed,
             codec="exact" if exact else "near",
             rate=rate,

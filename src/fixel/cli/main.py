@@ -4,6 +4,7 @@
     1    something else went wrong, said on standard error
     2    bad input: a wrong option, or a scene or dataset that cannot be; said likewise
     3    the simulation did not finish; what was computed until then is in the answer
+    4    `fixel overlay --once`: something is not in its place
     130  interrupted
 
 Nothing heavy is imported here: each command imports its workflow when it runs.
@@ -18,6 +19,7 @@ import typer
 from fixel.cli import (
     benchmark,
     calibrate,
+    camera,
     data,
     db,
     demo,
@@ -27,6 +29,7 @@ from fixel.cli import (
     film,
     filter,
     jobs,
+    overlay,
     project,
     record,
     replay,
@@ -68,6 +71,7 @@ app.command("report")(report.report)
 app.command("sensitivity")(sensitivity.sensitivity)
 app.command("export")(export.export)
 app.command("data")(data.data)
+app.add_typer(camera.app, name="camera")
 app.add_typer(domain.app, name="domain")
 project.testbed.command("film")(film.film)
 app.add_typer(project.testbed, name="testbed")
@@ -78,6 +82,7 @@ app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("uncertainty")(uncertainty.uncertainty)
 app.command("serve")(serve.serve)
+app.command("overlay")(overlay.overlay)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

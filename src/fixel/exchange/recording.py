@@ -115,11 +115,12 @@ class Recording:
         for k, packet in enumerate(packets(self.video)):
             if k == self.n_frames:
                 return
-            frame = decoder.frame(float(self.time[k]), packet.data)
+            where = f"{self.video}, frame {k}"
+            frame = decoder.frame(float(self.time[k]), packet.data, where)
             if frame is None:
                 width, height = self.header.size
                 raise InvalidInput(
-                    f"{self.video}, frame {k}",
+                    where,
                     found="no picture in it",
                     expected=f"a picture of {width} x {height} pixels",
                     hint="the camera sent it so",

@@ -6,16 +6,14 @@ with times to the microsecond, so that each can be found again by its checksum.
 
 from __future__ import annotations
 
-import io
 import zlib
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
-import numpy as np
-
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import JpegPlanes, jpeg_of, jpeg_size
 from fixel.exchange.recording_rows import MICRO
 from fixel.vision.frame import Frame, Picture
 
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     import av
 
 MICROSECOND: Final = Fraction(1, MICRO)
-QUALITY: Final = 95  # of JPEG, with colours at full resolution
 LOSSLESS: Final = "magicyuv"
 
 
@@ -136,18 +133,6 @@ class VideoSink:
                 raise
 
 
-def jpeg_of(picture: Picture) -> bytes:
-    """JPEG of high quality, with colours at full resolution."""
-    from PIL import Image
-
-    height, width = picture.shape[:2]
-    whole = np.ascontiguousarray(picture)
-    file = io.BytesIO()
-    image = Image.frombuffer("RGB", (width, height), whole, "raw", "BGR", 0, 1)
-    image.save(file, "JPEG", quality=QUALITY, subsampling=0)
-    return file.getvalue()
-
-
 def packets(path: Path) -> Iterator[Packet]:
     """All packets of a video, the last perhaps torn; none where it ends before the first."""
     import av
@@ -167,35 +152,41 @@ def packets(path: Path) -> Iterator[Packet]:
 
 @final
 class PictureDecoder:
-    """Turns the packets of a video into pictures, one by one.
+    """Turns the packets of a video into frames, one by one.
 
     Parameters
     ----------
-    exact : bool
-        Whether the video was written without loss.
     size : (int, int)
         Width and height [px].
+    exact : bool
+        Whether the video was written without loss.
     """
 
     def __init__(self, size: tuple[int, int], *, exact: bool) -> None:
-        import av
-
-        self._codec = av.CodecContext.create(LOSSLESS if exact else "mjpeg", "r")
-        assert isinstance(self._codec, av.VideoCodecContext)
-        self._codec.width, self._codec.height = size
-        self._codec.thread_count = 1
         self._size = size
+        self._codec = _lossless(size) if exact else None
 
-    def frame(self, time: float, data: bytes) -> Frame | None:
+    def frame(self, time: float, data: bytes, where: str) -> Frame | None:
         """The frame in a packet, None where there is no picture of this size in it."""
+        if self._codec is None:
+            fits = jpeg_size(data) == self._size
+            return Frame(time, planes=JpegPlanes(data, where)) if fits else None
         import av
 
         from fixel.exchange.video_planes import DecodedPlanes
 
         try:
-            decoded = self._codec.decode(av.Packet(data))
-        except av.error.FFmpegError:
+            (decoded,) = self._codec.decode(av.Packet(data))
+        except (av.error.FFmpegError, ValueError):
             return None
-        if len(decoded) != 1 or (decoded[0].width, decoded[0].height) != self._size:
-            return None
-        return Frame(time, planes=DecodedPlanes(decoded[0]))
+        return Frame(time, planes=DecodedPlanes(decoded))
+
+
+def _lossless(size: tuple[int, int]) -> av.VideoCodecContext:
+    import av
+
+    codec = av.CodecContext.create(LOSSLESS, "r")
+    assert isinstance(codec, av.VideoCodecContext)
+    codec.width, codec.height = size
+    codec.thread_count = 1
+    return codec

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, final
@@ -60,7 +61,7 @@ class RecordingWriter:
         write_header(self.folder, header)
         (self.folder / RESERVE).write_bytes(bytes(RESERVED))
         self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
-        self._rows.write(HEAD.encode("ascii"))
+        self._rows_end = self._rows.write(HEAD.encode("ascii"))
         self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
 
     @property
@@ -169,6 +170,7 @@ class RecordingWriter:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder / ROWS))
         self.frames += 1
         self.bytes = written.end
+        self._rows_end += len(text)
         self._last_us = time_us
 
     def _micro(self, time: float) -> int:
@@ -189,6 +191,10 @@ class RecordingWriter:
         self._closed = True
         self._rows.close()
         self._video.close()
+        with suppress(OSError):  # what a full disk took of a frame that did not fit
+            if self.frames:
+                os.truncate(self.folder / ROWS, self._rows_end)
+                os.truncate(self.folder / VIDEO, self.bytes)
         (self.folder / RESERVE).unlink(missing_ok=True)
 
 

@@ -13,10 +13,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import END, jpeg_size
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
-from fixel.testbed.jpeg import END, jpeg_size
 from fixel.vision.frame import Picture
-from fixel.vision.outlines import vision_library
+from fixel.vision.opencv import opencv
 
 WARM_UP: Final = 10  # pictures that may fail before a camera is believed to give none
 
@@ -60,7 +60,7 @@ class DeviceSource(FrameSource):
         """Ask for JPEG at the size and rate wanted; take what the camera then gives."""
         if self._capture is None:
             _refuse_missing(self._device)
-        cv2 = vision_library()
+        cv2 = opencv()
         camera = (self._capture or cv2.VideoCapture)(self._device)
         self._camera = camera
         if not camera.isOpened():

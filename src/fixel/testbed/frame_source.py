@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import REDUCED, brightness, decoded, shrunk
 from fixel.vision.frame import Gray, Picture
 
 STALLED: Final = 3.0  # [s] a camera that sends nothing for so long was unplugged
@@ -62,16 +63,14 @@ class Arrived:
             A JPEG that cannot be decoded.
         """
         if self.pixels is None:
-            from fixel.testbed.jpeg import decoded
-
             self.pixels = decoded(self.jpeg or b"")
         return self.pixels
 
     def small(self) -> Gray:
         """(height / 8, width / 8) uint8 of brightness; cheap."""
-        from fixel.testbed.jpeg import decoded_small, shrunk
-
-        return shrunk(self.pixels) if self.jpeg is None else decoded_small(self.jpeg)
+        if self.jpeg is None:
+            return shrunk(self.picture())
+        return brightness(self.jpeg, REDUCED)
 
 
 class FrameSource(abc.ABC):

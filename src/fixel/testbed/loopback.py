@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, final
 
 from fixel.errors import InvalidInput
-from fixel.exchange.recording_video import jpeg_of
+from fixel.exchange.jpeg import jpeg_of
 from fixel.testbed.file_source import FileSource
 from fixel.testbed.frame_source import Stream
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
 from fixel.errors import FixelError, InvalidInput
+from fixel.exchange.jpeg import jpeg_size
 from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
-from fixel.testbed.jpeg import jpeg_size
 from fixel.testbed.pace import Pace
 from fixel.testbed.room import SPARE, free_space, refuse_full_disk
 from fixel.testbed.seating import Seating
@@ -23,6 +24,7 @@ from fixel.vision.frame import Frame
 LOOKS_AT_DISK: Final = 0.5  # [s]
 POLL: Final = 0.1  # [s] between two looks at the stop key while no picture comes
 WATCH: Final = 0.1  # [s] between two reports to whoever watches
+BEHIND: Final = 0.1  # [s] a reading later than that does not belong to its frame
 BREATH: Final = 2e-6  # [s] at least, between two frames that came together
 
 
@@ -260,7 +262,10 @@ class Recorder:
         if self.tactile is not None:
             reading = self.tactile.read()
             self._bits = reading.bits
-            when = None if reading.bits is None else max(reading.time - zero, 0.0)
+            # A source that waits for its reader has a clock of its own.
+            when = max(reading.time - zero, 0.0) if self.stream.live else at
+            if when > at + BEHIND:
+                self._problems[f"a reading more than {BEHIND:g} s after its frame"] += 1
             self._without += reading.bits is None
             if reading.problem:
                 self._problems[f"fixels: {reading.problem}"] += 1
@@ -283,7 +288,8 @@ class Recorder:
             return ""
         why = self.seating.touched(at, self._bits)
         if not why and self.seating.wants_look(at):
-            why = self.seating.looked(at, arrived.small())
+            with suppress(InvalidInput):  # a spoilt picture shows nothing
+                why = self.seating.looked(at, arrived.small())
         return why
 
     def _show(self, arrived: Arrived, at: float, frames: int, lost: int) -> None:

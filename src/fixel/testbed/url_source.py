@@ -13,8 +13,8 @@ from typing import Final, final
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import END, jpeg_size
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
-from fixel.testbed.jpeg import END, jpeg_size
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 LONGEST_LINE: Final = 4096  # [bytes] of a header

@@ -1,112 +1,130 @@
-"""Where the marked parts of a rig lie in one picture, without a history."""
+"""Where everything lies now, frame by frame, and whether the camera can be believed."""
 
 from __future__ import annotations
 
-import math
-from typing import Any, Final, NamedTuple, final
+from dataclasses import dataclass, field, replace
+from typing import Final, final
 
-import numpy as np
-from numpy.typing import ArrayLike
-
+from fixel.errors import InvalidInput
+from fixel.model import Scene
 from fixel.model.fields import FloatArray
-from fixel.model.shape import placed
-from fixel.vision.frame import Picture
-from fixel.vision.marks import Rig, Tag
-from fixel.vision.outlines import vision_library
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig
+from fixel.vision.tracking.base import Sighting
+from fixel.vision.tracking.checks import plate_offsets, refuse_flipped, refuse_moved, refuse_size
+from fixel.vision.tracking.fixels import LEAST, FixelFinder
+from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
-DICTIONARIES: Final = {
-    "apriltag-36h11": "DICT_APRILTAG_36h11",
-    "aruco-4x4-50": "DICT_4X4_50",
-    "aruco-5x5-100": "DICT_5X5_100",
-}
-# Upper left, upper right, lower right, lower left, in halves of a side.
-CORNERS: Final = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) / 2.0
-
-
-class Located(NamedTuple):
-    """What one picture shows.
-
-    Attributes
-    ----------
-    parts : dict of str to (3,) float64
-        Poses of the parts that are seen [m, m, rad].
-    plate : dict of int to (2,) float64
-        How far plate tags appear from where they are, by their number [m].
-    """
-
-    parts: dict[str, FloatArray]
-    plate: dict[int, FloatArray]
+# What stays where it is, is looked at in so few frames: camera, plate and fixels.
+NOW_AND_THEN: Final = 15
 
 
 @final
-class TagLocator:
-    """Finds tags in single pictures, and the parts they sit on.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Located:
+    """What one frame shows.
 
-    Corners are taken down the camera's rays to the height of the tag, and the pose in the plane
-    that fits them best is the part's: a tag cannot flip.
+    Attributes
+    ----------
+    parts : dict of str to Sighting
+        Of every part that is looked for.
+    fixels : dict of str to (2,) float64
+        Places of the fixels whose tops were found [m].
+    problems : tuple of str
+        Why nothing of this can be believed.
+    remarks : tuple of str
+        What else one should know.
+    """
+
+    parts: dict[str, Sighting] = field(default_factory=dict)
+    fixels: dict[str, FloatArray] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+@final
+class Locator:
+    """Finds parts and fixels in a live picture, and goes on when there are none.
 
     Parameters
     ----------
     rig : Rig
+    scene : Scene
+        Tells outlines, and about where fixels stand.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parts of the scene that it looks for.
+
+    Raises
+    ------
+    InvalidInput
+        There is no part of the scene that the rig has marks for.
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, scene: Scene) -> None:
+        things = things_of(scene)
+        own = {name: part for name, part in rig.parts.items() if name in things}
+        if not own:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found="it knows " + (", ".join(rig.parts) or "no part"),
+                expected="a part of the scene: " + ", ".join(things),
+                hint="parts of a rig have the names they have in the scene",
+            )
         self.rig = rig
-        tags = [tag for part in rig.parts.values() for tag in part.marks if isinstance(tag, Tag)]
-        families = dict.fromkeys(tag.family for tag in (*tags, *rig.plate))
-        self._detectors = {family: _detector(family) for family in families}
+        self._scene = scene
+        self.names, self._followers = followers_of(replace(rig, parts=own), things, AUTO)
+        self._looks = 0
+        self._standing = Located()
+        self._finder = FixelFinder(rig, scene.fixels)
+        self._finds = 0
 
-    def __call__(self, picture: Picture) -> Located:
-        """Where everything lies that is seen."""
-        found = self._corners(picture)
-        parts = {}
-        for name, part in self.rig.parts.items():
-            seen = [mark for mark in part.marks if _key(mark) in found]
-            if seen:
-                own = [placed(mark.size * CORNERS, mark.pose) for mark in seen]  # type: ignore[union-attr]
-                there = [self._on_plane(mark, found) for mark in seen]
-                parts[name] = fitted_pose(np.concatenate(own), np.concatenate(there))
-        return Located(
-            parts=parts,
-            plate={
-                tag.id: self._on_plane(tag, found).mean(axis=0) - tag.pose[:2]
-                for tag in self.rig.plate
-                if _key(tag) in found
-            },
-        )
+    def see(self, frame: Frame) -> Located:
+        """Where everything is in this frame."""
+        try:
+            refuse_size(self.rig, frame)
+            parts = {
+                name: sight
+                for follower in self._followers
+                for name, sight in follower.see(frame).items()
+            }
+        except InvalidInput as problem:
+            return Located(
+                parts={name: Sighting(reason="not looked for") for name in self.names},
+                problems=(_told(problem),),
+            )
+        seen = any(sight.pose is not None for sight in parts.values())
+        if self._looks % NOW_AND_THEN == 0 or self._finds < LEAST:
+            self._standing = self._what_stands(frame, seen)
+        self._looks += 1
+        return replace(self._standing, parts=parts)
 
-    def _on_plane(self, mark: Any, found: dict[Any, FloatArray]) -> FloatArray:
-        return self.rig.camera.on_plane(found[_key(mark)], mark.height)
+    def _what_stands(self, frame: Frame, seen: bool) -> Located:
+        """Camera, plate and fixels."""
+        try:
+            refuse_moved(self.rig, frame)
+            if not seen:
+                refuse_flipped(self.rig, frame.luma)
+        except InvalidInput as problem:
+            return Located(problems=(_told(problem),))
+        remarks = []
+        if self.rig.plate and not plate_offsets(self.rig, frame):
+            remarks.append("No plate tag is seen, so nothing tells whether the camera has moved")
+        return Located(fixels=self._fixels(frame), remarks=tuple(remarks))
 
-    def _corners(self, picture: Picture) -> dict[Any, FloatArray]:
-        """(4, 2) corners [px] of every tag in the picture."""
-        cv2 = vision_library()
-        gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
-        found: dict[Any, FloatArray] = {}
-        for family, detector in self._detectors.items():
-            corners, ids, _ = detector.detectMarkers(gray)
-            for number, quad in zip([] if ids is None else ids.ravel(), corners, strict=True):
-                found[family, int(number)] = quad.reshape(4, 2).astype(np.float64)
+    def _fixels(self, frame: Frame) -> dict[str, FloatArray]:
+        """Places out of the last few frames; a fixel may be moved to another hole meanwhile."""
+        self._finder.see(frame)
+        self._finds += 1
+        if self._finds % LEAST:
+            return self._standing.fixels
+        found = {fixel.name: fixel.place for fixel in self._finder.found()}
+        self._finder = FixelFinder(self.rig, self._scene.fixels)
         return found
 
 
-def fitted_pose(own: ArrayLike, there: ArrayLike) -> FloatArray:
-    """(3,) pose [m, m, rad] that brings points (n, 2) of a frame nearest to others (n, 2) [m]."""
-    a, b = np.asarray(own, dtype=np.float64), np.asarray(there, dtype=np.float64)
-    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-    angle = math.atan2(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum()))
-    x, y = b.mean(axis=0) - placed(a.mean(axis=0), (0.0, 0.0, angle))
-    return np.array([x, y, angle])
-
-
-def _key(mark: Any) -> Any:
-    return (mark.family, mark.id) if isinstance(mark, Tag) else mark
-
-
-def _detector(family: str) -> Any:
-    cv2 = vision_library()
-    parameters = cv2.aruco.DetectorParameters()
-    # Lines along whole sides: what refines single corners is pulled aside by the cells next to them.
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
-    return cv2.aruco.ArucoDetector(dictionary, parameters)
+def _told(problem: InvalidInput) -> str:
+    """What is wrong, without advice for films that are made already."""
+    return f"Found {problem.found}, expected {problem.expected}"

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
 from fixel.model.fields import FloatArray
 from fixel.model.shape import Shape, placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
+from fixel.vision.opencv import opencv
 
 Bgr = tuple[int, int, int]
 
-# A lens bends straight edges: so many pieces a side follow it to a hundredth of a pixel in any
-# picture that is not of a fish-eye.
-PIECES = 8
+# A lens bends straight edges: in so many pieces all together, they follow it.
+PIECES = 32
 # Beyond the corners of the picture a lens model means nothing and may fold back into it.
 FIELD = 1.25  # [-] of the farthest corner
 WIDEST = 20.0  # [-] a direction 87 degrees off the axis
@@ -51,7 +49,8 @@ def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float)
     """
     corners = shape.outline
     following = np.roll(corners, -1, axis=0)
-    share = np.arange(PIECES)[:, None, None] / PIECES
+    pieces = -(-PIECES // len(corners))
+    share = np.arange(pieces)[:, None, None] / pieces
     along = corners + share * (following - corners)
     line = placed(along.transpose(1, 0, 2).reshape(-1, 2), pose)
     return place_pixels(camera, line, height)
@@ -142,7 +141,7 @@ def draw_words(
     picture: Picture, words: str, place: ArrayLike, colour: Bgr, *, size: float = 0.6
 ) -> None:
     """Write ASCII words, their lower left corner at a pixel (2,), moved until they fit."""
-    cv2 = vision_library()
+    cv2 = opencv()
     font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(2.0 * size))
     (wide, tall), below = cv2.getTextSize(words, font, size, thick)
     u, v = np.asarray(place, dtype=np.float64)
@@ -161,23 +160,11 @@ def bgr(colour: str) -> Bgr:
     return blue, green, red
 
 
-def vision_library() -> ModuleType:
-    """OpenCV, or a refusal that says how to get it."""
-    try:
-        import cv2
-    except ImportError:
-        raise InvalidInput(
-            "pictures need the package opencv-python-headless",
-            hint="pip install 'fixel[vision]'",
-        ) from None
-    return cv2
-
-
 def _stroke(
     picture: Picture, strokes: list[FloatArray], colour: Bgr, width: int, strength: float
 ) -> None:
     """Draw lines; where they are faint, mixed with what is there, each pixel once."""
-    cv2 = vision_library()
+    cv2 = opencv()
     whole = [np.round(stroke * 2**SUBPIXEL).astype(np.int32) for stroke in strokes]
     if strength >= 1.0:
         cv2.polylines(picture, whole, False, colour, width, cv2.LINE_AA, SUBPIXEL)

@@ -14,9 +14,10 @@ from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from fixel.errors import InvalidInput
 from fixel.vision.frame import Picture
-from fixel.vision.outlines import vision_library
+from fixel.vision.opencv import opencv
 
-BOUNDARY: Final = "fixel"
+BOUNDARY: Final = "next-picture-of-fixel-7d1f0c5e"
+PART_HEAD: Final = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()
 HEARTBEAT: Final = 1.0  # [s] between two signs of life when nothing changes
 STATUS_PAUSE: Final = 0.05  # [s] least time between two reports: nobody reads faster
 
@@ -39,7 +40,7 @@ class Drawing:
             return self._jpeg
 
     def _compressed(self) -> bytes:
-        cv2 = vision_library()
+        cv2 = opencv()
         picture = self._picture() if callable(self._picture) else self._picture
         done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
         if not done:
@@ -153,19 +154,19 @@ class LiveView:
     async def pictures(self) -> AsyncIterator[bytes]:
         """Parts of a `multipart/x-mixed-replace` answer.
 
-        The border is sent right behind each picture: a browser shows a part once it has seen where
-        the next begins.
+        Behind each picture the head of the next is sent at once: Chromium shows a picture when it
+        has read that head, so that each would be one picture late otherwise.
         """
         self._watchers += 1  # of one event loop, so no two at once
         seen, shown = 0, None
         try:
-            yield f"--{BOUNDARY}\r\n".encode()
+            yield PART_HEAD
             while (shot := await self.after(seen, HEARTBEAT)) is not None:
                 silent = shot.number == seen
                 seen = shot.number
                 if shot.drawing is not None and (silent or shot.drawing is not shown):
                     shown = shot.drawing
-                    yield _part(await asyncio.to_thread(shown.jpeg))
+                    yield await asyncio.to_thread(shown.jpeg) + b"\r\n" + PART_HEAD
         finally:
             self._watchers -= 1
 
@@ -177,6 +178,8 @@ class LiveView:
             yield f"data: {shot.report}\n\n" if shot.number > seen else ": still here\n\n"
             seen = shot.number
             await asyncio.sleep(STATUS_PAUSE)
+        if self.newest.number > seen:  # the last words
+            yield f"data: {self.report}\n\n"
         yield "event: end\ndata: {}\n\n"
 
     def router(self) -> APIRouter:
@@ -205,11 +208,6 @@ class LiveView:
             return JSONResponse(json.loads(self.report))
 
         return router
-
-
-def _part(jpeg: bytes) -> bytes:
-    head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-    return b"".join([head.encode(), jpeg, f"\r\n--{BOUNDARY}\r\n".encode()])
 
 
 def _wake(waiting: list[tuple[asyncio.Event, asyncio.AbstractEventLoop]]) -> None:

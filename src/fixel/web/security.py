@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from typing import Final, final
 from urllib.parse import parse_qsl, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -69,12 +69,9 @@ class Gate:
 
     def opens(self, headers: Headers) -> bool:
         """Whether a request carries the cookie."""
-        try:
-            jar = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return False
-        morsel = jar.get(self.cookie)
-        return morsel is not None and _same(morsel.value, self.session)
+        # As lenient as browsers: what other servers of this machine left may be no proper cookie.
+        cookies = cookie_parser(headers.get("cookie", ""))
+        return _same(cookies.get(self.cookie, ""), self.session)
 
     def admits(self, headers: Headers) -> bool:
         """Whether a request that changes something comes from one of our own pages."""

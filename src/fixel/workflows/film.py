@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final, final
 
 from fixel.errors import InvalidInput
-from fixel.exchange.atomic import written_whole
 from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.exchange.rig_file import rig_of, save_rig
 from fixel.exchange.scene_file import save_scene
 from fixel.exchange.video_file import VideoWriter
-from fixel.model import Trajectory
-from fixel.model.chance import stream
-from fixel.model.fields import BoolArray, FloatArray
-from fixel.testbed.sensors import tactile_channel, touching
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.render import MICROSCOPE, Looks, film_scene, frame_times, looks_named
-from fixel.vision.render.film import occlusion_of, poses_at
-from fixel.vision.render.looks import light
+from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_times, looks_named
 from fixel.workflows.engine import Say, get_ready
 from fixel.workflows.film_shots import Shot, shots
+from fixel.workflows.film_truth import Truth, tracks_of, truth_of, write_truth
 
 Progress = Callable[[int, int], None]
 
@@ -42,8 +32,6 @@ STARTED: Final = "2000-01-01T00:00:00.000+00:00"
 # Names of the files beside a recording.
 RIG_FILE: Final = "rig.yaml"
 SCENE_FILE: Final = "scene.yaml"
-TRUTH_ARRAYS: Final = "truth.npz"
-TRUTH: Final = "truth.json"
 
 
 @final
@@ -57,6 +45,8 @@ class Shooting:
         A rig file, or the name of an example.
     looks : str
         A preset; empty for the one that suits the rig: `thesis` or `microscope`.
+    changes : tuple of str
+        Numbers of the looks, each as `NAME=VALUE`.
     seed : int
         Of everything random.
     codec : str
@@ -71,6 +61,7 @@ class Shooting:
 
     rig: str = "thesis-tags"
     looks: str = ""
+    changes: tuple[str, ...] = ()
     seed: int = 1
     codec: str = "near"
     rate: float = RATE
@@ -143,7 +134,7 @@ def film(
     """
     shooting = shooting or Shooting()
     rig = rig_of(shooting.rig)
-    looks = _looks(shooting.looks, rig)
+    looks = changed(_looks(shooting.looks, rig), shooting.changes)
     if out.exists():
         raise InvalidInput(
             str(out), found="a folder that is there", expected="a name for a new one"
@@ -158,63 +149,6 @@ def film(
         folder = out / shot.name if count > 1 else out
         filmed.append(_shoot(shot, folder, rig, looks, shooting, video, progress))
     return filmed
-
-
-class Truth(NamedTuple):
-    """What really is at every frame of a film.
-
-    Attributes
-    ----------
-    time : (n,) float64
-        [s]
-    pose : dict of str to (n, 3) float64
-        Of bodies and pushers in the middle of the exposure [m, m, rad].
-    touches : (n, n_fixel) bool
-        Whether the object touches each fixel of the scene.
-    reading : (n,) int64
-        The tactile byte as reported, false and missed contacts included; -1 without fixels.
-    light : (n, 3) float64
-        Factors of blue, green and red [-].
-    covered : (n,) float64
-        Share of the object's upper face under the hand [-].
-    """
-
-    time: FloatArray
-    pose: dict[str, FloatArray]
-    touches: BoolArray
-    reading: NDArray[np.int64]
-    light: FloatArray
-    covered: FloatArray
-
-
-def tracks_of(shot: Shot, lead: float) -> dict[str, Trajectory]:
-    """True trajectories on the clock of a film that begins with a rest [s]."""
-    simulation = shot.simulation
-    tracks = {}
-    for name, pose in simulation.pose.items():
-        known = np.isfinite(pose).all(axis=1)
-        tracks[name] = Trajectory(time=lead + simulation.time[known], pose=pose[known])
-    return tracks
-
-
-def truth_of(shot: Shot, rig: Rig, looks: Looks, times: FloatArray, shooting: Shooting) -> Truth:
-    """What really is at the frames of a film taken at instants (n,) [s]."""
-    tracks = tracks_of(shot, shooting.lead)
-    occlusion = occlusion_of(shot.scene, rig, looks, times, shooting.seed)
-    name = shot.scene.bodies[0].name
-    covered = []
-    for time in times.tolist():
-        poses = poses_at(tracks, time, occlusion, shot.scene)
-        covered.append(occlusion.share(poses.get("hand"), poses[name]))
-    touches = _touches(shot, times - shooting.lead)
-    return Truth(
-        time=times,
-        pose={name: track.at(times) for name, track in tracks.items()},
-        touches=touches,
-        reading=_readings(shot, rig, times, touches, shooting.seed),
-        light=light(looks, times, shooting.seed),
-        covered=np.array(covered),
-    )
 
 
 def _looks(name: str, rig: Rig) -> Looks:
@@ -250,7 +184,7 @@ def _shoot(
 ) -> Filmed:
     duration = shooting.lead + float(shot.simulation.time[-1]) + shooting.rest
     times = frame_times(duration, shooting.rate, looks, shooting.seed)[: shooting.frames]
-    truth = truth_of(shot, rig, looks, times, shooting)
+    truth = truth_of(shot, rig, looks, times, shooting.seed, shooting.lead)
     frames = film_scene(
         shot.scene, tracks_of(shot, shooting.lead), rig, looks, times, shooting.seed
     )
@@ -267,7 +201,7 @@ def _shoot(
     _write_frames(frames, truth, folder, header, video, progress)
     save_rig(rig, folder / RIG_FILE)
     save_scene(shot.planned, folder / SCENE_FILE)
-    _write_truth(shot, truth, looks, shooting, folder)
+    write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
     return Filmed(
         name=shot.name,
         folder=folder,
@@ -299,56 +233,3 @@ def _write_frames(
                 copy.write(frame)
             if progress is not None:
                 progress(k + 1, total)
-
-
-def _write_truth(shot: Shot, truth: Truth, looks: Looks, shooting: Shooting, folder: Path) -> None:
-    """`truth.npz`, frame by frame, and `truth.json`; whoever tracks must not look at them."""
-    arrays: dict[str, Any] = {
-        "time_s": truth.time,
-        "touches": truth.touches,
-        "reading": truth.reading,
-        "light": truth.light,
-        "covered": truth.covered,
-        **{f"pose_{name}": pose for name, pose in truth.pose.items()},
-    }
-    with written_whole(folder / TRUTH_ARRAYS) as unfinished:
-        np.savez_compressed(unfinished, **arrays)
-    simulation = shot.simulation
-    content = {
-        "name": shot.name,
-        "seed": shooting.seed,
-        "testbed_seed": shot.testbed.seed,
-        "looks": asdict(looks),
-        "status": simulation.status,
-        "motion_s": [shooting.lead, shooting.lead + float(simulation.time[-1])],
-        "bodies": [body.name for body in shot.scene.bodies],
-        "pushers": [pusher.name for pusher in shot.scene.pushers],
-        "fixels": [fixel.name for fixel in shot.scene.fixels],
-        "conditions": dict(shot.truth),
-    }
-    with written_whole(folder / TRUTH) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
-
-
-def _touches(shot: Shot, times: FloatArray) -> BoolArray:
-    """(n, n_fixel) at instants of the simulation; before its begin none has moved."""
-    simulation = shot.simulation
-    sample = np.searchsorted(simulation.time, times, side="right") - 1
-    return np.asarray(touching(simulation)[np.clip(sample, 0, len(simulation.time) - 1)])
-
-
-def _readings(
-    shot: Shot, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
-) -> NDArray[np.int64]:
-    """(n,) bytes as the fixels report them: a bit a coil, in the rig's order."""
-    names = [fixel.name for fixel in shot.scene.fixels]
-    if not names:
-        return np.full(len(times), -1, np.int64)
-    random = stream(seed, "film", "tactile", shot.name)
-    wrong = shot.testbed.false_contact, shot.testbed.missed_contact
-    reported = tactile_channel(times, touches, *wrong, random).values.astype(np.int64)
-    total = np.zeros(len(times), np.int64)
-    for bit, name in enumerate(rig.tactile):
-        if name in names:
-            total |= reported[:, names.index(name)] << bit
-    return total

@@ -20,7 +20,7 @@ from fixel.vision.outlines import (
 )
 
 if TYPE_CHECKING:
-    from fixel.workflows.overlay import Look, PartLook
+    from fixel.workflows.overlay_look import Look, PartLook
 
 WANTED: Final = bgr(TRAIL)
 ACTUATOR: Final = bgr(PUSHER)
@@ -100,9 +100,11 @@ def _words(canvas: Picture, look: Look) -> None:
     """The verdict large, then a line for each part, from the upper left."""
     size = max(0.4, canvas.shape[1] / 1600.0)
     step = 42.0 * size
+    lines = [*look.problems, *(_line(part) for part in look.checked), *look.remarks]
+    band = canvas[: round(step * (1.6 + len(lines)))]
+    band[:] = band // 3
     colour = BRIGHT if look.placed else WARNING
     draw_words(canvas, look.sentence, (16.0, step), colour, size=1.5 * size)
-    lines = [*look.problems, *(_line(part) for part in look.checked), *look.remarks]
     for number, line in enumerate(lines):
         draw_words(canvas, line, (16.0, step * (2.1 + number)), STANDING, size=0.8 * size)
 
@@ -110,7 +112,8 @@ def _words(canvas: Picture, look: Look) -> None:
 def _line(part: PartLook) -> str:
     error = part.error
     if error is None:
-        return f"{part.name}: not seen"
+        return f"{part.name}: not seen, {part.reason}"
     x, y, turn = 1e3 * error[0], 1e3 * error[1], np.degrees(error[2])
     verdict = "in place" if part.within else "off"
-    return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, angle {turn:+.2f} deg, {verdict}"
+    angle = "" if part.round else f"angle {turn:+.2f} deg, "
+    return f"{part.name}: x {x:+.2f} mm, y {y:+.2f} mm, {angle}{verdict}"

@@ -14,6 +14,7 @@ from fixel.vision.render.looks import (
     MICROSCOPE,
     PRESETS,
     Looks,
+    changed,
     frame_times,
     looks_named,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "MICROSCOPE",
     "PRESETS",
     "Looks",
+    "changed",
     "film_scene",
     "frame_times",
     "looks_named",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -101,6 +102,8 @@ _NOT_NEGATIVE = {
 }
 _SHARES = ("vignetting", "shadows", "light_change", "colour_change", "occluded", "dropped")
 
+_NUMBERS: Final = (*_NOT_NEGATIVE, *_SHARES)
+
 _THESIS: Final = Looks(
     exposure=1.0 / 100.0,
     blur=0.6,
@@ -156,6 +159,30 @@ def looks_named(name: str) -> Looks:
         expected=", ".join(PRESETS),
         hint=f"did you mean {close[0]!r}?" if close else None,
     )
+
+
+def changed(looks: Looks, changes: Iterable[str]) -> Looks:
+    """The looks with some numbers changed, each as `NAME=VALUE`.
+
+    Raises
+    ------
+    InvalidInput
+        No such name, or a value that is no number.
+    """
+    for text in changes:
+        name, equals, value = text.partition("=")
+        if name not in _NUMBERS or not equals:
+            raise InvalidInput(
+                "looks",
+                found=repr(text),
+                expected="NAME=VALUE, the name one of " + ", ".join(_NUMBERS),
+            )
+        try:
+            number = float(value)
+        except ValueError:
+            raise InvalidInput(f"looks.{name}", found=repr(value), expected="a number") from None
+        looks = replace(looks, **{name: number})  # type: ignore[arg-type]
+    return looks
 
 
 def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatArray:

@@ -65,7 +65,7 @@ def falloff(eye: Eye, vignetting: float) -> FloatPicture:
     """(h, w) share of the light that reaches the sensor: less towards the corners."""
     w, h = eye.size
     u, v = np.arange(w) - 0.5 * (w - 1), np.arange(h) - 0.5 * (h - 1)
-    out = (u**2 + v[:, None] ** 2) / (0.25 * (w * w + h * h))
+    out = (u**2 + v[:, None] ** 2) / max(u[0] ** 2 + v[0] ** 2, 1.0)
     return np.asarray(1.0 - vignetting * out, dtype=np.float32)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.model.fields import FloatArray
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import FloatPicture, Window, cover
+from fixel.vision.render.canvas import FloatPicture, Window, cover, window_of
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.solids import Placed
 
@@ -32,7 +32,7 @@ def shadow_window(things: Sequence[Placed], eye: Eye) -> Window:
         for piece in thing.footprint:
             low, top = piece.min(axis=0) - REACH * high, piece.max(axis=0) + REACH * high
             corners = np.array([low, [top[0], low[1]], top, [low[0], top[1]]])
-            window = window.joined(_window(eye.project_at(corners, 0.0), eye))
+            window = window.joined(window_of(eye.project_at(corners, 0.0), eye.size))
     return window.grown(2 * COARSE, eye.size)
 
 
@@ -66,7 +66,9 @@ def shade(
     ]
     if not hulls:
         return None
-    w, h = -(-window.width // COARSE), -(-window.height // COARSE)
+    # On one grid for every window, or shadows would shimmer as windows move.
+    left, top = window.left % COARSE, window.top % COARSE
+    w, h = -(-(window.width + left) // COARSE), -(-(window.height + top) // COARSE)
     room = np.zeros((h, w + 2))
     lost: FloatPicture = np.zeros((h, w), np.float32)
     one: FloatPicture = np.empty((h, w), np.float32)
@@ -74,7 +76,7 @@ def shade(
     for ray, share in enumerate(SHARES):
         one[:] = 0.0
         for hull in hulls[ray :: len(RAYS)]:
-            pixels = (hull + 0.5 - (window.left, window.top)) / COARSE - 0.5
+            pixels = (hull + 0.5 - (window.left - left, window.top - top)) / COARSE - 0.5
             if (pixels.max(axis=0) > -1.0).all() and (pixels.min(axis=0) < (w, h)).all():
                 cover(one, room, pixels)
                 met = True
@@ -84,7 +86,8 @@ def shade(
     cv2 = opencv()
     smooth = cv2.GaussianBlur(lost, (0, 0), 0.7)
     fine = cv2.resize(smooth, (w * COARSE, h * COARSE), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(1.0 - np.float32(depth) * fine[: window.height, : window.width])
+    part = fine[top : top + window.height, left : left + window.width]
+    return np.asarray(1.0 - np.float32(depth) * part)
 
 
 def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -> list[FloatArray]:
@@ -98,9 +101,3 @@ def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -
 
 def _hull(cv2: Any, points: Any) -> FloatArray:
     return np.asarray(cv2.convexHull(points)[:, 0, :], dtype=np.float64)
-
-
-def _window(pixels: FloatArray, eye: Eye) -> Window:
-    from fixel.vision.render.canvas import window_of
-
-    return window_of(pixels, eye.size)

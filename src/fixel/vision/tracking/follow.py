@@ -79,7 +79,7 @@ def track(
     for index, frame in enumerate(frames):
         if index == 0:
             rig, remarks = _checked(rig, frame, register=register)
-            names, followers = _followers(rig, things, method)
+            names, followers = followers_of(rig, things, method)
             sightings = {name: [] for name in names}
             finder = FixelFinder(rig, scene.fixels) if scene is not None else None
         times.append(frame.time)
@@ -125,7 +125,7 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
     return replace(rig, camera=camera), [remark]
 
 
-def _followers(
+def followers_of(
     rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
 ) -> tuple[tuple[str, ...], list[AbstractFollower]]:
     """Which parts are followed, and by what."""

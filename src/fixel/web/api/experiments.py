@@ -7,7 +7,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import TYPE_CHECKING, Annotated, Any, Final, final
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,6 +19,7 @@ from fixel.model import Experiment, Flag, Trajectory
 from fixel.web.api._values import LARGEST, Array, Id, Number, Text
 from fixel.workflows.browse import coverage, view_of, vocabulary
 from fixel.workflows.experiments import summary
+from fixel.workflows.seen import media_type, seen_in_video
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -225,6 +226,20 @@ class TactileOut(BaseModel):
     fixels: list[str]
 
 
+class SeenOut(BaseModel):
+    """Where the object appears in pictures of this size."""
+
+    size_px: list[int] = Field(description="width, height")
+    time_s: Array = Field(description="(n,)")
+    outline_px: Array = Field(description="(n, m, 2) closed lines; the first pixel's middle is 0")
+
+
+class OutlinesOut(BaseModel):
+    """Outlines over a video."""
+
+    outlines: SeenOut | None = Field(description="none where the rig is not known")
+
+
 class ExperimentOut(BaseModel):
     """All that is known of an experiment but for what is long."""
 
@@ -404,11 +419,27 @@ def _add_one(router: APIRouter, desk: Desk) -> None:
         response_class=FileResponse,
         responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
     )
-    def video(number: Number, request: Request) -> Response:
+    def video(number: Number) -> Response:
         path = store.video(number)
         if path is None or not path.is_file():
             raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
-        return FileResponse(path, media_type="video/mp4", headers={"cache-control": FOR_EVER})
+        with path.open("rb") as stream:
+            kind = media_type(stream.read(16))
+        # The address stays when a correction brings another video, so it is asked for each time.
+        return FileResponse(path, media_type=kind, headers={"cache-control": "private, no-cache"})
+
+    @router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
+    def outlines(number: Number) -> OutlinesOut:
+        seen = seen_in_video(desk.project, store.experiment(number))
+        if seen is None:
+            return OutlinesOut(outlines=None)
+        return OutlinesOut(
+            outlines=SeenOut(
+                size_px=list(seen.size),
+                time_s=Array.of(seen.time),
+                outline_px=Array.of(seen.outline, "<f4"),
+            )
+        )
 
 
 def row_out(row: Row) -> RowOut:

@@ -95,20 +95,26 @@ rows.addEventListener("came", () => {
 function head() {
   const line = make("tr", { "aria-rowindex": 1 });
   for (const column of COLUMNS) {
-    const here = column.sort === question.sort;
-    const state = here ? (question.descending ? "descending" : "ascending") : column.sort ? "none" : null;
-    const label = [column.label, column.unit ? make("span", { class: "unit-in-head" }, ` [${column.unit}]`) : ""];
+    const names = [column.sort, column.beside?.sort].filter(Boolean);
+    const state = names.includes(question.sort) ? (question.descending ? "descending" : "ascending") : column.sort ? "none" : null;
     const content = column.key === "select"
-      ? make("input", { type: "checkbox", id: "all", "aria-label": "Select all that match", onchange: selectAll })
+      ? [make("input", { type: "checkbox", id: "all", "aria-label": "Select all that match", onchange: selectAll })]
       : column.sort
-        ? make("button", { type: "button", class: "sort", title: column.title, onclick: () => sort(column.sort ?? "id") }, ...label, make("span", { class: "arrow", "aria-hidden": "true" }, here ? (question.descending ? "\u25bc" : "\u25b2") : ""))
-        : make("span", {}, ...label);
-    line.append(make("th", { scope: "col", class: column.key, "aria-sort": state }, content));
+        ? [sorter(column.sort, column.label, column.unit, column.title), column.beside ? sorter(column.beside.sort, column.beside.label) : ""]
+        : [make("span", {}, column.label)];
+    line.append(make("th", { scope: "col", class: column.key, "aria-sort": state }, ...content));
   }
   at("head").replaceChildren(line);
   const all = input("all");
   all.checked = selected.size > 0 && selected.size >= rows.total;
   all.indeterminate = selected.size > 0 && !all.checked;
+}
+
+/** @param {string} name @param {string} label @param {string} [unit] @param {string} [title] */
+function sorter(name, label, unit, title) {
+  const arrow = name === question.sort ? (question.descending ? "\u25bc" : "\u25b2") : "";
+  return make("button", { type: "button", class: "sort", title, onclick: () => sort(name) },
+    label, unit ? ` [${unit}]` : "", make("span", { class: "arrow", "aria-hidden": "true" }, arrow));
 }
 
 /** First up, then down, then as they were. @param {string} name */

@@ -37,6 +37,12 @@ export async function tell(address) {
   return answer.json();
 }
 
+// The stream of pictures never ends, and a page that waits for it would never be loaded.
+function look() {
+  at("picture").hidden = false;
+  at("picture").src = `${path}/stream?from=${Math.round(performance.now())}`;
+}
+
 function silence(sentence) {
   const node = at("silence");
   node.hidden = !sentence;
@@ -49,10 +55,12 @@ export function follow(show) {
   let newest = performance.now();
   let ended = false;
   let lost = false;
+  if (document.readyState === "complete") look();
+  else addEventListener("load", () => setTimeout(look));
   const source = new EventSource(`${path}/events`);
   source.onmessage = (event) => {
     newest = performance.now();
-    if (lost) at("picture").src = `${path}/stream?again=${Math.round(newest)}`;
+    if (lost) look();
     lost = false;
     silence("");
     write("link-state", "live");

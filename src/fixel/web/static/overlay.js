@@ -1,6 +1,6 @@
 import { at, follow, list, verdict, write } from "./live.js";
 
-const MARKS = { placed: "\u2713", off: "\u2192", "not-seen": "?", trouble: "!" };
+const MARKS = { placed: "\u2713", off: "\u2717", "not-seen": "?", trouble: "!" };
 
 const signed = (value, digits) => {
   if (value === null) return "\u2013";
@@ -20,11 +20,17 @@ function row(part) {
   node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
   const name = cell(part.name, "th");
   name.scope = "row";
-  const words = part.seen ? (part.within ? "\u2713 in place" : "\u2717 off") : "? not seen";
+  if (!part.seen) {
+    const reason = cell(part.reason, "td");
+    reason.colSpan = 3;
+    reason.className = "reason";
+    node.append(name, reason, cell("? not seen"));
+    return node;
+  }
   node.append(
     name,
     cell(signed(part.dx_mm, 2)), cell(signed(part.dy_mm, 2)), cell(signed(part.angle_deg, 2)),
-    cell(words),
+    cell(part.within ? "\u2713 in place" : "\u2717 off"),
   );
   return node;
 }
@@ -49,10 +55,12 @@ function guide(part, within) {
 }
 
 follow((status) => {
-  verdict(status.state, MARKS[status.state] ?? "", status.sentence);
+  verdict(status.state, MARKS[status.state] ?? "", status.headline);
   const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
   write("tolerance", `${within.mm} mm, ${within.deg} deg`);
-  guide(status.parts.find((part) => part.name === status.to_place), within);
+  const part = status.parts.find((one) => one.name === status.to_place);
+  guide(status.state === "trouble" ? null : part, within);
   at("parts").replaceChildren(...status.parts.map(row));
   list("problems", status.problems);
+  list("remarks", status.remarks);
 });

@@ -32,19 +32,18 @@ const SPARE = 6; // rows drawn beyond the screen
 // Shown elsewhere, or of no use for telling runs apart.
 const UNTOLD = /^(shape|layout|axis|step|repetition|truth_.*)$/;
 
-/** @type {{key: string, label: string, unit?: string, title?: string, sort?: string}[]} */
+/** @type {{key: string, label: string, unit?: string, title?: string, sort?: string, beside?: {label: string, sort: string}}[]} */
 export const COLUMNS = [
   { key: "select", label: "" },
   { key: "run", label: "Run" },
   { key: "name", label: "Experiment", sort: "name" },
-  { key: "shape", label: "Shape", sort: "shape" },
-  { key: "layout", label: "Layout", sort: "layout" },
+  { key: "shape", label: "Shape", sort: "shape", beside: { label: "layout", sort: "layout" } },
   { key: "contacts", label: "Contacts", sort: "contacts", title: "Fixels that the part touches at the end" },
   { key: "moved", label: "Moved", unit: "mm", sort: "moved" },
   { key: "turned", label: "Turned", unit: "deg", sort: "turned" },
   { key: "duration", label: "Time", unit: "s", sort: "duration" },
-  { key: "before", label: "Error before", unit: "mm", sort: "before", title: "Of the newest stored simulation with nominal values" },
-  { key: "after", label: "after", unit: "mm", sort: "after", title: "Of the newest calibration that it is part of" },
+  { key: "before", label: "Error", unit: "mm", sort: "before", title: "Before calibration: of the newest stored simulation with nominal values" },
+  { key: "after", label: "calibrated", unit: "mm", sort: "after", title: "Error after calibration: of the newest calibration that it is part of" },
   { key: "marks", label: "Flags", sort: "flags" },
 ];
 
@@ -217,8 +216,9 @@ export function drawnRow(row, index, { selected, active }) {
       make("small", {},
         row.real ? "" : make("span", { class: "unreal", title: "No camera has seen this" }, "simulated \u00b7 "),
         [row.dataset, told(row.conditions)].filter(Boolean).join(" \u00b7 "))),
-    shape: row.shape ?? "\u2013",
-    layout: row.layout ?? "\u2013",
+    shape: row.shape || row.layout
+      ? make("span", { class: "named" }, row.shape ?? "\u2013", make("small", {}, row.layout ?? ""))
+      : "\u2013",
     contacts: dots(row.contacts),
     moved: mm(row.moved_m),
     turned: deg(row.turned_rad),
@@ -226,8 +226,8 @@ export function drawnRow(row, index, { selected, active }) {
     before: fixed(row.before_mm, 2),
     after: fixed(row.after_mm, 2),
     marks: make("span", { class: "tags" },
-      ...tags(row.flags),
-      row.notes ? make("span", { class: "tag", title: `${row.notes} notes` }, `\u270e ${row.notes}`) : null),
+      row.notes ? make("span", { class: "tag", title: `${row.notes} notes` }, `\u270e ${row.notes}`) : null,
+      ...tags(row.flags)),
   };
   const node = make("tr", {
     "data-index": index, "data-id": row.id, "aria-rowindex": index + 2, "aria-selected": String(selected),

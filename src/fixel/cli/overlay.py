@@ -1,0 +1,199 @@
+"""`fixel overlay SCENE`: outlines of where everything should lie, on the live picture."""
+
+import json
+import shlex
+import sys
+from contextlib import suppress
+from itertools import islice
+from math import degrees, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fixel.cli.options import AsJson, ProjectFolder
+from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fixel.testbed.frame_source import FrameSource
+    from fixel.vision.marks import Rig
+    from fixel.workflows.overlay import Overlay
+    from fixel.workflows.overlay_look import Look, Tolerance
+
+HERE = Path()
+NOT_IN_PLACE = 4
+WAKING = 5  # pictures of a camera that has just been switched on are dark: so many are left out
+
+
+def overlay(
+    rig: Annotated[
+        str,
+        typer.Option(help="Rig file: camera and marks; or the name of an example.", metavar="RIG"),
+    ],
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Scene file, YAML or JSON.",
+            metavar="SCENE",
+            exists=True,
+            dir_okay=False,
+            show_default=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="A camera (0, /dev/video0, http://...), a video file or a recording.",
+            metavar="SOURCE",
+        ),
+    ] = "0",
+    experiment: Annotated[
+        str | None,
+        typer.Option(help="Instead of a scene file: a stored experiment.", metavar="KEY"),
+    ] = None,
+    project: ProjectFolder = HERE,
+    tolerance_mm: Annotated[
+        float | None,
+        typer.Option(help="How far off a part may be [mm].", show_default="the rig's"),
+    ] = None,
+    tolerance_deg: Annotated[
+        float | None,
+        typer.Option(help="How far turned a part may be [deg].", show_default="the rig's"),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            help="Port of the page, on this machine only.",
+            min=1,
+            max=65535,
+            show_default="any free one",
+        ),
+    ] = None,
+    once: Annotated[
+        bool,
+        typer.Option("--once", help="Look once, write a picture, exit 0 if all is in place."),
+    ] = False,
+    output: Annotated[
+        Path, typer.Option(help="With --once: the picture to write, .png.", metavar="FILE")
+    ] = Path("overlay.png"),
+    as_json: AsJson = False,
+) -> None:
+    """Show where parts belong on the live picture, and how far off they are."""
+    from fixel.drawing.picture import refuse_ending
+    from fixel.exchange.atomic import refuse_unwritable
+    from fixel.exchange.rig_file import rig_of
+    from fixel.testbed.frame_source import source_of
+    from fixel.workflows.overlay import Overlay, scene_of
+
+    if once:
+        refuse_ending(output, (".png",), "picture")
+        refuse_unwritable(output)
+    bench = rig_of(rig)
+    looks = Overlay(
+        bench, scene_of(scene, experiment, project), _tolerance(bench, tolerance_mm, tolerance_deg)
+    )
+    size = bench.camera.lens.image_size
+    with source_of(camera, size=size, as_fast_as_possible=once) as source:
+        if once:
+            look = _once(looks, source, output)
+        else:
+            heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
+            look = _live(looks, source, heading, port, show=not as_json)
+    if as_json:
+        files = {"picture": str(output)} if once else {}
+        typer.echo(json.dumps({**look.summary(), "files": files}, allow_nan=False))
+    else:
+        typer.echo(written(look, rig, output if once else None))
+    if once and not look.placed:
+        raise typer.Exit(NOT_IN_PLACE)
+
+
+def written(look: "Look", rig: str, picture: Path | None) -> str:
+    """A few lines for people: the verdict, the errors, the file, what to type next."""
+    blocks = [
+        [look.sentence],
+        _errors(look),
+        [*look.problems, *look.remarks],
+        [] if picture is None else [f"wrote {picture}"],
+        [f"Next: {_next(look, rig)}"],
+    ]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def _errors(look: "Look") -> list[str]:
+    from fixel.cli.screen import table
+
+    rows = []
+    for part in look.checked:
+        error = part.error
+        if error is None:
+            rows.append((part.name, "-", "-", "-", f"not seen: {part.reason}"))
+            continue
+        x, y, turn = 1e3 * error[0], 1e3 * error[1], degrees(error[2])
+        verdict = "in place" if part.within else "off"
+        angle = "-" if part.round else f"{turn:+.2f}"
+        rows.append((part.name, f"{x:+.2f}", f"{y:+.2f}", angle, verdict))
+    allowed = look.tolerance
+    return [
+        *table(("measured less wanted", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
+        f"allowed: {1e3 * allowed.distance:.3g} mm, {degrees(allowed.angle):.3g} deg",
+    ]
+
+
+def _next(look: "Look", rig: str) -> str:
+    """The command most people want after this one."""
+    if look.placed:
+        return f"fixel record --rig {shlex.quote(rig)}"
+    return "put it right, and look again"
+
+
+def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
+    from fixel.workflows.overlay_look import Tolerance
+
+    return Tolerance(
+        distance=rig.position_tolerance if mm is None else 1e-3 * mm,
+        angle=rig.angle_tolerance if deg is None else radians(deg),
+    )
+
+
+def _once(looks: "Overlay", source: "FrameSource", output: Path) -> "Look":
+    from fixel.workflows.overlay import frames_of, look_once, write_picture
+
+    stream = source.open()
+    frames = islice(frames_of(source, stream.live), WAKING if stream.live else 0, None)
+    picture, look = look_once(looks, frames)
+    write_picture(output, looks.drawn(picture, look, words=True))
+    return look
+
+
+def _live(
+    looks: "Overlay", source: "FrameSource", heading: str, port: int | None, *, show: bool
+) -> "Look":
+    """Until the pictures end, or Ctrl-C."""
+    from fixel.cli.screen import say
+    from fixel.web import require_server
+    from fixel.workflows.overlay import frames_of, watch
+
+    require_server()
+    from fixel.web.live import LiveView
+    from fixel.web.overlay_page import overlay_page
+    from fixel.web.serve import WebServer
+
+    view = LiveView()
+    look: Look | None = None
+    stream = source.open()
+
+    def end(reason: str) -> None:
+        say(f"The pictures ended: {reason}.")
+        if look is not None:
+            view.show(None, look.summary() | {"problems": [f"The pictures ended: {reason}"]})
+
+    with WebServer([overlay_page(view, heading)], port=port) as server:
+        say(f"Open {server.link}\nCtrl-C ends.")
+        with suppress(KeyboardInterrupt):
+            for look in watch(looks, frames_of(source, stream.live, end), view.show):
+                if show and sys.stderr.isatty():
+                    print(f"\r{look.sentence:<60.60}", end="", file=sys.stderr, flush=True)
+    if look is None:
+        raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
+    return look

@@ -1,0 +1,118 @@
+"""Pictures of a camera's errors: how right places on the plane are, and where boards were seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import WIDE, AbstractChart, Table, sheet
+from fixel.kernels.arrays import FloatArray
+from fixel.vision.plane_errors import PlaneErrors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LEVELS: Final = 9
+
+
+@final
+@dataclass(frozen=True)
+class CameraErrorChart(AbstractChart):
+    """The plate as the camera sees it, by how right places on it are; and where boards were.
+
+    Parameters
+    ----------
+    errors : PlaneErrors
+    image_size : (int, int)
+        [px].
+    seen : (n_row, n_column) float64
+        Corners of boards by cell of the picture; empty where unknown.
+    """
+
+    errors: PlaneErrors
+    image_size: tuple[int, int]
+    seen: FloatArray
+
+    def figure(self) -> Figure:
+        figure = sheet(WIDE, 2.9)
+        left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+        self._errors(figure, left)
+        self._seen(figure, right)
+        return figure
+
+    def table(self) -> Table:
+        e = self.errors
+        rows: list[tuple[Any, ...]] = [
+            (*pixel, *place, e.height, camera, whole)
+            for pixel, place, camera, whole in zip(
+                e.pixels.reshape(-1, 2).tolist(),
+                e.places.reshape(-1, 2).tolist(),
+                e.camera.ravel().tolist(),
+                e.whole.ravel().tolist(),
+                strict=True,
+            )
+        ]
+        return Table(
+            ("u_px", "v_px", "x_m", "y_m", "height_m", "camera_95_m", "with_noise_95_m"), rows
+        )
+
+    def _errors(self, figure: Figure, axes: Axes) -> None:
+        e = self.errors
+        x, y = 1e3 * e.places[..., 0], 1e3 * e.places[..., 1]
+        size = 1e3 * e.whole
+        shades = axes.contourf(x, y, size, levels=_levels(size), cmap="Blues")
+        edge = np.concatenate([e.places[0], e.places[:, -1], e.places[-1, ::-1], e.places[::-1, 0]])
+        axes.plot(*(1e3 * edge).T, color=palette.INK, linewidth=0.6)
+        worst = np.unravel_index(int(np.argmax(size)), size.shape)
+        axes.plot(x[worst], y[worst], "o", color=palette.FORCE, markersize=4.0, clip_on=False)
+        axes.annotate(
+            f"{size[worst]:.2g} mm",
+            (float(x[worst]), float(y[worst])),
+            xytext=(0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())),
+            textcoords="data",
+            ha="center",
+            color=palette.FORCE,
+            arrowprops={"arrowstyle": "-", "color": palette.FORCE, "linewidth": 0.5},
+        )
+        axes.set_aspect("equal")
+        axes.set(xlabel="x on the plate [mm]", ylabel="y on the plate [mm]")
+        axes.set_title(f"95 % of places lie within, {1e3 * e.height:g} mm above the plate",
+                       loc="left")  # fmt: skip
+        axes.spines[["top", "right"]].set_visible(False)
+        _bar(figure, shades, axes, "error [mm]")
+
+    def _seen(self, figure: Figure, axes: Axes) -> None:
+        width, height = self.image_size
+        axes.set_aspect("equal")
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u [px]",
+                 ylabel="v [px]")  # fmt: skip
+        if not self.seen.size:
+            axes.set_title("where boards were seen: not known", loc="left")
+            return
+        shown = np.ma.masked_equal(self.seen, 0.0)
+        cells = axes.imshow(
+            shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap="Greens", vmin=0.0
+        )
+        axes.set_title("where boards were seen; white: nowhere", loc="left")
+        _bar(figure, cells, axes, "corners")
+
+
+def _levels(values: FloatArray) -> list[float]:
+    """Round numbers from the least to the most."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = float(values.min()), float(values.max())
+    if not high > low:
+        low, high = 0.9 * low, 1.1 * high + 1e-9
+    return [float(level) for level in MaxNLocator(LEVELS).tick_values(low, high)]
+
+
+def _bar(figure: Figure, shades: Any, axes: Axes, label: str) -> None:
+    bar = figure.colorbar(shades, ax=axes, location="bottom", shrink=0.8, aspect=30, pad=0.02)
+    bar.set_label(label, labelpad=1.5)
+    bar.outline.set_linewidth(0.4)
+    bar.ax.tick_params(width=0.4, length=2.0, pad=1.5)

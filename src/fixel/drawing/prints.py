@@ -1,0 +1,218 @@
+"""Boards and tags on paper, true to scale: black squares to the nearest 600th of an inch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from fixel.drawing.picture import refuse_ending
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.vision.boards import Board
+from fixel.vision.marks import Tag
+from fixel.vision.opencv import opencv
+from fixel.vision.tracking.tag_reader import DICTIONARIES
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+PRINT_ENDINGS: Final = (".pdf", ".png")
+PAPERS: Final = {
+    "a4": (0.210, 0.297),
+    "a3": (0.297, 0.420),
+    "a2": (0.420, 0.594),
+    "letter": (0.2159, 0.2794),
+}  # [m]
+PER_METRE: Final = 600 / 0.0254  # [px]
+EDGE: Final = 0.008  # [m] that printers leave white
+FOOT: Final = 0.012  # [m] below, for the ruler and what it is
+RULER: Final = 0.100  # [m]
+BETWEEN: Final = 0.006  # [m] from tag to tag, for the scissors
+LETTERS: Final = 0.0032  # [m]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """What is black on one sheet.
+
+    Attributes
+    ----------
+    size : (float, float)
+        Width and height of the paper [m].
+    black : (n, 4) float64
+        Rectangles: left, upper, right, lower edge from the upper left corner of the paper [m].
+    words : tuple of (float, float, str)
+        Left and upper edge [m], and what to write.
+    """
+
+    size: tuple[float, float]
+    black: FloatArray
+    words: tuple[tuple[float, float, str], ...]
+
+
+def board_sheet(board: Board, title: str, paper: str = "a4") -> Sheet:
+    """A board in the middle of a sheet of paper, upright or lying, with a ruler below."""
+    page = _page(paper, board.size)
+    left, top = 0.5 * (page[0] - board.size[0]), 0.5 * (page[1] - FOOT - board.size[1])
+    return _with_foot(page, _at(left, top, board_rectangles(board)), [], title)
+
+
+def tag_sheets(
+    tags: Sequence[tuple[Tag, str]], paper: str = "a4", title: str = "tags"
+) -> tuple[Sheet, ...]:
+    """Tags row by row, each with its number and a word below, on as many sheets as they need."""
+    page = _page(paper, (0.0, 0.0))
+    sheets: list[Sheet] = []
+    black: list[FloatArray] = []
+    words: list[tuple[float, float, str]] = []
+    x, y, row = EDGE, EDGE, 0.0
+    for tag, word in sorted(tags, key=lambda pair: -pair[0].size):
+        one = tag_rectangles(tag.family, tag.id, tag.size)
+        # A tag is read by the white around it, a cell wide.
+        cell = tag.size / _cells(tag.family)
+        wide = max(tag.size + 2.0 * cell, 0.02) + BETWEEN
+        tall = tag.size + 2.0 * cell + LETTERS + BETWEEN
+        if wide > page[0] - 2 * EDGE or tall > page[1] - 2 * EDGE - FOOT:
+            raise InvalidInput(
+                "tag.size",
+                found=f"{1e3 * tag.size:g} mm",
+                expected=f"tags that fit on {paper}",
+                hint="another --paper",
+            )
+        if x + wide > page[0] - EDGE:
+            x, y, row = EDGE, y + row, 0.0
+        if y + tall > page[1] - EDGE - FOOT:
+            sheets.append(_with_foot(page, _stacked(black), words, title))
+            black, words, x, y, row = [], [], EDGE, EDGE, 0.0
+        black.append(_at(x + cell, y + cell, one))
+        words.append((x + cell, y + tag.size + 2.0 * cell, f"{tag.id} {word}".strip()))
+        x, row = x + wide, max(row, tall)
+    sheets.append(_with_foot(page, _stacked(black), words, title))
+    return tuple(sheets)
+
+
+def save_sheets(sheets: Sequence[Sheet], path: str | Path) -> None:
+    """Write sheets as a PDF, or a single one as a PNG that knows its size."""
+    refuse_ending(path, PRINT_ENDINGS, "print")
+    images = [rastered(sheet) for sheet in sheets]
+    dots = PER_METRE * 0.0254
+    if Path(path).suffix.lower() == ".pdf":
+        images[0].save(path, "PDF", resolution=dots, save_all=True, append_images=images[1:])
+        return
+    if len(images) > 1:
+        raise InvalidInput(
+            str(path), found=f"{len(images)} sheets", expected="one, for a PNG", hint="write a .pdf"
+        )
+    images[0].save(path, "PNG", dpi=(dots, dots))
+
+
+def rastered(sheet: Sheet, per_metre: float = PER_METRE) -> Image:
+    """A sheet as a picture of black and white."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    width, height = (round(side * per_metre) for side in sheet.size)
+    pixels = np.full((height, width), 255, dtype=np.uint8)
+    for left, top, right, bottom in np.rint(sheet.black * per_metre).astype(int).tolist():
+        pixels[top:bottom, left:right] = 0
+    image = Image.fromarray(pixels)
+    pen = ImageDraw.Draw(image)
+    font: Any = ImageFont.load_default(LETTERS * per_metre)
+    for x, y, text in sheet.words:
+        pen.text((x * per_metre, y * per_metre), text, fill=0, font=font)
+    return image.convert("1", dither=Image.Dither.NONE)
+
+
+def board_rectangles(board: Board) -> FloatArray:
+    """(n, 4) black rectangles of a board, from its upper left corner [m]."""
+    i, j = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
+    dark = (i + j) % 2 == 0
+    at = np.stack([i[dark], j[dark]], axis=-1) * board.square
+    squares = np.hstack([at, at + board.square])
+    if not board.marker:
+        return squares
+    found = board.of_opencv()
+    rectangles = [squares]
+    for number, corners in zip(found.getIds().ravel().tolist(), found.getObjPoints(), strict=True):
+        x, y = np.asarray(corners)[:, :2].min(axis=0).tolist()
+        cells = _cells_of(found.getDictionary(), number, board.marker)
+        rectangles.append(_at(x, y, cells))
+    return np.concatenate(rectangles)
+
+
+def tag_rectangles(family: str, number: int, size: float) -> FloatArray:
+    """(n, 4) black rectangles of a tag, from its upper left corner [m]."""
+    aruco = opencv().aruco
+    dictionary = aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[family]))
+    count = len(dictionary.bytesList)
+    if number >= count:
+        raise InvalidInput("tag.id", found=number, expected=f"0 to {count - 1} of {family}")
+    return _cells_of(dictionary, number, size)
+
+
+def _cells(family: str) -> int:
+    aruco = opencv().aruco
+    return int(aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[family])).markerSize + 2)
+
+
+def _cells_of(dictionary: Any, number: int, size: float) -> FloatArray:
+    count = dictionary.markerSize + 2
+    cells = opencv().aruco.generateImageMarker(dictionary, number, count)
+    row, column = np.nonzero(cells == 0)
+    at = np.stack([column, row], axis=-1) * (size / count)
+    return np.hstack([at, at + size / count])
+
+
+def _at(left: float, top: float, rectangles: FloatArray) -> FloatArray:
+    return np.asarray(rectangles + np.array([left, top, left, top]))
+
+
+def _page(paper: str, inside: tuple[float, float]) -> tuple[float, float]:
+    if paper.lower() not in PAPERS:
+        raise InvalidInput("paper", found=repr(paper), expected=", ".join(PAPERS))
+    upright = PAPERS[paper.lower()]
+    for page in (upright, upright[::-1]):
+        if inside[0] <= page[0] - 2 * EDGE and inside[1] <= page[1] - 2 * EDGE - FOOT:
+            return page
+    fits = [
+        name
+        for name, size in PAPERS.items()
+        if max(inside) <= max(size) - 2 * EDGE and min(inside) <= min(size) - 2 * EDGE - FOOT
+    ]
+    raise InvalidInput(
+        "paper",
+        found=f"a board of {1e3 * inside[0]:g} x {1e3 * inside[1]:g} mm for {paper}",
+        expected="a board that fits on it",
+        hint=f"--paper {fits[0]}, or smaller squares" if fits else "smaller squares",
+    )
+
+
+def _with_foot(
+    page: tuple[float, float],
+    black: FloatArray,
+    words: Sequence[tuple[float, float, str]],
+    title: str,
+) -> Sheet:
+    left, low = EDGE, page[1] - EDGE
+    thin = 0.0003
+    ruler = [
+        (left, low - thin, left + RULER, low),
+        *(
+            (left + k * 0.01, low - (0.003 if k % 5 == 0 else 0.0015), left + k * 0.01 + thin, low)
+            for k in range(11)
+        ),
+    ]
+    text = f"100 mm: measure it, print at 100 %.  {title}"
+    return Sheet(
+        page,
+        np.concatenate([black, np.array(ruler)]),
+        (*words, (left, low - 0.0035 - 1.3 * LETTERS, text)),
+    )
+
+
+def _stacked(black: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate(black) if black else np.zeros((0, 4))

@@ -1,0 +1,257 @@
+"""A lens and places of the camera fitted to points whose pixels were found, with their covariance.
+
+Rotations are changed by small rotations about the camera's axes, after the one they have; so no
+place of the camera is special.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.model.fields import FloatArray
+from fixel.vision.lens import Lens
+from fixel.vision.measured_camera import BROWN, FISHEYE, FOCAL
+
+STEPS: Final = 60
+CALM: Final = 1e-9  # [px] of the root mean square, below which a step changed nothing
+# How far parameters are moved for their slopes: pixels, then coefficients, radians, metres.
+NUDGE: Final = {"px": 1e-3, "coefficient": 1e-6, "rad": 1e-6, "m": 1e-7}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What fits best.
+
+    Attributes
+    ----------
+    lens : Lens
+    rotations : (n_view, 3, 3) float64
+    translations : (n_view, 3) float64
+        Of each view's points in the camera's axes [m].
+    residuals : (n, 2) float64
+        Found less fitted [px].
+    covariance : (n_name, n_name) float64
+        Of the lens's parameters, all others unknown too.
+    place_covariance : (n_view, 6, 6) float64
+        Of each view's place, given the lens: rx, ry, rz [rad], tx, ty, tz [m].
+    place_slope : (n_view, 6, n_name) float64
+        How each place follows the lens.
+    noise : float
+        Standard deviation of a pixel along each axis [px].
+    """
+
+    lens: Lens
+    rotations: FloatArray
+    translations: FloatArray
+    residuals: FloatArray
+    covariance: FloatArray
+    place_covariance: FloatArray
+    place_slope: FloatArray
+    noise: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """Points and where they were found: all views in one row.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+        In the frame of their view [m].
+    pixels : (n, 2) float64
+    view : (n,) intp
+        Which view each belongs to.
+    """
+
+    points: FloatArray
+    pixels: FloatArray
+    view: NDArray[np.intp]
+
+    def only(self, which: NDArray[np.bool_]) -> Sight:
+        """Some of them."""
+        return Sight(self.points[which], self.pixels[which], self.view[which])
+
+
+def values_of(lens: Lens, names: Sequence[str]) -> FloatArray:
+    """The parameters of a lens by their names."""
+    known = dict(zip(_coefficients(lens), lens.distortion.tolist(), strict=True))
+    known |= dict(zip(FOCAL, [*lens.focal, *lens.centre, lens.skew], strict=True))
+    return np.array([known[name] for name in names], dtype=np.float64)
+
+
+def lens_with(lens: Lens, names: Sequence[str], values: FloatArray) -> Lens:
+    """The lens with other parameters."""
+    new = dict(zip(names, values.tolist(), strict=True))
+    fx, fy, cx, cy, skew = (
+        new.get(name, old)
+        for name, old in zip(FOCAL, [*lens.focal, *lens.centre, lens.skew], strict=True)
+    )
+    distortion = [
+        new.get(name, old)
+        for name, old in zip(_coefficients(lens), lens.distortion.tolist(), strict=True)
+    ]
+    return Lens(
+        image_size=lens.image_size,
+        focal=(fx, fy),  # type: ignore[arg-type]
+        centre=(cx, cy),  # type: ignore[arg-type]
+        skew=skew,
+        distortion=distortion,  # type: ignore[arg-type]
+        fisheye=lens.fisheye,
+    )
+
+
+def turned(rotations: FloatArray, angles: FloatArray) -> FloatArray:
+    """(..., 3, 3) rotations, turned further by rotation vectors (..., 3) [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    flat = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix()
+    return np.asarray(flat.reshape(*angles.shape[:-1], 3, 3) @ rotations)
+
+
+def fit(
+    lens: Lens,
+    names: Sequence[str],
+    rotations: FloatArray,
+    translations: FloatArray,
+    sight: Sight,
+) -> Fit:
+    """The least squares fit, by Levenberg and Marquardt's method from a start nearby.
+
+    Parameters
+    ----------
+    lens, rotations, translations
+        Where to start: the lens, and the place of every view.
+    names : sequence of str
+        What of the lens is to be found; nothing for places only.
+    sight : Sight
+    """
+    damping, state = 1e-4, (lens, rotations, translations)
+    error = _residuals(*state, sight)
+    for _ in range(STEPS):
+        slopes = slopes_of(state, names, sight)
+        matrix = slopes.T @ slopes
+        gradient = slopes.T @ error.ravel()
+        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        unit = matrix / np.outer(scale, scale)
+        before = float(np.sqrt(np.mean(error**2)))
+        for _ in range(12):
+            step = np.linalg.solve(unit + damping * np.eye(len(unit)), gradient / scale) / scale
+            try:
+                new_state = _moved(state, names, step)
+                new_error = _residuals(*new_state, sight)
+            except ValueError:
+                new_error = np.full_like(error, np.inf)
+            after = float(np.sqrt(np.mean(new_error**2)))
+            if after <= before:
+                state, error, damping = new_state, new_error, max(damping * 0.2, 1e-12)
+                break
+            damping *= 10.0
+        if not after < before - CALM:
+            break
+    return _fitted(state, names, sight, error)
+
+
+def _fitted(
+    state: tuple[Lens, FloatArray, FloatArray],
+    names: Sequence[str],
+    sight: Sight,
+    error: FloatArray,
+) -> Fit:
+    slopes = slopes_of(state, names, sight)
+    n, n_view = len(names), len(state[1])
+    free = error.size - slopes.shape[1]
+    noise = float(np.sqrt((error**2).sum() / max(free, 1)))
+    matrix = slopes.T @ slopes
+    shared = matrix[:n, :n].copy()
+    place_covariance = np.empty((n_view, 6, 6))
+    place_slope = np.empty((n_view, 6, n))
+    # Each view's place is eliminated from the equations: what stays is about the lens alone.
+    for k in range(n_view):
+        own = slice(n + 6 * k, n + 6 * k + 6)
+        inverse = np.linalg.pinv(matrix[own, own], hermitian=True)
+        place_covariance[k] = noise**2 * inverse
+        place_slope[k] = -inverse @ matrix[own, :n]
+        shared += matrix[:n, own] @ place_slope[k]
+    covariance = np.zeros((0, 0))
+    if n:
+        scale = np.sqrt(np.abs(np.diag(shared)))
+        unit = shared / np.outer(scale, scale)
+        inverse = np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale)
+        # How corners follow the lens where their view's place gives way to it.
+        each = slopes.reshape(len(sight.view), 2, -1)
+        own_columns = n + 6 * sight.view[:, None] + np.arange(6)
+        by_place = np.take_along_axis(each, own_columns[:, None, :], axis=2)
+        alone = each[:, :, :n] + by_place @ place_slope[sight.view]
+        pulls = np.zeros((n_view, n))
+        np.add.at(pulls, sight.view, np.einsum("icn,ic->in", alone, error))
+        covariance = noise**2 * _together(pulls, inverse, noise) * inverse
+    return Fit(*state, error, covariance, place_covariance, place_slope, noise)
+
+
+def _together(pulls: FloatArray, inverse: FloatArray, noise: float) -> float:
+    """How much more views differ than corners that err one by one would make them, at least 1.
+
+    Corners of one view err together: paper bends, light falls from one side. What each view pulls
+    at the lens shows by how much, as in a covariance that is robust against clusters.
+    """
+    n_view, n = pulls.shape
+    if n_view < 2 or not noise > 0.0:
+        return 1.0
+    found = float(np.sum(pulls @ inverse * pulls)) / (n * noise**2)
+    return float(max(1.0, found * n_view / (n_view - 1)))
+
+
+def _residuals(
+    lens: Lens, rotations: FloatArray, translations: FloatArray, sight: Sight
+) -> FloatArray:
+    seen = np.einsum("nij,nj->ni", rotations[sight.view], sight.points) + translations[sight.view]
+    if (seen[:, 2] <= 0.0).any():
+        raise ValueError("a point behind the camera")
+    return sight.pixels - lens.pixel(seen[:, :2] / seen[:, 2:])
+
+
+def _moved(
+    state: tuple[Lens, FloatArray, FloatArray], names: Sequence[str], step: FloatArray
+) -> tuple[Lens, FloatArray, FloatArray]:
+    lens, rotations, translations = state
+    n = len(names)
+    places = step[n:].reshape(-1, 6)
+    if n:
+        lens = lens_with(lens, names, values_of(lens, names) + step[:n])
+    return lens, turned(rotations, places[:, :3]), translations + places[:, 3:]
+
+
+def slopes_of(
+    state: tuple[Lens, FloatArray, FloatArray], names: Sequence[str], sight: Sight
+) -> FloatArray:
+    """(2 n, n_name + 6 n_view) how pixels follow the parameters, by central differences."""
+    n, n_view, count = len(names), len(state[1]), len(sight.view)
+    slopes = np.zeros((count, 2, n + 6 * n_view))
+
+    def slope(move: FloatArray, nudge: float) -> FloatArray:
+        ahead = _residuals(*_moved(state, names, move * nudge), sight)
+        back = _residuals(*_moved(state, names, -move * nudge), sight)
+        return (back - ahead) / (2.0 * nudge)
+
+    for k, name in enumerate(names):
+        move = np.zeros(n + 6 * n_view)
+        move[k] = 1.0
+        nudge = NUDGE["px"] if name in FOCAL[:4] else NUDGE["coefficient"]
+        slopes[:, :, k] = slope(move, nudge)
+    each = np.arange(count)
+    for k in range(6):
+        move = np.zeros(n + 6 * n_view)
+        move[n + k :: 6] = 1.0  # a pixel follows the place of its own view only
+        slopes[each, :, n + 6 * sight.view + k] = slope(move, NUDGE["rad" if k < 3 else "m"])
+    return slopes.reshape(2 * count, -1)
+
+
+def _coefficients(lens: Lens) -> tuple[str, ...]:
+    return FISHEYE if lens.fisheye else BROWN

@@ -1,0 +1,352 @@
+"""A lens from pictures of a board: which pictures are of use, what they say, how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import FloatArray
+from fixel.vision.boards import Board, Corners, Picture
+from fixel.vision.bundle import Fit, Sight, fit
+from fixel.vision.lens import Lens
+from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
+from fixel.vision.opencv import opencv
+
+LEAST_PICTURES: Final = 4
+LEAST_TILT: Final = 8.0  # [deg] between two boards, or the focal length is anyone's guess
+LOOSE_FOCAL: Final = 0.03  # relative standard deviation from which on a calibration is refused
+FAR_OUT: Final = 5.0  # of robust standard deviations, from which on a corner is a wrong one
+WORSE: Final = 3.0  # times the usual, from which on a picture is dropped
+TOLERABLE: Final = 0.3  # [px] a picture as good as this is never dropped
+CELLS: Final = 16  # across the picture, of the map of where boards were seen
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class View:
+    """A picture in which a board was found.
+
+    Attributes
+    ----------
+    name : str
+    size : (int, int)
+        Width and height [px].
+    corners : Corners
+    """
+
+    name: str
+    size: tuple[int, int]
+    corners: Corners
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A picture, or corners of one, that were not used, and why."""
+
+    name: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class UsedView:
+    """A picture that was used.
+
+    Attributes
+    ----------
+    name : str
+    corners : int
+    rms : float
+        Of its residuals along each axis [px].
+    tilt : float
+        Of its board against the sensor [rad].
+    residuals : (corners, 2) float64
+        Found less fitted [px].
+    """
+
+    name: str
+    corners: int
+    rms: float
+    tilt: float
+    residuals: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LensCalibration:
+    """What pictures of a board say of a lens.
+
+    Attributes
+    ----------
+    camera : MeasuredCamera
+        Without a place.
+    used : tuple of UsedView
+    dropped : tuple of Dropped
+    rms : float
+        Of all residuals along each axis [px].
+    """
+
+    camera: MeasuredCamera
+    used: tuple[UsedView, ...]
+    dropped: tuple[Dropped, ...]
+    rms: float
+
+
+def find_boards(
+    pictures: Iterable[tuple[str, Picture]],
+    board: Board,
+    tell: Callable[[str], None] | None = None,
+) -> tuple[tuple[View, ...], tuple[Dropped, ...]]:
+    """The views of a board in pictures, and the pictures that show none.
+
+    Raises
+    ------
+    InvalidInput
+        A mirrored picture: all others will be mirrored too.
+    """
+    views, dropped = [], []
+    for name, picture in pictures:
+        if tell:
+            tell(name)
+        try:
+            corners = board.find(picture)
+        except InvalidInput as problem:
+            if "mirrored" in str(problem.found):
+                raise problem.within(name) from None
+            dropped.append(Dropped(name, f"{problem.found}"))
+            continue
+        height, width = picture.shape[:2]
+        views.append(View(name, (width, height), corners))
+    return tuple(views), tuple(dropped)
+
+
+def calibrate_lens(
+    views: Sequence[View],
+    dropped: Sequence[Dropped] = (),
+    *,
+    coefficients: int = 4,
+    fisheye: bool = False,
+) -> LensCalibration:
+    """The lens that views of a board determine.
+
+    Parameters
+    ----------
+    views : sequence of View
+        At least four, tilted against each other.
+    dropped : sequence of Dropped
+        Pictures left out before.
+    coefficients : int
+        How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4.
+    fisheye : bool
+        The model of Kannala and Brandt in place of Brown's.
+
+    Raises
+    ------
+    InvalidInput
+        Views that do not determine the lens, and what is missing.
+    """
+    names = _names(coefficients, fisheye)
+    left, out = list(views), list(dropped)
+    while True:
+        size = _one_size(left)
+        _refuse_few(left, out)
+        _refuse_parallel(left, size)
+        found, sight = _fitted(left, size, names, fisheye)
+        worst = _worst_view(found, sight, left)
+        if worst is None:
+            break
+        out.append(Dropped(left[worst].name, _too_far(found, sight, worst)))
+        del left[worst]
+    found, sight, wrong = _without_wrong_corners(found, sight, names)
+    for view, count in zip(left, wrong, strict=True):
+        if count:
+            out.append(Dropped(view.name, f"{count} of its corners are off by far"))
+    _refuse_loose(found, names)
+    camera = MeasuredCamera(
+        lens=found.lens,
+        names=names,
+        covariance=found.covariance,
+        noise=max(found.noise, 1e-9),
+        seen=_seen(sight.pixels, size),
+        source=f"{len(left)} pictures of a board",
+    )
+    used = tuple(_used(found, sight, k, view.name) for k, view in enumerate(left))
+    return LensCalibration(camera, used, tuple(out), float(np.sqrt(np.mean(found.residuals**2))))
+
+
+def _names(coefficients: int, fisheye: bool) -> tuple[str, ...]:
+    most = (0, 1, 2, 3, 4) if fisheye else (0, 1, 2, 4, 5, 8)
+    if coefficients not in most:
+        raise InvalidInput(
+            "coefficients", found=coefficients, expected="one of " + ", ".join(map(str, most))
+        )
+    return ("fx", "fy", "cx", "cy", *(FISHEYE if fisheye else BROWN)[:coefficients])
+
+
+def _one_size(views: Sequence[View]) -> tuple[int, int]:
+    sizes = [view.size for view in views] or [(1, 1)]
+    usual = max(set(sizes), key=sizes.count)
+    others = [view for view in views if view.size != usual]
+    if others:
+        turned = all(view.size == usual[::-1] for view in others)
+        raise InvalidInput(
+            "pictures",
+            found=f"{len(others)} of {'x'.join(map(str, others[0].size))} px, such as "
+            f"{others[0].name}, beside {'x'.join(map(str, usual))} px",
+            expected="pictures of one size",
+            hint="some are turned by 90 degrees"
+            if turned
+            else "take all of them as the experiments are taken",
+        )
+    return usual
+
+
+def _refuse_few(views: Sequence[View], dropped: Sequence[Dropped]) -> None:
+    if len(views) >= LEAST_PICTURES:
+        return
+    reasons = "; ".join(f"{each.name}: {each.reason}" for each in dropped[:3])
+    raise InvalidInput(
+        "pictures",
+        found=f"{len(views)} with a usable board" + (f" ({reasons})" if reasons else ""),
+        expected=f"at least {LEAST_PICTURES}; 10 to 20 are good",
+        hint="is the board the one that was named? see: fixel camera board --help"
+        if dropped
+        else "take more, tilted by 20 to 40 degrees, some in every corner of the picture",
+    )
+
+
+def _refuse_parallel(views: Sequence[View], size: tuple[int, int]) -> None:
+    """Parallel boards say nothing of the focal length: each may be small and near or large and far.
+
+    How the boards stand is told from their vanishing lines with a rough focal length, which only
+    has to tell tilted from parallel.
+    """
+    cv2 = opencv()
+    rough, centre = float(max(size)), (np.array(size) - 1.0) / 2.0
+    normals = []
+    for view in views:
+        flat, _ = cv2.findHomography(view.corners.places, (view.corners.pixels - centre) / rough)
+        normal = np.cross(flat[:, 0], flat[:, 1])
+        normals.append(normal / np.linalg.norm(normal) * np.sign(normal[2]))
+    between = np.array(normals) @ np.array(normals).T
+    most = float(np.degrees(np.arccos(np.clip(between.min(), -1.0, 1.0))))
+    if most < LEAST_TILT:
+        raise InvalidInput(
+            "pictures",
+            found=f"boards within {most:.1f} degrees of parallel",
+            expected=f"boards tilted against each other by more than {LEAST_TILT:g} degrees",
+            hint="tilt the board by 20 to 40 degrees to the left, right, top and bottom",
+        )
+
+
+def _fitted(
+    views: Sequence[View], size: tuple[int, int], names: tuple[str, ...], fisheye: bool
+) -> tuple[Fit, Sight]:
+    cv2 = opencv()
+    places = [view.corners.places for view in views]
+    solid = [np.column_stack([p, np.zeros(len(p))]).astype(np.float32) for p in places]
+    pixels = [view.corners.pixels.astype(np.float32)[:, None] for view in views]
+    # OpenCV's own fit with two coefficients is a start; the rest is found from there.
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    if fisheye or len(names) < 6:
+        flags |= cv2.CALIB_FIX_K2
+    if len(names) < 5:
+        flags |= cv2.CALIB_FIX_K1
+    try:
+        _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+            solid, pixels, size, None, None, flags=flags
+        )
+    except cv2.error as problem:
+        raise InvalidInput(
+            "pictures",
+            found=f"boards no lens fits ({problem.err})",
+            expected="pictures of the board that was named",
+        ) from None
+    k1, k2 = distortion.ravel()[:2]
+    lens = Lens(
+        image_size=size,
+        focal=(matrix[0, 0], matrix[1, 1]),  # type: ignore[arg-type]
+        centre=(matrix[0, 2], matrix[1, 2]),  # type: ignore[arg-type]
+        # Seen without distortion, tan(a) is a + a^3/3: so begins a fisheye that is nearly flat.
+        distortion=(k1 + 1.0 / 3.0,) if fisheye else (k1, k2),  # type: ignore[arg-type]
+        fisheye=fisheye,
+    )
+    rotations = np.array([cv2.Rodrigues(turn)[0] for turn in turns])
+    sight = Sight(
+        np.concatenate(solid).astype(np.float64),
+        np.concatenate([view.corners.pixels for view in views]),
+        np.repeat(np.arange(len(views)), [len(p) for p in places]),
+    )
+    return fit(lens, names, rotations, np.array(shifts)[:, :, 0], sight), sight
+
+
+def _worst_view(found: Fit, sight: Sight, views: Sequence[View]) -> int | None:
+    """A picture whose corners fit much worse than those of the others, if there is one."""
+    rms = [_rms(found.residuals[sight.view == k]) for k in range(len(views))]
+    worst = int(np.argmax(rms))
+    others = float(np.median(np.delete(rms, worst)))
+    return worst if rms[worst] > max(WORSE * others, TOLERABLE) else None
+
+
+def _too_far(found: Fit, sight: Sight, worst: int) -> str:
+    own, rest = (_rms(found.residuals[which]) for which in (sight.view == worst,
+                                                             sight.view != worst))  # fmt: skip
+    return f"corners off by {own:.2f} px, those of the others by {rest:.2f} px: moved or bent?"
+
+
+def _without_wrong_corners(
+    found: Fit, sight: Sight, names: tuple[str, ...]
+) -> tuple[Fit, Sight, list[int]]:
+    """The same without corners that are far from where the others say."""
+    n_view = len(found.rotations)
+    wrong = np.zeros(n_view, dtype=int)
+    for _ in range(3):
+        off = np.hypot(*found.residuals.T)
+        usual = float(np.median(off)) / 1.1774  # of the median of a Rayleigh distribution
+        good = off <= FAR_OUT * max(usual, 1e-6)
+        counts = np.bincount(sight.view[good], minlength=n_view)
+        good |= (counts < 6)[sight.view]
+        if good.all():
+            break
+        wrong += np.bincount(sight.view[~good], minlength=n_view)
+        sight = sight.only(good)
+        found = fit(found.lens, names, found.rotations, found.translations, sight)
+    return found, sight, wrong.tolist()
+
+
+def _refuse_loose(found: Fit, names: tuple[str, ...]) -> None:
+    deviation = np.sqrt(np.maximum(np.diag(found.covariance)[:2], 0.0))
+    if not (deviation < LOOSE_FOCAL * found.lens.focal).all():
+        raise InvalidInput(
+            "pictures",
+            found=f"a focal length of {found.lens.focal[0]:.0f} px known to {deviation[0]:.0f} px",
+            expected=f"pictures that tell it to {100 * LOOSE_FOCAL:g} %",
+            hint="more pictures, tilted more, filling more of the picture",
+        )
+
+
+def _seen(pixels: FloatArray, size: tuple[int, int]) -> FloatArray:
+    width, height = size
+    rows = max(4, round(CELLS * height / width))
+    counts, _, _ = np.histogram2d(
+        pixels[:, 1],
+        pixels[:, 0],
+        bins=(rows, CELLS),
+        range=((-0.5, height - 0.5), (-0.5, width - 0.5)),
+    )
+    return counts
+
+
+def _used(found: Fit, sight: Sight, k: int, name: str) -> UsedView:
+    own = found.residuals[sight.view == k]
+    tilt = float(np.arccos(min(1.0, abs(found.rotations[k, 2, 2]))))
+    return UsedView(name, len(own), _rms(own), tilt, own)
+
+
+def _rms(residuals: FloatArray) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))

@@ -1,0 +1,182 @@
+"""Where a camera is above the plate: from a board that lies on it, or from tags fixed to it.
+
+All points are fitted together, so that one view of the plate gives one place; never a tag's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import FloatArray, vector
+from fixel.vision.boards import Board, Picture
+from fixel.vision.bundle import Fit, Sight, fit, slopes_of
+from fixel.vision.camera import Camera
+from fixel.vision.find_tags import find_tags
+from fixel.vision.lens import Lens
+from fixel.vision.marks import Tag
+from fixel.vision.measured_camera import PLACE, MeasuredCamera
+from fixel.vision.opencv import opencv
+from fixel.vision.tracking.tag_reader import tag_corners
+
+LEAST_TAGS: Final = 2
+WRONG: Final = 3e-3  # [m] from here on a point is not where it is said to be
+WORST_PIXELS: Final = 3.0  # [px] of the root mean square: this is another board, or another lens
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """A camera at its place.
+
+    Attributes
+    ----------
+    camera : MeasuredCamera
+    names : tuple of str
+        What each point is, for people.
+    misfit : (n, 2) float64
+        Of each point on the plane at its height: where it is seen less where it is [m].
+    rms : float
+        Of the pixels along each axis [px].
+    """
+
+    camera: MeasuredCamera
+    names: tuple[str, ...]
+    misfit: FloatArray
+    rms: float
+
+
+def place_by_board(
+    measured: MeasuredCamera,
+    picture: Picture,
+    board: Board,
+    *,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    height: float = 0.0,
+) -> Placement:
+    """The place of a camera from a board that lies on the plate.
+
+    Parameters
+    ----------
+    measured : MeasuredCamera
+        Whose lens is known.
+    picture : (height, width, 3) or (height, width) uint8
+    board : Board
+    pose : (3,) array_like
+        Of the board's lower left corner in the world [m, m, rad].
+    height : float
+        Of its upper face above the plate [m].
+    """
+    _refuse_size(measured.lens, picture)
+    corners = board.find(picture)
+    x, y, angle = vector(pose, "board.pose", "x [m], y [m], angle [rad]")
+    c, s = np.cos(angle), np.sin(angle)
+    flat = corners.places @ np.array([[c, s], [-s, c]]) + [x, y]
+    points = np.column_stack([flat, np.full(len(flat), height)])
+    names = tuple(f"corner {k + 1}" for k in range(len(points)))
+    return place_by_points(measured, points, corners.pixels, names)
+
+
+def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag]) -> Placement:
+    """The place of a camera from tags fixed to the plate, at poses of the world."""
+    _refuse_size(measured.lens, picture)
+    found = find_tags(picture, tags)
+    if len(found) < LEAST_TAGS:
+        seen = ", ".join(str(tags[k].id) for k in found) or "none"
+        raise InvalidInput(
+            "picture",
+            found=f"{seen} of the {len(tags)} tags of the plate",
+            expected=f"at least {LEAST_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
+            hint="is the plate lit and in full view?",
+        )
+    corners = [(tags[k], tag_corners(tags[k]), pixels) for k, pixels in found.items()]
+    points = np.concatenate(
+        [np.column_stack([flat, np.full(4, tag.height)]) for tag, flat, _ in corners]
+    )
+    names = tuple(f"tag {tag.id}, corner {k}" for tag, _, _ in corners for k in range(1, 5))
+    return place_by_points(measured, points, np.concatenate([p for _, _, p in corners]), names)
+
+
+def place_by_points(
+    measured: MeasuredCamera, points: FloatArray, pixels: FloatArray, names: Sequence[str]
+) -> Placement:
+    """The place of a camera from points (n, 3) of the world [m] and their pixels (n, 2)."""
+    lens = measured.lens
+    sight = Sight(points, pixels, np.zeros(len(points), dtype=np.intp))
+    rotation, translation = _start(lens, points, pixels)
+    # Places alone: how they follow the lens is told by its own slopes, see `_joint`.
+    found = fit(lens, (), rotation[None], translation[None], sight)
+    rms = float(np.sqrt(np.mean(found.residuals**2)))
+    camera = Camera(lens=lens, rotation=found.rotations[0], translation=found.translations[0])
+    misfit = np.array(
+        [camera.on_plane(p, z) for p, z in zip(pixels, points[:, 2].tolist(), strict=True)]
+    )
+    misfit -= points[:, :2]
+    _refuse_misfit(misfit, rms, names)
+    joint_names, covariance = _joint(measured, found, sight)
+    placed = replace(
+        measured,
+        camera=camera,
+        names=joint_names,
+        covariance=covariance,
+        noise=max(measured.noise or 0.0, found.noise, 1e-9),
+        source=f"{measured.source}; place by {len(points)} points".removeprefix("; "),
+    )
+    return Placement(placed, tuple(names), misfit, rms)
+
+
+def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    cv2 = opencv()
+    seen = lens.direction(pixels)
+    done, turn, shift = cv2.solvePnP(
+        points[:, None], seen[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+    )
+    if not done:
+        raise InvalidInput("picture", found="points no camera sees so", expected="the plate")
+    return np.asarray(cv2.Rodrigues(turn)[0]), np.asarray(shift).ravel()
+
+
+def _joint(
+    measured: MeasuredCamera, found: Fit, sight: Sight
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Errors of lens and place together: the place was found with the lens as it is said to be."""
+    of_lens = [k for k, name in enumerate(measured.names) if name not in PLACE]
+    names = tuple(measured.names[k] for k in of_lens)
+    own = found.place_covariance[0]
+    if measured.noise and found.noise < measured.noise:
+        own = own * (measured.noise / max(found.noise, 1e-12)) ** 2
+    if not names:
+        return PLACE, own
+    lens_covariance = measured.covariance[np.ix_(of_lens, of_lens)]
+    slope = _follows(found, names, sight)
+    cross = lens_covariance @ slope.T
+    whole = np.block([[lens_covariance, cross], [cross.T, slope @ cross + own]])
+    return (*names, *PLACE), 0.5 * (whole + whole.T)
+
+
+def _follows(found: Fit, names: tuple[str, ...], sight: Sight) -> FloatArray:
+    slopes = slopes_of((found.lens, found.rotations, found.translations), names, sight)
+    n = len(names)
+    return np.asarray(-np.linalg.lstsq(slopes[:, n:], slopes[:, :n], rcond=None)[0])
+
+
+def _refuse_size(lens: Lens, picture: Picture) -> None:
+    height, width = picture.shape[:2]
+    lens.for_pictures_of((width, height))
+
+
+def _refuse_misfit(misfit: FloatArray, rms: float, names: Sequence[str]) -> None:
+    off = np.hypot(*misfit.T)
+    worst = int(np.argmax(off))
+    if off[worst] > WRONG or rms > WORST_PIXELS:
+        raise InvalidInput(
+            "picture",
+            found=f"{names[worst]} {1e3 * off[worst]:.1f} mm from where it is said to be",
+            expected=f"points within {1e3 * WRONG:g} mm of their places",
+            hint="is this the board or plate that was named, is it flat, is it this lens?",
+        )

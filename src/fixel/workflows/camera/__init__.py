@@ -1,0 +1,1 @@
+"""Cameras: calibrated, imported, placed, checked; and the prints for it."""

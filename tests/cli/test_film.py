@@ -1,0 +1,59 @@
+"""`fixel testbed film`, as a person and as a program."""
+
+import json
+
+import pytest
+from tests.cli.shell import fixel
+from tests.vision.rendered import small_rig
+
+from fixel.exchange.rig_file import save_rig
+from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.testing.scenes import grasp
+
+
+@pytest.fixture
+def files(tmp_path):
+    save_rig(small_rig(size=(160, 120)), tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=grasp()), tmp_path / "push.yaml")
+    return tmp_path
+
+
+def test_five_frames_of_a_scene(capsys, files):
+    out = files / "film"
+    code, said, _ = fixel(
+        capsys, "testbed", "film", files / "push.yaml", "--rig", files / "rig.yaml",
+        "--frames", 5, "--out", out,
+    )  # fmt: skip
+
+    assert code == 0
+    assert said.splitlines()[0].split() == [
+        "film",
+        "frames",
+        "time",
+        "[s]",
+        "simulation",
+        "recording",
+    ]
+    assert said.splitlines()[1].split()[:2] == ["push", "5"]
+    assert said.splitlines()[-1] == f"Next: fixel track {out}"
+    assert (out / "recording.json").is_file()
+
+
+def test_the_answer_as_json(capsys, files):
+    code, said, err = fixel(
+        capsys, "testbed", "film", files / "push.yaml", "--rig", files / "rig.yaml",
+        "--frames", 2, "--looks", "clean", "--out", files / "film", "--json",
+    )  # fmt: skip
+    (one,) = json.loads(said)["films"]
+
+    assert (code, err) == (0, "")
+    assert (one["name"], one["frames"], one["video"]) == ("push", 2, None)
+
+
+def test_looks_that_do_not_exist_are_bad_input(capsys, files):
+    code, _, err = fixel(
+        capsys, "testbed", "film", files / "push.yaml", "--looks", "herd", "--out", files / "film"
+    )
+
+    assert code == 2
+    assert "did you mean 'hard'?" in err

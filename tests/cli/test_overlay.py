@@ -1,0 +1,168 @@
+"""`fixel overlay`: placing parts, from the shell."""
+
+import _thread
+import itertools
+import json
+import threading
+import urllib.request
+
+import pytest
+from tests.cli.shell import fixel
+from tests.vision.plate import plate_picture, small_rig
+
+from fixel.cli.main import run
+from fixel.exchange.rig_file import save_rig
+from fixel.exchange.video_file import VideoWriter
+from fixel.testbed import frame_source
+from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.vision.frame import Frame
+
+RIG = small_rig()
+SCENE = """
+fixel: 1
+duration: 11.0
+bodies:
+  - name: object
+    shape: {polygon: [[-0.054, -0.054], [0.054, -0.054], [0.054, 0.054], [-0.054, 0.054]]}
+    mass: 0.15
+    pose: [0.11, -0.01, 0.35]
+    support: {tripod: {radius: 0.040, friction: 0.25, angle: 1.5}}
+pushers:
+  - name: actuator
+    shape: {disk: 0.0145}
+    pose: [0.0, 0.0, 0.0]
+    drive: {direction: [1, 0], speed: 0.0135}
+    friction: 0.25
+"""
+
+
+def picture(x):
+    return plate_picture(RIG, {"object": (x, -0.01, 0.35), "actuator": (0.0, 0.0, 0.0)})
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A folder with a scene, its rig, and films of the part in place and 6 mm off."""
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "scene.yaml").write_text(SCENE)
+    save_rig(RIG, folder / "rig.yaml")
+    for name, x in (("placed", 0.11), ("off", 0.116)):
+        with VideoWriter(folder / f"{name}.mp4", (640, 360)) as film:
+            for k in range(3):
+                film.write(Frame(k / 30.0, picture(x)))
+    return folder
+
+
+class Endless(FrameSource):
+    """A camera over a part that lies in its place."""
+
+    name = "endless"
+
+    def __init__(self):
+        self.closed = threading.Event()
+
+    def open(self):
+        return Stream((640, 360), 100.0, jpeg=False, live=True)
+
+    def frames(self):
+        for k in itertools.count():
+            if self.closed.wait(0.01):
+                return
+            yield Arrived(0.01 * k, pixels=picture(0.11))
+
+    def close(self):
+        self.closed.set()
+
+
+def asked(bench, film, *more):
+    return "overlay", bench / "scene.yaml", "--rig", bench / "rig.yaml", "--camera", film, *more
+
+
+def once(bench, film, *more):
+    return *asked(bench, bench / film, "--once", "--output", bench / f"{film}.png"), *more
+
+
+def test_in_place(bench, capsys):
+    code, out, _ = fixel(capsys, *once(bench, "placed.mp4"))
+    assert code == 0
+    assert out.startswith("In place")
+    assert "allowed: 1 mm, 1 deg" in out
+    assert (bench / "placed.mp4.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_off(bench, capsys):
+    code, out, _ = fixel(capsys, *once(bench, "off.mp4"))
+    assert code == 4
+    assert out.startswith("object: push 6.")
+    assert " +5.9" in out or " +6.0" in out
+
+
+def test_tolerances_are_those_asked_for(bench, capsys):
+    code, out, _ = fixel(capsys, *once(bench, "off.mp4", "--tolerance-mm", "7", "--json"))
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["placed"]
+    assert answer["tolerance_mm"] == 7.0
+    assert answer["parts"][0]["dx_mm"] == pytest.approx(6.0, abs=0.1)
+    assert answer["files"] == {"picture": str(bench / "off.mp4.png")}
+
+
+def test_the_page_until_the_film_ends(bench, capsys):
+    code, out, err = fixel(capsys, *asked(bench, bench / "off.mp4"))
+    assert code == 0
+    assert out.startswith("object: push 6.")
+    assert "Open http://127.0.0.1:" in err
+    assert "the file is at its end" in err
+
+
+def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
+    source = Endless()
+    monkeypatch.setattr(frame_source, "source_of", lambda *_, **__: source)
+    seen = {}
+
+    def visit():
+        while not (link := capsys.readouterr().err.partition("Open ")[2].split("\n")[0]):
+            source.closed.wait(0.02)
+        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        seen["page"] = opener.open(link, timeout=5).read()
+        address = link.partition("?")[0]
+        while not (status := json.load(opener.open(f"{address}overlay/status", timeout=5))):
+            source.closed.wait(0.02)
+        seen["status"] = status
+        _thread.interrupt_main()
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    code, out, _ = fixel(capsys, *asked(bench, "0"))
+    visitor.join()
+    assert code == 0
+    assert out.startswith("In place")
+    assert b"scene.yaml on small" in seen["page"]
+    assert seen["status"]["state"] == "placed"
+    assert source.closed.is_set()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
+        (["--rig", "thesis-tags"], "neither scene nor experiment"),
+        (["scene.yaml", "--rig", "microscope"], "knows part, probe"),
+        (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
+        (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
+        (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),
+        (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "1280 x 720"),
+    ],
+)
+def test_refusals(bench, capsys, monkeypatch, arguments, words):
+    monkeypatch.chdir(bench)
+    code, out, err = fixel(capsys, "overlay", *arguments)
+    assert code == 2
+    assert not out
+    assert words in err
+
+
+def test_the_help_is_there(capsys):
+    with pytest.raises(SystemExit):
+        run(["overlay", "--help"])
+    assert "--tolerance-mm" in capsys.readouterr().out

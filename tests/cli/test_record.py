@@ -1,0 +1,243 @@
+"""`fixel record`, `record check`, `record repair` and `testbed serve` as a shell runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import threading
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.cli.shell import fixel
+from tests.testbed.films import SIZE, film
+
+from fixel.cli.record import duration
+from fixel.exchange.recording import open_recording
+from fixel.exchange.recording_header import ROWS, VIDEO
+from fixel.testbed.recorder import Status
+
+FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]
+
+
+def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
+    played, out = film(tmp_path / "film"), tmp_path / "push 1"
+    code, said, _ = fixel(
+        capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out
+    )
+    assert code == 0
+    assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
+    assert "ended: the file is at its end" in said
+    assert f"Next: fixel track '{out}'" in said
+    code, said, _ = fixel(capsys, "record", "check", out)
+    assert code == 0
+    assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame belongs to its row" in said
+
+
+@pytest.mark.parametrize("rig", [None, "thesis-tags"])
+def test_it_ends_when_the_fixels_say_so(
+    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rig: str | None
+) -> None:
+    played = film(tmp_path / "film", n=200, bits=lambda k: 0b100 if k >= 20 else 0)
+    out = tmp_path / "r"
+    monkeypatch.setattr("fixel.workflows.record.refuse_size", lambda *_: None)
+    code, said, _ = fixel(
+        capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out,
+        "--until", "seated", "--mode", "100", "--json", *(["--rig", rig] if rig else []),
+    )  # fmt: skip
+    answer = json.loads(said)
+    assert (code, answer["frames"], answer["without_reading"]) == (0, 71, 0)
+    assert answer["reason"] == "seated: the fixels say 100 for 0.5 s"
+    assert (out / "rig.yaml").exists() == (rig is not None)
+    kept = open_recording(out)
+    assert kept.header.rig == (rig or "")
+    assert kept.reading_time.tolist() == kept.time.tolist()
+
+
+def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> None:
+    folder = film(tmp_path / "r")
+    (folder / "end.json").unlink()
+    video = folder / VIDEO
+    video.write_bytes(video.read_bytes()[:-99])
+    code, said, _ = fixel(capsys, "record", "check", folder)
+    assert code == 0
+    assert "problem: cut off at t = 0.280 s: no mark of a good end" in said
+    assert f"Next: fixel record repair {folder}" in said
+    code, said, _ = fixel(capsys, "record", "repair", folder, "--json")
+    answer = json.loads(said)
+    assert (code, answer["complete"], answer["frames"]) == (0, True, 29)
+    assert "cut off at t = 0.280 s" in answer["reason"]
+    rows = (folder / ROWS).read_bytes()
+    (folder / ROWS).write_bytes(rows[:100] + b"0" + rows[101:])
+    code, _, complaint = fixel(capsys, "record", "check", folder)
+    assert code == 2
+    assert "damaged row" in complaint
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ([], "--camera"),
+        (["--camera", "FILM", "--out", "OUT", "--size", "640x480"], "found pictures of 160 x 120"),
+        (["--camera", "FILM", "--out", "OUT", "--size", "big"], "expected WIDTHxHEIGHT"),
+        (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "expected 1280 x 720"),
+        (["--camera", "FILM", "--out", "OUT", "--rig", "nowhere"], "rig: found no file"),
+        (["--camera", "FILM", "--out", "FILM"], "found a recording, expected a folder that is"),
+        (["--camera", "FILM", "--out", "OUT/.."], "found something there already"),
+        (["--camera", "FILM", "--out", "OUT", "--codec", "h264"], "as-it-comes, near, exact"),
+        (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "pixels, no JPEG"),
+        (["--camera", "FILM", "--out", "OUT", "--until", "limit"], "a duration such as 15s"),
+        (["--camera", "FILM", "--out", "OUT", "--limit", "soon"], "expected a duration"),
+        (["--camera", "FILM", "--out", "OUT", "--limit", "0s"], "more than 0 s"),
+        (["--camera", "FILM", "--out", "OUT", "--mode", "010"], "--until seated"),
+        (
+            [
+                "--camera",
+                "FILM",
+                "--out",
+                "OUT",
+                "--mode",
+                "01",
+                "--until",
+                "seated",
+                "--tactile",
+                "film",
+            ],
+            "each of 3 fixels",
+        ),
+        (["--camera", "/dev/video77", "--out", "OUT"], "no such device"),
+        (["--camera", "no.mp4", "--out", "OUT"], "no such file"),
+        (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused(
+    capsys: Any, tmp_path: Path, arguments: list[str], complaint: str
+) -> None:
+    (tmp_path / "out").mkdir()
+    out = tmp_path / "out" / "r"
+    names = {"FILM": tmp_path / "film", "OUT": out, "OUT/..": tmp_path / "out"}
+    film(tmp_path / "film", n=3)
+    if "EXACT" in arguments:
+        names["EXACT"] = film(tmp_path / "exact", n=3, codec="exact")
+    code, said, complaints = fixel(capsys, "record", *[filled(a, names) for a in arguments])
+    assert code == 2
+    assert complaint in complaints + said
+    assert not out.exists()
+
+
+def filled(argument: str, names: dict[str, Path]) -> str:
+    """An argument, or the `--name=VALUE` of one, with the path that it stands for."""
+    name, sign, value = argument.rpartition("=")
+    return f"{name}{sign}{names.get(value, value)}"
+
+
+def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]) -> str:
+    """Record on a terminal until something is done to the process; the reason it gives."""
+    played, out = film(tmp_path / "film", n=3000), tmp_path / "r"
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*FIXEL, "record", "--camera", played, "--tactile", "film", "--out", out, "--json"],
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    while not ((out / ROWS).exists() and (out / ROWS).read_bytes().count(b"\n") > 5):
+        assert process.poll() is None, process.communicate()
+    end(process, ours)
+    said, complaints = process.communicate(timeout=10.0)
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == 0, complaints
+    kept = open_recording(out)
+    assert kept.complete
+    assert kept.n_frames < 3000
+    answer = json.loads(said)
+    assert answer["frames"] == kept.n_frames
+    return str(answer["reason"])
+
+
+def test_enter_ends_it_well(tmp_path: Path) -> None:
+    assert ended_by(tmp_path, lambda p, tty: os.write(tty, b"\n") and None) == "stopped with Enter"
+
+
+def test_an_interrupt_ends_it_well(tmp_path: Path) -> None:
+    assert ended_by(tmp_path, lambda p, tty: p.send_signal(signal.SIGINT)) == "stopped with Ctrl-C"
+
+
+def test_a_polite_kill_ends_it_well(tmp_path: Path) -> None:
+    assert ended_by(tmp_path, lambda p, tty: p.terminate()) == "asked to stop"
+
+
+def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
+    played, out = film(tmp_path / "film"), tmp_path / "r"
+    server = subprocess.Popen(
+        [*FIXEL, "testbed", "serve", played, "--json"], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert server.stdout is not None
+        served = json.loads(server.stdout.readline())
+        assert served["size_px"] == list(SIZE)
+        code, said, _ = fixel(capsys, "record", "--camera", served["url"], "--out", out)
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.communicate(timeout=10.0)
+    assert code == 0
+    assert "30 frames" in said
+    assert "ended: the camera ended the stream" in said
+
+
+def test_the_preview_shows_and_ends_it(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fixel.web.security import WORD_HEADER
+    from fixel.web.serve import WebServer
+
+    pages: list[str] = []
+    start = WebServer.start
+
+    def started(self: WebServer) -> WebServer:
+        start(self)
+        threading.Thread(target=press_stop, args=(self.link, self.gate.word)).start()
+        return self
+
+    def press_stop(link: str, word: str) -> None:
+        visit = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        with visit.open(link) as answer:
+            pages.append(answer.read().decode())
+        base = link.partition("?")[0]
+        request = urllib.request.Request(
+            base + "record/stop", b"", {WORD_HEADER: word}, method="POST"
+        )
+        visit.open(request).close()
+
+    monkeypatch.setattr(WebServer, "start", started)
+    played = film(tmp_path / "film", n=3000)
+    code, said, complaints = fixel(
+        capsys, "record", "--camera", played, "--out", tmp_path / "r", "--preview"
+    )
+    assert code == 0
+    assert "ended: stopped in the browser" in said
+    assert re.search(r"preview: http://127\.0\.0\.1:\d+/\?token=", complaints)
+    assert "Recording" in pages[0]
+
+
+def test_the_status_line(capsys: Any) -> None:
+    from fixel.cli.record import _StatusLine
+
+    line = _StatusLine()
+
+    line.show(Status(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
+    line.end()
+    shown = capsys.readouterr().err
+    assert shown == ("\r   12.3 s  370 frames  2 lost  30.0 frames/s  fixels 010  61.0 GB free\n")
+
+
+def test_durations() -> None:
+    assert [duration(text) for text in ("15s", "15", "10min", "1.5 h")] == [15, 15, 600, 5400]

@@ -1,0 +1,39 @@
+"""A small bench for tests of rendered pictures: the thesis's resolution, a fifth of its field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fixel.exchange.rig_file import rig_of
+from fixel.testing.scenes import grasp
+from fixel.vision.lens import Lens
+from fixel.vision.marks import Rig
+from fixel.vision.render.bench import Bench
+from fixel.vision.render.looks import Looks
+
+SIZE = (420, 320)
+AWAY = np.array([-0.5, -0.4, 0.0])  # where nobody sees it
+
+
+def small_rig(name: str = "thesis-tags", size: tuple[int, int] = SIZE) -> Rig:
+    """The middle of an example rig's picture, without tags on the plate."""
+    rig = rig_of(name)
+    lens = rig.camera.lens
+    shift = (np.array(lens.image_size) - size) // 2
+    near = Lens(
+        image_size=size, focal=lens.focal, centre=lens.centre - shift, distortion=lens.distortion
+    )
+    return replace(rig, camera=replace(rig.camera, lens=near), plate=())
+
+
+def bare_scene():
+    """The thesis's square and head, without fixels."""
+    return replace(grasp(), fixels=())
+
+
+def still(rig: Rig, looks: Looks, pose: object, scene: object = None, **more: object) -> np.ndarray:
+    """(h, w, 3) light of one instant."""
+    bench = Bench(scene or bare_scene(), rig, looks, 1)
+    return bench.light([{"object": np.asarray(pose), "actuator": AWAY, **more}])
