@@ -5,8 +5,9 @@ import { complain, copy, get, send, toast } from "./api.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
 import { at, make } from "./dom.js";
 import { Motion } from "./motion.js";
-import { Player, STYLES, stylesOf, swatch } from "./player.js";
+import { Player } from "./player.js";
 import { deg, fixed, mm } from "./units.js";
+import { STYLES, stylesOf, swatch } from "./view.js";
 
 /** @typedef {{name: string, unit: string, meaning: string, low: number, high: number, nominal: number}} Slider */
 /** @typedef {{id: string, label: string, kind: string, parameters: Record<string, number>, motion: string, error_mm2: number | null}} Offered */
@@ -121,7 +122,7 @@ function show() {
   const motions = [];
   if (measured) motions.push(measured);
   for (const set of sets) if (set.shown) motions.push(set.shown);
-  player.setMotions(motions, { keepTime: true });
+  player.setMotions(motions);
   charts.show(usualPanels(at("charts"), motions, player.object), [player.start, player.end]);
   table(stylesOf(at("player"), motions));
 }
