@@ -10,6 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.exchange import SceneFile
 from fixel.exchange.document import parse_json, parse_yaml, yaml_text
 from fixel.exchange.scene_file import scene_dict, scene_file_from_dict
+from fixel.exchange.trajectory_file import plain_numbers
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
 from fixel.simulation.stepper import Adaptive
@@ -101,7 +102,7 @@ def simulated(content: Any) -> Simulated:
     )
     names = ", ".join(body.name for body in scene.bodies)
     story = story_of_scene(scene, [simulated_motion(simulation)], f"simulation of {names}")
-    return Simulated(story, simulation.summary())
+    return Simulated(story, plain_numbers(simulation.summary()))
 
 
 @functools.cache

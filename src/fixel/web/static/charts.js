@@ -3,8 +3,8 @@
 
 import { make } from "./dom.js";
 import { column, valueAt } from "./motion.js";
-import { stylesOf } from "./player.js";
 import { colour, roundNumber } from "./stage.js";
+import { stylesOf } from "./view.js";
 
 /** @typedef {import("./motion.js").Motion} Motion */
 /**

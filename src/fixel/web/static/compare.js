@@ -5,8 +5,9 @@ import { complain, copy, get, send, toast } from "./api.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
 import { at, make } from "./dom.js";
 import { Motion } from "./motion.js";
-import { Player, STYLES, stylesOf, swatch } from "./player.js";
+import { Player } from "./player.js";
 import { deg, fixed, mm } from "./units.js";
+import { STYLES, stylesOf, swatch } from "./view.js";
 
 /** @typedef {{name: string, unit: string, meaning: string, low: number, high: number, nominal: number}} Slider */
 /** @typedef {{id: string, label: string, kind: string, parameters: Record<string, number>, motion: string, error_mm2: number | null}} Offered */
@@ -29,6 +30,7 @@ import { deg, fixed, mm } from "./units.js";
  * @property {string} label
  * @property {Record<string, number>} parameters
  * @property {string} motion
+ * @property {string} [stored] number of a stored simulation, which is shown as it was kept
  * @property {Answer | null} answer
  * @property {Motion | null} shown
  */
@@ -68,8 +70,10 @@ const live = () => sets[0];
  * @param {AbortSignal} [signal]
  */
 async function simulated(set, signal) {
-  const { parameters, motion } = set;
-  const answer = /** @type {Answer} */ (await send(address, { parameters, motion }, "POST", signal));
+  const { parameters, motion, stored } = set;
+  const answer = /** @type {Answer} */ (await (stored
+    ? get(`/experiments/${number}/simulations/${stored}`, {}, signal)
+    : send(address, { parameters, motion }, "POST", signal)));
   set.answer = answer;
   set.shown = new Motion({ ...answer.motion, id: set.id, label: set.label });
 }
@@ -295,7 +299,8 @@ at("add-set").addEventListener("change", (event) => {
   const select = /** @type {HTMLSelectElement} */ (event.target);
   const one = offered.find(({ id }) => id === select.value);
   select.value = "";
-  if (one) add({ ...one, parameters: { ...one.parameters } }).catch(complain);
+  const stored = one?.kind === "simulation" ? one.id.replace("simulation-", "") : undefined;
+  if (one) add({ ...one, stored, parameters: { ...one.parameters } }).catch(complain);
 });
 at("pin").addEventListener("click", () => {
   pinned += 1;

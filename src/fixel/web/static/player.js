@@ -6,41 +6,12 @@
 //     player.addEventListener("time", () => charts.cursor(player.time));
 
 import { make, svg } from "./dom.js";
-import { Motion, lastBefore, placed } from "./motion.js";
-import { Stage, colour, forceText, roundNumber } from "./stage.js";
+import { Motion, lastBefore } from "./motion.js";
+import { TopView, swatch } from "./view.js";
 
 /** @typedef {import("./motion.js").MotionDocument} MotionDocument */
-/** @typedef {import("./motion.js").Thing} Thing */
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const TYPICAL_ARROW = 0.16; // of the height of the view as fitted, for half of all forces
-const LONGEST_ARROW = 2.2; // of that: a part that jams is pushed a hundred times as hard as one that slides
-
-/** What sets simulated motions apart: a colour and a dash each. */
-export const STYLES = [
-  { name: "sim-1", otherwise: "#a03d78", dash: [7, 4] },
-  { name: "sim-2", otherwise: "#00785a", dash: [2, 3] },
-  { name: "sim-3", otherwise: "#a84a00", dash: [10, 3, 2, 3] },
-  { name: "sim-4", otherwise: "#6a5acd", dash: [12, 4] },
-  { name: "sim-5", otherwise: "#5c5c00", dash: [4, 2] },
-  { name: "sim-6", otherwise: "#8c2d19", dash: [1, 2] },
-];
-const MEASURED = { name: "body", otherwise: "#0063a0", dash: [] };
-
-/**
- * Colour and dash of every motion, by id; simulated ones keep theirs by their place.
- * @param {Element} element
- * @param {{id: string, kind: string}[]} motions
- * @returns {Map<string, {colour: string, text: string, dash: number[]}>}
- */
-export function stylesOf(element, motions) {
-  let simulated = 0;
-  return new Map(motions.map(({ id, kind }) => {
-    const style = kind === "measured" ? MEASURED : STYLES[simulated++ % STYLES.length];
-    const line = colour(element, style.name, style.otherwise);
-    return [id, { colour: line, text: colour(element, `${style.name}-text`, line), dash: style.dash }];
-  }));
-}
 
 const ICONS = {
   play: "M8 5v14l11-7z",
@@ -68,6 +39,8 @@ export function isTyping(/** @type {KeyboardEvent} */ event) {
   return target.matches?.("select, textarea, [contenteditable]") ?? false;
 }
 
+const FORCES = "On the part, in the first simulation that is shown. A dashed arrow is cut off: that force is larger.";
+
 /** Plays motions; fires "time" when the shown moment changes and "state" when it starts or stops. */
 export class Player extends EventTarget {
   /**
@@ -79,33 +52,41 @@ export class Player extends EventTarget {
     super();
     this.host = host;
     this.time = 0; // [s]
+    this.start = 0;
+    this.end = 0;
     this.playing = false;
     this.speed = 1;
-    /** @type {Motion[]} */
-    this.motions = [];
-    /** @type {Thing[]} */
-    this.things = [];
-    this.object = "";
-    /** @type {number[]} */
-    this.reference = [0, 0];
-    /** @type {Set<string>} ids of motions that are not drawn */
-    this.hidden = new Set();
-    this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.autoplay = (options.autoplay ?? false) && !this.calm;
-    this.perNewton = 0; // [m/N]
-    this.longest = 0; // [m]
     this.last = 0; // [ms] of the frame before
-    /** @type {ReturnType<typeof stylesOf>} */
-    this.styles = new Map();
+    // Who asks for less motion starts it by hand.
+    this.autoplay = (options.autoplay ?? false) && !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.button = iconButton("play", "Play (space)");
+    this.scrubber = make("input", { type: "range", min: 0, max: 1, step: "any", "aria-label": "Time" });
+    this.readout = make("output", { class: "time" }, "0.00 s");
+    this.total = make("span", { class: "total" });
+    this.loop = make("input", { type: "checkbox" });
+    this.forces = make("input", { type: "checkbox", checked: true });
+    this.legend = make("ul", { class: "legend", "aria-label": "Motions" });
+    this.canvas = make("canvas", { role: "img", tabindex: 0, "aria-label": "Top view to scale" });
     this.#build();
+    this.view = new TopView(this.canvas);
+    this.stage = this.view.stage;
     host.addEventListener("keydown", (event) => this.#key(event));
     if (options.keys ?? true) {
       document.addEventListener("keydown", (event) => {
-        if (event.target === document.body) this.#key(event);
+        if (event.target === document.body && host.offsetParent) this.#key(event);
       });
     }
     /** For scripts of a page, and tests. */
     /** @type {any} */ (host).player = this;
+  }
+
+  get motions() {
+    return this.view.motions;
+  }
+
+  /** Name of the thing whose motion is compared. */
+  get object() {
+    return this.view.object;
   }
 
   // --- what is shown ------------------------------------------------------------------------
@@ -115,15 +96,14 @@ export class Player extends EventTarget {
    * @param {{keepView?: boolean, keepTime?: boolean}} [keep]
    */
   show(content, keep = {}) {
-    this.things = content.things;
-    this.object = content.object;
-    this.reference = content.reference_m;
+    const { view, stage } = this;
+    view.things = content.things;
+    view.object = content.object;
+    view.reference = content.reference_m;
+    stage.box = content.box_m;
     this.canvas.setAttribute("aria-label", `Top view to scale: ${content.title}`);
     this.setMotions(content.motions.map((packed) => new Motion(packed)), keep);
-    if (!keep.keepView) this.stage.fit(content.box_m);
-    else this.stage.box = content.box_m;
-    this.#scaleForces();
-    this.seek(keep.keepTime ? this.time : this.start);
+    if (!keep.keepView) stage.fit();
     if (this.autoplay && !keep.keepTime) this.play();
   }
 
@@ -133,31 +113,30 @@ export class Player extends EventTarget {
    * @param {{keepTime?: boolean}} [keep]
    */
   setMotions(motions, keep = {}) {
-    this.motions = motions;
-    this.styles = stylesOf(this.host, motions);
+    this.view.setMotions(motions);
     this.start = Math.min(...motions.map((motion) => motion.span[0]));
     this.end = Math.max(...motions.map((motion) => motion.span[1]));
     this.scrubber.min = String(this.start);
     this.scrubber.max = String(this.end);
-    this.#scaleForces();
+    this.forces.disabled = this.view.perNewton === 0;
     this.#legend();
-    if (keep.keepTime) this.seek(this.time);
-    this.stage.request();
+    this.seek(keep.keepTime ? this.time : this.start);
   }
 
   /** @param {number} time [s] */
   seek(time) {
-    this.time = Math.max(this.start ?? 0, Math.min(this.end ?? 0, time));
+    this.time = this.view.time = Math.max(this.start, Math.min(this.end, time));
+    const words = `${this.time.toFixed(2)} s`;
     this.scrubber.value = String(this.time);
-    this.scrubber.setAttribute("aria-valuetext", `${this.time.toFixed(2)} s`);
-    this.readout.textContent = `${this.time.toFixed(2)} s`;
-    this.total.textContent = `of ${(this.end ?? 0).toFixed(2)} s`;
+    this.scrubber.setAttribute("aria-valuetext", words);
+    this.readout.textContent = words;
+    this.total.textContent = `of ${this.end.toFixed(2)} s`;
     this.stage.request();
     this.dispatchEvent(new Event("time"));
   }
 
   play() {
-    if (this.playing || this.motions.length === 0) return;
+    if (this.playing || !this.motions.length) return;
     if (this.time >= this.end - 1e-9) this.seek(this.start);
     this.playing = true;
     this.last = 0;
@@ -222,44 +201,32 @@ export class Player extends EventTarget {
     host.classList.add("player");
     host.setAttribute("role", "group");
     host.setAttribute("aria-label", "Animation");
-    this.canvas = make("canvas", { role: "img", tabindex: "0", "aria-label": "Top view to scale" });
-    this.button = iconButton("play", "Play (space)");
     const back = iconButton("back", "One frame back (left arrow)");
     const next = iconButton("next", "One frame on (right arrow)");
     const fit = iconButton("fit", "Show everything (double click, or 0)");
-    this.scrubber = make("input", { type: "range", min: "0", max: "1", step: "any", "aria-label": "Time" });
-    this.readout = make("output", { class: "time" }, "0.00 s");
-    this.total = make("span", { class: "total" });
-    const speed = make("select", { "aria-label": "Speed" });
-    for (const value of SPEEDS) speed.append(make("option", { value: String(value) }, `${value}\u00d7`));
-    speed.value = "1";
-    this.loop = make("input", { type: "checkbox" });
-    this.forces = make("input", { type: "checkbox" });
-    this.forces.checked = true;
-    this.legend = make("ul", { class: "legend", "aria-label": "Motions" });
+    const speed = make("select", { "aria-label": "Speed" },
+      ...SPEEDS.map((value) => make("option", { value, selected: value === 1 }, `${value}\u00d7`)));
     host.replaceChildren(
       make("div", { class: "view" }, this.canvas),
-      make(
-        "div", { class: "controls" }, this.button, back, next, this.scrubber,
-        make("span", { class: "clock-text" }, this.readout, " ", this.total),
-      ),
-      make(
-        "div", { class: "controls" },
-        make("label", {}, speed),
+      make("div", { class: "controls" },
+        this.button, back, next, this.scrubber,
+        make("span", { class: "clock-text" }, this.readout, " ", this.total)),
+      make("div", { class: "controls" },
+        speed,
         make("label", {}, this.loop, "loop"),
-        make("label", { title: "On the part. A dashed arrow is cut off: that force is larger." }, this.forces, "forces"),
-        fit,
-        this.legend,
-      ),
+        make("label", { title: FORCES }, this.forces, "forces"),
+        fit, this.legend),
     );
-    this.stage = new Stage(this.canvas, (context, stage) => this.#draw(context, stage));
     this.button.addEventListener("click", () => this.toggle());
     back.addEventListener("click", () => this.step(-1));
     next.addEventListener("click", () => this.step(1));
     fit.addEventListener("click", () => this.stage.fit());
     this.scrubber.addEventListener("input", () => this.seek(Number(this.scrubber.value)));
     speed.addEventListener("change", () => { this.speed = Number(speed.value); });
-    this.forces.addEventListener("change", () => this.stage.request());
+    this.forces.addEventListener("change", () => {
+      this.view.withForces = this.forces.checked;
+      this.stage.request();
+    });
     this.#state();
   }
 
@@ -293,186 +260,14 @@ export class Player extends EventTarget {
     this.legend.dataset.key = key;
     this.legend.replaceChildren(...this.motions.map((motion) => {
       const box = make("input", { type: "checkbox" });
-      box.checked = !this.hidden.has(motion.id);
+      box.checked = !this.view.hidden.has(motion.id);
       box.addEventListener("change", () => {
-        if (box.checked) this.hidden.delete(motion.id);
-        else this.hidden.add(motion.id);
+        if (box.checked) this.view.hidden.delete(motion.id);
+        else this.view.hidden.add(motion.id);
         this.stage.request();
       });
-      return make("li", {}, make("label", {}, box, swatch(this.styles.get(motion.id)), motion.label));
+      return make("li", {}, make("label", {}, box, swatch(this.view.styles.get(motion.id)), motion.label));
     }));
   }
 
-  // --- drawing ------------------------------------------------------------------------------
-
-  #scaleForces() {
-    const sizes = this.motions.flatMap((motion) => motion.forces).sort((a, b) => a - b);
-    const [, y0, , y1] = this.stage.box;
-    const usual = TYPICAL_ARROW * (y1 - y0);
-    const typical = sizes[sizes.length >> 1] ?? 0;
-    this.longest = LONGEST_ARROW * usual;
-    this.perNewton = typical > 0 ? usual / typical : 0;
-    this.forces.disabled = sizes.length === 0;
-  }
-
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   */
-  #draw(context, stage) {
-    if (this.motions.length === 0) return;
-    const shown = this.motions.filter((motion) => !this.hidden.has(motion.id));
-    const touched = new Set(shown.flatMap((motion) => motion.contactsAt(this.time))
-      .flatMap(({ body, other }) => [body, other]));
-    this.things.forEach((thing, k) => {
-      if (thing.role === "fixel") this.#solid(stage, thing, thing.pose, touched.has(k));
-    });
-    for (const motion of shown) this.#trail(context, stage, motion);
-    for (const motion of shown) this.#moving(context, stage, motion);
-    if (this.forces.checked) for (const motion of shown) this.#contacts(context, stage, motion);
-    context.setLineDash([]);
-    stage.scaleBar();
-    if (this.forces.checked && this.perNewton > 0) this.#forceKey(context, stage);
-    context.fillStyle = colour(this.canvas, "ink", "#222222");
-    stage.text(`t = ${this.time.toFixed(2)} s`, stage.width - 14, 24, "right", "600");
-  }
-
-  /**
-   * @param {Stage} stage
-   * @param {Thing} thing
-   * @param {ArrayLike<number>} pose
-   * @param {boolean} touched
-   */
-  #solid(stage, thing, pose, touched) {
-    const { context } = stage;
-    const kind = thing.role === "pusher" ? ["pusher", "#e69f00"] : ["fixel", "#7f7f7f"];
-    stage.outline(thing.shape, pose);
-    context.setLineDash([]);
-    context.fillStyle = touched && thing.role === "fixel"
-      ? colour(this.canvas, "touched", "#009e73")
-      : colour(this.canvas, kind[0], kind[1]);
-    context.globalAlpha = thing.role === "pusher" ? 0.55 : 0.85;
-    context.fill();
-    context.globalAlpha = 1;
-    context.strokeStyle = colour(this.canvas, "ink", "#222222");
-    context.lineWidth = 1;
-    context.stroke();
-  }
-
-  /**
-   * Everything a motion moves.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   * @param {Motion} motion
-   */
-  #moving(context, stage, motion) {
-    const style = this.styles.get(motion.id);
-    const shown = this.motions.filter((one) => !this.hidden.has(one.id));
-    const first = shown[0];
-    for (const thing of this.things) {
-      if (thing.role === "fixel") continue;
-      const pose = motion.poseAt(thing.name, this.time) ?? (motion === first ? thing.pose : null);
-      if (!pose) continue;
-      if (thing.role === "pusher") {
-        // One of them is enough; they differ by what nobody sees.
-        const leader = shown.find((one) => one.pose.has(thing.name)) ?? first;
-        if (motion === leader) this.#solid(stage, thing, pose, false);
-        continue;
-      }
-      stage.outline(thing.shape, pose);
-      context.setLineDash(style?.dash ?? []);
-      context.strokeStyle = context.fillStyle = style?.colour ?? "#0072b2";
-      context.globalAlpha = motion === first ? 0.13 : 0.06;
-      context.fill();
-      context.globalAlpha = 1;
-      context.lineWidth = 2.5;
-      context.stroke();
-      const [x, y] = stage.toScreen(placed(pose, thing.name === this.object ? this.reference : [0, 0]));
-      context.beginPath();
-      context.arc(x, y, 3.5, 0, 2 * Math.PI);
-      context.fill();
-    }
-  }
-
-  /**
-   * Where the reference point has been.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   * @param {Motion} motion
-   */
-  #trail(context, stage, motion) {
-    const rows = motion.pose.get(this.object);
-    const now = motion.poseAt(this.object, this.time);
-    if (!rows || !now) return;
-    const style = this.styles.get(motion.id);
-    const end = lastBefore(motion.time, this.time);
-    context.beginPath();
-    for (let k = 0; k <= end; k += 1) {
-      const [x, y] = stage.toScreen(placed(rows.subarray(3 * k, 3 * k + 3), this.reference));
-      context.lineTo(x, y);
-    }
-    const [x, y] = stage.toScreen(placed(now, this.reference));
-    context.lineTo(x, y);
-    context.setLineDash(style?.dash ?? []);
-    context.strokeStyle = style?.colour ?? "#56b4e9";
-    context.globalAlpha = 0.75;
-    context.lineWidth = 1.5;
-    context.stroke();
-    context.globalAlpha = 1;
-  }
-
-  /**
-   * Contact points, and the force on what is pushed; a dashed arrow is cut off.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   * @param {Motion} motion
-   */
-  #contacts(context, stage, motion) {
-    const red = colour(this.canvas, "force", "#d55e00");
-    for (const { point, force } of motion.contactsAt(this.time)) {
-      const [x, y] = stage.toScreen(point);
-      const size = Math.hypot(force[0], force[1]) * this.perNewton;
-      const cut = size > this.longest ? this.longest / size : 1;
-      const length = cut * this.perNewton * stage.scale;
-      context.strokeStyle = context.fillStyle = red;
-      context.lineWidth = 2.5;
-      context.setLineDash(cut < 1 ? [5, 3] : []);
-      stage.arrow(x, y, length * force[0], -length * force[1]);
-      context.setLineDash([]);
-      context.beginPath();
-      context.arc(x, y, 4.5, 0, 2 * Math.PI);
-      context.fillStyle = colour(this.canvas, "card", "#ffffff");
-      context.fill();
-      context.lineWidth = 2;
-      context.stroke();
-    }
-  }
-
-  /**
-   * An arrow of a round force, beside the scale bar.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   */
-  #forceKey(context, stage) {
-    const newtons = roundNumber(Math.max(1e-9, 70 / (this.perNewton * stage.scale)));
-    const length = newtons * this.perNewton * stage.scale;
-    const [x, y] = [stage.width - 14 - length, stage.height - 16];
-    context.strokeStyle = context.fillStyle = colour(this.canvas, "force", "#d55e00");
-    context.lineWidth = 2.5;
-    stage.arrow(x, y, length, 0);
-    context.fillStyle = colour(this.canvas, "force-text", "#a84300");
-    stage.text(forceText(newtons), x + length / 2, y - 8, "center");
-  }
 }
-
-/**
- * A short line as a motion is drawn.
- * @param {{colour: string, dash: number[]} | undefined} style
- */
-export const swatch = (style) => svg(
-  "svg", { class: "line", viewBox: "0 0 28 8", "aria-hidden": "true" },
-  svg("path", {
-    d: "M1 4h26", stroke: style?.colour ?? "currentColor", "stroke-width": 3,
-    "stroke-dasharray": (style?.dash ?? []).join(" "),
-  }),
-);
