@@ -1,8 +1,8 @@
 """How fast the table of experiments is there, with many experiments.
 
 ``python -m benchmarks.web [--n 10000] [--project FOLDER]``: a project as `benchmarks.store` fills
-it, unless a folder with one is given; `fixel serve` in a process of its own, started anew; the first
-answers to a program, and the first paint in a real browser.
+it, unless a folder with one is given; `fixel serve` in a process of its own, started anew; the
+first answers to a program, and the first paint in a real browser.
 """
 
 import argparse
