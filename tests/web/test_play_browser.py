@@ -111,6 +111,7 @@ def test_scrubber_and_arrow_keys_and_charts_move_the_time(compare):
 
 
 def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
+    compare.locator("#player canvas").scroll_into_view_if_needed()
     scale, centre = player(compare, "stage.scale"), player(compare, "stage.centre")
     box = compare.locator("#player canvas").bounding_box()
     compare.mouse.move(box["x"] + 100, box["y"] + 100)
