@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import threading
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from fixel.web.api._values import Number, Text
 from fixel.web.api.motion import StoryOut
@@ -20,12 +22,23 @@ NOBODY_WAITS = 499  # of HTTP, as nginx counts it
 GLANCE = 0.05  # [s] between two looks whether the browser still waits
 
 
+def _writable(scene: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what no file can hold, before a sentence is made of it."""
+    try:
+        json.dumps(scene, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise ValueError("text and levels that a scene file can hold") from None
+    return scene
+
+
 class SceneIn(BaseModel):
     """A scene, as the keys of a scene file."""
 
     model_config = ConfigDict(extra="forbid")
 
-    scene: dict[str, Any] = Field(description="as in a scene file: fixel scene files are the same")
+    scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
+        description="as in a scene file: fixel scene files are the same"
+    )
 
 
 class FileIn(BaseModel):
@@ -101,18 +114,19 @@ def router(desk: Desk) -> APIRouter:
         f"and {scene_desk.MOST_DURATION:g} s of simulated time. Ends when the connection does.",
     )
     async def simulate(wanted: SceneIn, request: Request) -> SimulatedOut:
-        gone = asyncio.Event()
+        gone = threading.Event()
         watch = asyncio.create_task(_watch(request, gone))
         try:
             answer = await asyncio.to_thread(_simulated, wanted.scene, gone)
-        finally:
+        finally:  # also when the server ends
+            gone.set()
             watch.cancel()
         return answer
 
     return found
 
 
-def _simulated(scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
+def _simulated(scene: dict[str, Any], gone: threading.Event) -> SimulatedOut:
     scene_desk.check_scene(scene)  # what cannot be needs no other process
     try:
         answer: scene_desk.Simulated = scene_desk.beside().call(scene, gone.is_set)
@@ -121,7 +135,7 @@ def _simulated(scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
     return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)
 
 
-async def _watch(request: Request, gone: asyncio.Event) -> None:
+async def _watch(request: Request, gone: threading.Event) -> None:
     while not await request.is_disconnected():
         await asyncio.sleep(GLANCE)
     gone.set()
