@@ -17,10 +17,13 @@ class Client:
     def get(self, path: str, headers=None) -> httpx.Response:
         return asyncio.run(self._ask("GET", path, headers))
 
-    def post(self, path: str, headers=None) -> httpx.Response:
-        return asyncio.run(self._ask("POST", path, headers))
+    def post(self, path: str, headers=None, json=None) -> httpx.Response:
+        return asyncio.run(self._ask("POST", path, headers, json=json))
 
-    async def _ask(self, method: str, path: str, headers) -> httpx.Response:
+    def request(self, method: str, path: str, headers=None, **more) -> httpx.Response:
+        return asyncio.run(self._ask(method, path, headers, **more))
+
+    async def _ask(self, method: str, path: str, headers, **more) -> httpx.Response:
         async with httpx.AsyncClient(
             transport=httpx.ASGITransport(self._app),
             base_url=self._base_url,
@@ -28,6 +31,6 @@ class Client:
             follow_redirects=self._follow,
             timeout=10.0,
         ) as client:
-            answer = await client.request(method, path, headers=headers)
+            answer = await client.request(method, path, headers=headers, **more)
             self.cookies = client.cookies
             return answer

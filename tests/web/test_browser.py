@@ -1,8 +1,5 @@
 """The pages as a browser shows them: with the Chromium of this machine, skipped without one."""
 
-import os
-import shutil
-
 import numpy as np
 import pytest
 from tests.vision.plate import plate_picture, small_rig
@@ -16,17 +13,6 @@ from fixel.web.record_page import RecordPreview
 from fixel.web.serve import WebServer
 from fixel.workflows.overlay import Overlay, watch
 
-QUIET = [
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-features=OptimizationHints,MediaRouter",
-    "--disable-dev-shm-usage",
-    "--disable-gpu",
-]
-NAMES = (os.environ.get("CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
 PATIENCE = 8000  # [ms]
 RIG = small_rig()
 # Whether the table shows this error, to the hundredth of a mm it is written with.
@@ -36,23 +22,9 @@ SHOWS = """wanted => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def browser():
-    chromium = next((path for name in NAMES if name and (path := shutil.which(name))), None)
-    if chromium is None:
-        pytest.skip("no Chromium on this machine")
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(
-            executable_path=chromium, chromium_sandbox=os.geteuid() != 0, args=QUIET
-        )
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
-def page(browser):
-    page = browser.new_page(viewport={"width": 1280, "height": 720})
+def page(chromium):
+    page = chromium.new_page(viewport={"width": 1280, "height": 720})
     page.set_default_timeout(PATIENCE)
     page.said = []
     page.on("pageerror", lambda error: page.said.append(str(error)))

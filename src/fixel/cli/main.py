@@ -37,6 +37,7 @@ from fixel.cli import (
     report,
     sample,
     sensitivity,
+    serve,
     show,
     simulate,
     tactile,
@@ -84,6 +85,7 @@ app.add_typer(db.app, name="db")
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("uncertainty")(uncertainty.uncertainty)
+app.command("serve")(serve.serve)
 app.command("overlay")(overlay.overlay)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -11,8 +11,10 @@ from typing import Any, NamedTuple, final
 import numpy as np
 import sqlalchemy as sa
 
-from fixel.database import arrays, rows, schema, tables
+from fixel.database import arrays, browsing, marks, rows, schema, tables
+from fixel.database.browsing import Leaf, View
 from fixel.database.engine import open_engine, reading, set_journal, writing
+from fixel.database.marks import Note
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters
@@ -277,6 +279,72 @@ class Store:
                 )
                 .values(deleted_at_utc=rows.now())
             )
+
+    def flag_all(self, numbers: Iterable[int], flag: Flag) -> list[int]:
+        """Add a flag to experiments that do not carry it yet, all in one act; returns these."""
+        with writing(self._engine) as connection:
+            return marks.flag_all(connection, numbers, flag)
+
+    def unflag_all(self, numbers: Iterable[int], name: str) -> list[int]:
+        """Take a flag off experiments, all in one act; returns those that carried it."""
+        with writing(self._engine) as connection:
+            return marks.unflag_all(connection, numbers, name)
+
+    def delete_all(self, numbers: Iterable[int], *, back: bool = False) -> list[int]:
+        """Delete experiments, or take that back, in one act; returns those that changed."""
+        with writing(self._engine) as connection:
+            return marks.delete_all(connection, numbers, None if back else rows.now())
+
+    def annotate(self, numbers: Iterable[int], text: str) -> list[int]:
+        """Write a note beside experiments, in one act; returns the ids of the notes."""
+        with writing(self._engine) as connection:
+            return marks.annotate(connection, numbers, text)
+
+    def delete_notes(self, notes: Iterable[int], *, back: bool = False) -> list[int]:
+        """Delete notes by their ids, or take that back; returns those that changed."""
+        with writing(self._engine) as connection:
+            return marks.delete_notes(connection, notes, None if back else rows.now())
+
+    def notes(self, number: int) -> list[Note]:
+        """Notes beside an experiment, the oldest first."""
+        with reading(self._engine) as connection:
+            return marks.notes_of(connection, number)
+
+    # --- browsing -------------------------------------------------------------------------------
+
+    def browse(self, view: View) -> Leaf:
+        """One page of a sorted, filtered table of experiments."""
+        with reading(self._engine) as connection:
+            return browsing.browse(connection, view)
+
+    def browse_ids(self, view: View) -> list[int]:
+        """Ids of all that a view shows, in its order, on this page or not."""
+        with reading(self._engine) as connection:
+            return browsing.ids(connection, view)
+
+    def browse_columns(self, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+        """Columns and conditions by name, of all that a view shows, by id."""
+        with reading(self._engine) as connection:
+            return browsing.columns(connection, view, names)
+
+    def conditions(self) -> list[dict[str, str | float]]:
+        """What was written down of every experiment."""
+        table = tables.experiment
+        with reading(self._engine) as connection:
+            wanted = sa.select(table.c.conditions).where(table.c.deleted_at_utc.is_(None))
+            return list(connection.scalars(wanted))
+
+    def content(self, number: int) -> str:
+        """Checksum of an experiment's content; the same only for the same."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.experiment, number, "experiment")
+        return str(row.content_sha256)
+
+    def deleted(self, number: int) -> bool:
+        """Whether an experiment is deleted."""
+        with reading(self._engine) as connection:
+            row = _row(connection, tables.experiment, number, "experiment")
+        return row.deleted_at_utc is not None
 
     def delete(self, number: int) -> None:
         """Leave an experiment out of everything, until `undelete`."""

@@ -91,6 +91,8 @@ experiment = sa.Table(
     *_provenance(),
     sa.Index(None, "dataset", "name"),
     sa.Index(None, "replaces_id"),
+    # Rows are long, for the scene is in them: what only counts should not have to read them.
+    sa.Index(None, "deleted_at_utc"),
 )
 
 flag = sa.Table(
@@ -101,6 +103,17 @@ flag = sa.Table(
     sa.Column("name", sa.String(100), nullable=False),
     sa.Column("detail", sa.Text, nullable=False),
     sa.Column("is_fault", sa.Boolean, nullable=False),
+    sa.Column("created_at_utc", sa.String(40), nullable=False),
+    sa.Column("deleted_at_utc", sa.String(40)),
+    sa.Index(None, "experiment_id"),
+)
+
+note = sa.Table(
+    "note",
+    METADATA,
+    sa.Column("id", sa.Integer, primary_key=True),
+    _reference("experiment_id", "experiment"),
+    sa.Column("text", sa.Text, nullable=False),
     sa.Column("created_at_utc", sa.String(40), nullable=False),
     sa.Column("deleted_at_utc", sa.String(40)),
     sa.Index(None, "experiment_id"),

@@ -19,14 +19,17 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from fixel.web.problems import Problem, answer
+
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 WORD_HEADER: Final = "x-fixel-word"  # carries the word of our own pages
 SAFE_METHODS: Final = ("GET", "HEAD", "OPTIONS")
+MOST_BODY: Final = 2 * 1024 * 1024  # [byte] of a request
 
 HEADERS: Final = {
     # Everything comes from here, and no script or style is written into a page.
     "content-security-policy": "default-src 'none'; img-src 'self' data:; style-src 'self'; "
-    "script-src 'self'; connect-src 'self'; form-action 'self'; base-uri 'none'; "
+    "script-src 'self'; connect-src 'self'; media-src 'self'; form-action 'self'; base-uri 'none'; "
     "frame-ancestors 'none'",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
@@ -50,7 +53,7 @@ class Gate:
     Attributes
     ----------
     token : str
-        In the link that opens the pages.
+        In the link that opens the pages, and in the header of programs.
     session : str
         In the cookie the link is exchanged for.
     word : str
@@ -72,9 +75,18 @@ class Gate:
 
     def admits(self, headers: Headers) -> bool:
         """Whether a request that changes something comes from one of our own pages."""
-        origin = headers.get("origin")
-        at_home = origin is None or origin == f"http://{headers.get('host', '')}"
-        return at_home and _same(headers.get(WORD_HEADER, ""), self.word)
+        return at_home(headers) and _same(headers.get(WORD_HEADER, ""), self.word)
+
+    def knows(self, headers: Headers) -> bool:
+        """Whether a program sent the token: `Authorization: Bearer TOKEN`."""
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        return kind.lower() == "bearer" and _same(token.strip(), self.token) and at_home(headers)
+
+
+def at_home(headers: Headers) -> bool:
+    """Whether a request comes from no page at all, or from one of this server."""
+    origin = headers.get("origin")
+    return origin is None or origin == f"http://{headers.get('host', '')}"
 
 
 class SecurityHeaders:
@@ -116,17 +128,12 @@ class Guard:
         tokens = [value for name, value in query if name == "token"]
         if safe and len(tokens) == 1 and _same(tokens[0], self.gate.token):
             return self._let_in(scope["path"], [pair for pair in query if pair[0] != "token"])
+        if "authorization" in headers:
+            return None if self.gate.knows(headers) else _refusal(scope, 401, WRONG_TOKEN)
         if not self.gate.opens(headers):
-            return PlainTextResponse(
-                "This page opens with the link that fixel printed when it started. "
-                "If fixel was started anew, use the new link.\n",
-                status_code=403,
-            )
+            return _refusal(scope, 403, NO_COOKIE)
         if not safe and not self.gate.admits(headers):
-            return PlainTextResponse(
-                "Only fixel's own pages may do this: reload the page and try again.\n",
-                status_code=403,
-            )
+            return _refusal(scope, 403, NOT_OURS)
         return None
 
     def _let_in(self, path: str, query: list[tuple[str, str]]) -> Response:
@@ -137,6 +144,54 @@ class Guard:
             self.gate.cookie, self.gate.session, httponly=True, samesite="lax", path="/"
         )
         return response
+
+
+class BodyLimit:
+    """Refuses requests whose body is longer than anything this interface asks for."""
+
+    def __init__(self, app: ASGIApp, most: int = MOST_BODY) -> None:
+        self.app = app
+        self.most = most
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        said = Headers(scope=scope).get("content-length", "0")
+        if not said.isdecimal() or int(said) > self.most:
+            await _refusal(scope, 413, TOO_LONG)(scope, receive, send)
+            return
+        had = 0
+
+        async def counted() -> Message:
+            nonlocal had
+            message = await receive()
+            had += len(message.get("body", b""))
+            # Without a length that was said beforehand, the end is cut off: nobody can parse it.
+            return message if had <= self.most else {"type": "http.disconnect"}
+
+        await self.app(scope, counted, send)
+
+
+NO_COOKIE: Final = (
+    "This page opens with the link that fixel printed when it started.",
+    "If fixel was started anew, use the new link. Programs send: Authorization: Bearer TOKEN",
+)
+NOT_OURS: Final = ("Only fixel's own pages may do this.", "Reload the page and try again.")
+WRONG_TOKEN: Final = (
+    "This is not the token of this server.",
+    "It is in the link that fixel printed when it started, behind token=",
+)
+TOO_LONG: Final = ("This request is too long.", f"At most {MOST_BODY // 1024**2} MB are taken.")
+
+
+def _refusal(scope: Scope, status: int, words: tuple[str, str]) -> Response:
+    sentence, hint = words
+    headers = {"www-authenticate": "Bearer"} if status == 401 else None
+    if scope.get("path", "").startswith("/api/"):
+        problem = Problem(status=status, sentence=f"{sentence} {hint}", hint=hint)
+        return answer(problem, headers)
+    return PlainTextResponse(f"{sentence} {hint}\n", status_code=status, headers=headers)
 
 
 def _same(given: str, wanted: str) -> bool:

@@ -9,12 +9,15 @@ from collections.abc import Sequence
 from typing import Final, final
 
 import uvicorn
+from fastapi import FastAPI
 
 from fixel.errors import InvalidInput
 from fixel.web.app import Page, create_app
 from fixel.web.security import LOOPBACK, Gate
 
 HERE_ONLY: Final = "127.0.0.1"
+EVERYWHERE: Final = ("0.0.0.0", "::")
+CONNECTIONS: Final = 512  # a browser holds six, and an open page one more
 STARTS_WITHIN: Final = 10.0  # [s]
 ENDS_WITHIN: Final = 1  # [s] for answers to browsers that do not read
 # What lies in the socket is late: about three pictures, or a slow browser lags by seconds.
@@ -33,6 +36,10 @@ class WebServer:
     host : str
         Address to listen on. Any but this machine's own lets others in who know the link, which
         then travels in the clear.
+    api : FastAPI, optional
+        What programs ask for.
+    name : str
+        Of the project.
 
     Raises
     ------
@@ -49,15 +56,20 @@ class WebServer:
     """
 
     def __init__(
-        self, pages: Sequence[Page], *, port: int | None = None, host: str = HERE_ONLY
+        self,
+        pages: Sequence[Page],
+        *,
+        port: int | None = None,
+        host: str = HERE_ONLY,
+        api: FastAPI | None = None,
+        name: str = "",
     ) -> None:
         self.gate = Gate()
         self._pages = tuple(pages)
         self._socket = _listening(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
-        hosts = LOOPBACK if host == HERE_ONLY else (*LOOPBACK, host)
         config = uvicorn.Config(
-            create_app(self._pages, self.gate, hosts),
+            create_app(self._pages, self.gate, _names(host), api=api, name=name),
             http="h11",
             ws="none",
             loop="asyncio",
@@ -67,7 +79,7 @@ class WebServer:
             log_level="critical",
             proxy_headers=False,
             server_header=False,
-            limit_concurrency=64,
+            limit_concurrency=CONNECTIONS,
             timeout_graceful_shutdown=ENDS_WITHIN,
         )
         self._server = _Server(config)
@@ -81,7 +93,8 @@ class WebServer:
     @property
     def address(self) -> str:
         """Where the pages are, without the token."""
-        return f"http://{self.host}:{self.port}/"
+        name = socket.gethostname() if self.host in EVERYWHERE else self.host
+        return f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
 
     @property
     def link(self) -> str:
@@ -104,6 +117,16 @@ class WebServer:
         if self._thread.ident is not None:
             self._thread.join()
         self._socket.close()
+
+    def wait(self) -> None:
+        """Until it ends by itself, or somebody interrupts."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    @property
+    def busy(self) -> bool:
+        """Whether threads of it still compute after the end."""
+        return any("AnyIO" in thread.name for thread in threading.enumerate())
 
     def __enter__(self) -> WebServer:
         return self.start()
@@ -132,6 +155,18 @@ class _Server(uvicorn.Server):
             if transport is not None:
                 transport.abort()
         await asyncio.sleep(0.01)  # for the loop to let go of them
+
+
+def _names(host: str) -> tuple[str, ...]:
+    """By which a browser may call the server."""
+    if host in EVERYWHERE:
+        name = socket.gethostname()
+        try:
+            found = socket.getaddrinfo(name, None, family=socket.AF_INET)
+        except OSError:  # a machine that does not know its own name
+            found = []
+        return (*LOOPBACK, name, *sorted({str(entry[4][0]) for entry in found}))
+    return LOOPBACK if host == HERE_ONLY else (*LOOPBACK, f"[{host}]" if ":" in host else host)
 
 
 def _listening(host: str, port: int | None) -> socket.socket:

@@ -21,7 +21,7 @@ from fixel.model import (
 )
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
-from fixel.simulation import AbstractMotionModel, Simulation, simulate
+from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
 SAMPLES: Final = 200  # of a simulation of two poses
@@ -158,6 +158,7 @@ def comparison(
     experiment: Experiment,
     parameters: Parameters | None = None,
     motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
 ) -> Comparison:
     """Simulate an experiment from its first pose on, and compare the poses.
 
@@ -169,6 +170,8 @@ def comparison(
         In place of the scene's values.
     motion : AbstractMotionModel, optional
         `Dynamic()` where left out.
+    stepper : AbstractStepper, optional
+        `Adaptive()` where left out.
 
     Raises
     ------
@@ -176,8 +179,7 @@ def comparison(
         No scene, no pose within `effective`, or parameters that change nothing in the scene.
     """
     scene = scene_of(experiment)
-    useful = useful_poses(experiment)
-    time = experiment.trajectory.time[useful]
+    time = experiment.trajectory.time[useful_poses(experiment)]
     parameters = parameters or Parameters()
     start = clock_start(experiment, scene)
     duration = float(time[-1]) - start
@@ -191,12 +193,12 @@ def comparison(
         scene,
         parameters,
         motion=motion,
+        stepper=stepper,
         duration=duration,
         output_interval=_interval(experiment.trajectory.time, duration),
     )
     simulated = _track(simulation, experiment.object_name, start)
-    measured = experiment.trajectory.pose[useful]
-    position, angle = pose_error(simulated.at(time), measured)
+    time, position, angle = errors_of(experiment, simulated)
     return Comparison(
         experiment=experiment,
         parameters=parameters,
@@ -208,6 +210,16 @@ def comparison(
         position=position,
         angle=angle,
     )
+
+
+def errors_of(
+    experiment: Experiment, simulated: Trajectory
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) measured instants within `effective` [s], and how far simulated poses are from what was
+    measured there: distance [m], and angle, wrapped [rad]."""
+    useful = useful_poses(experiment)
+    time = experiment.trajectory.time[useful]
+    return time, *pose_error(simulated.at(time), experiment.trajectory.pose[useful])
 
 
 def _interval(time: FloatArray, duration: float) -> float:

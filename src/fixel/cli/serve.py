@@ -1,0 +1,93 @@
+"""`fixel serve PROJECT`: the pages of a project in a browser."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fixel.cli.options import AsJson
+from fixel.errors import InvalidInput
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def serve(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the project.", metavar="PROJECT", show_default="here")
+    ] = Path(),
+    port: Annotated[
+        int | None, typer.Option(help="Port to listen on; any free one where left out.", min=1)
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; another than this needs --allow-others.")
+    ] = "127.0.0.1",
+    allow_others: Annotated[
+        bool,
+        typer.Option("--allow-others", help="Let other machines in that have the link."),
+    ] = False,
+    open_: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the link in a browser.")
+    ] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Look at a project in a browser: experiments, simulations, calibrations, domains."""
+    if host not in LOOPBACK and not allow_others:
+        raise InvalidInput(
+            "--host",
+            found=host,
+            expected="an address of this machine alone: 127.0.0.1",
+            hint="whoever can read the network could then read the token in the link; "
+            "if that is meant, add --allow-others",
+        )
+    from fixel.database.project import Project
+    from fixel.web import require_server
+
+    require_server()
+    from fixel.web.project import Desk, project_server
+
+    desk = Desk(Project.open(folder))
+    server = project_server(desk, port=port, host=host).start()
+    try:
+        _announce(desk.name, server.link, host, as_json)
+        if open_ and sys.stdout.isatty() and not as_json:
+            _open(server.link)
+        server.wait()
+    except KeyboardInterrupt:
+        _say("fixel: stopped.")
+    finally:
+        server.stop()
+        desk.close()
+        # A computation that nobody waits for any more must not keep the program alive; records are
+        # whole or not there.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        if server.busy:
+            os._exit(0)
+
+
+def _announce(name: str, link: str, host: str, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"project": name, "link": link}), flush=True)
+        return
+    print(f"The pages of {name}, for whoever has this link:\n\n  {link}\n", flush=True)
+    if host not in LOOPBACK:
+        _say("Other machines can reach it, and the way there is not encrypted.")
+    _say("Ctrl-C ends it.")
+
+
+def _open(link: str) -> None:
+    import webbrowser
+
+    # A browser on a machine without a screen would run in this terminal.
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return
+    webbrowser.open(link)
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr, flush=True)

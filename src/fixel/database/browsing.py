@@ -1,0 +1,413 @@
+"""A table of experiments as a person wants it: any column, any order, any condition, any page."""
+
+from __future__ import annotations
+
+import json
+import operator
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple, final
+
+import sqlalchemy as sa
+
+from fixel.database import rows
+from fixel.database.tables import (
+    calibration,
+    calibration_member,
+    experiment,
+    flag,
+    note,
+    simulation,
+    system_parameters,
+)
+from fixel.errors import InvalidInput
+
+Relation = Literal["=", "!=", "<", "<=", ">", ">="]
+MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
+
+
+class Bound(NamedTuple):
+    """A column or a condition against a value."""
+
+    name: str
+    relation: Relation
+    value: str | float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """Which experiments, and in which order.
+
+    Parameters
+    ----------
+    words : tuple of str
+        Each must stand somewhere: in the name, a condition, a flag or a note.
+    bounds : tuple of Bound
+    flags : tuple of str
+        Names of flags that each must carry.
+    marks : tuple of str
+        Of `MARKS`. Without `deleted` those deleted are left out, without `replaced` those that a
+        correction has replaced.
+    sort : str
+        A column or a condition.
+    descending : bool
+    limit : int, optional
+    offset : int
+    """
+
+    words: tuple[str, ...] = ()
+    bounds: tuple[Bound, ...] = ()
+    flags: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
+    sort: str = "id"
+    descending: bool = False
+    limit: int | None = None
+    offset: int = 0
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    id: int
+    dataset: str
+    name: str
+    real: bool
+    frames: int
+    duration_s: float
+    start: tuple[float, float, float]  # [m, m, rad]
+    end: tuple[float, float, float]
+    contacts: str
+    conditions: dict[str, str | float]
+    created: str
+    content: str  # checksum
+    before_mm2: float | None
+    after_mm2: float | None
+    flags: list[tuple[str, str, bool]]  # name, detail, whether a fault
+    notes: int
+    deleted: bool
+
+
+class Leaf(NamedTuple):
+    """One page of the table."""
+
+    rows: list[Row]
+    total: int  # that match, on this page or not
+    faulty: int  # of these
+
+
+# --- columns ----------------------------------------------------------------------------------
+
+# Errors of the newest simulation with nominal values, and of the newest calibration.
+_NOMINAL: Final = rows.parameters_row({})["content_sha256"]
+_newest = (
+    sa.select(simulation.c.experiment_id, sa.func.max(simulation.c.id).label("id"))
+    .join(system_parameters, system_parameters.c.id == simulation.c.system_parameters_id)
+    .where(simulation.c.deleted_at_utc.is_(None), system_parameters.c.content_sha256 == _NOMINAL)
+    .group_by(simulation.c.experiment_id)
+    .subquery("newest_nominal")
+)
+_before = (
+    sa.select(simulation.c.experiment_id, simulation.c.error_mm2)
+    .join(_newest, _newest.c.id == simulation.c.id)
+    .subquery("before")
+)
+_last = (
+    sa.select(
+        calibration_member.c.experiment_id,
+        sa.func.max(calibration_member.c.calibration_id).label("calibration_id"),
+    )
+    .join(calibration, calibration.c.id == calibration_member.c.calibration_id)
+    .where(calibration.c.deleted_at_utc.is_(None))
+    .group_by(calibration_member.c.experiment_id)
+    .subquery("newest_calibration")
+)
+_after = (
+    sa.select(
+        calibration_member.c.experiment_id,
+        sa.func.max(calibration_member.c.error_mm2).label("error_mm2"),
+    )
+    .join(
+        _last,
+        sa.and_(
+            _last.c.calibration_id == calibration_member.c.calibration_id,
+            _last.c.experiment_id == calibration_member.c.experiment_id,
+        ),
+    )
+    .group_by(calibration_member.c.experiment_id)
+    .subquery("after")
+)
+_FROM = experiment.outerjoin(_before, _before.c.experiment_id == experiment.c.id).outerjoin(
+    _after, _after.c.experiment_id == experiment.c.id
+)
+
+_live_flag = flag.c.deleted_at_utc.is_(None)
+_FAULTY = sa.select(flag.c.experiment_id).where(_live_flag, flag.c.is_fault)
+_FLAGGED = sa.select(flag.c.experiment_id).where(_live_flag)
+_NOTED = sa.select(note.c.experiment_id).where(note.c.deleted_at_utc.is_(None))
+_REPLACED = sa.select(experiment.c.replaces_id).where(
+    experiment.c.replaces_id.is_not(None), experiment.c.deleted_at_utc.is_(None)
+)
+_n_flag = (
+    sa.select(sa.func.count())
+    .where(flag.c.experiment_id == experiment.c.id, _live_flag)
+    .scalar_subquery()
+)
+_n_note = (
+    sa.select(sa.func.count())
+    .where(note.c.experiment_id == experiment.c.id, note.c.deleted_at_utc.is_(None))
+    .scalar_subquery()
+)
+_dx = experiment.c.end_x_m - experiment.c.start_x_m
+_dy = experiment.c.end_y_m - experiment.c.start_y_m
+
+# Squares where a root would be asked for: their order is the same, and not every database has one.
+TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "dataset": experiment.c.dataset,
+    "name": experiment.c.name,
+    "contacts": experiment.c.contact_mode,
+    "created": experiment.c.created_at_utc,
+}
+NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "id": experiment.c.id,
+    "frames": experiment.c.n_frame,
+    "duration_s": experiment.c.duration_s,
+    "start_x_m": experiment.c.start_x_m,
+    "start_y_m": experiment.c.start_y_m,
+    "start_angle_rad": experiment.c.start_theta_rad,
+    "end_x_m": experiment.c.end_x_m,
+    "end_y_m": experiment.c.end_y_m,
+    "end_angle_rad": experiment.c.end_theta_rad,
+    "turned_rad": experiment.c.end_theta_rad - experiment.c.start_theta_rad,
+    "flags": _n_flag,
+    "notes": _n_note,
+}
+SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "moved_m": _dx * _dx + _dy * _dy,
+    "before_mm": _before.c.error_mm2,
+    "after_mm": _after.c.error_mm2,
+    "error_mm": sa.func.coalesce(_after.c.error_mm2, _before.c.error_mm2),
+}
+_RELATIONS: Final[dict[str, Callable[[Any, Any], Any]]] = {
+    "=": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+
+
+def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
+    """A condition as text and as number; null where it is not there or is no number."""
+    if not re.fullmatch(r"\w[\w. -]{0,99}", name):
+        raise InvalidInput(
+            "column", found=repr(name), expected="a column or the name of a condition"
+        )
+    entry = experiment.c.conditions[name]
+    kind = (
+        sa.func.json_typeof(entry).in_(("number",))
+        if connection.dialect.name == "postgresql"
+        else sa.func.json_type(experiment.c.conditions, f'$."{name}"').in_(("integer", "real"))
+    )
+    return entry.as_string(), sa.case((kind, entry.as_float()), else_=None)
+
+
+# --- questions --------------------------------------------------------------------------------
+
+
+def browse(connection: sa.Connection, view: View) -> Leaf:
+    """One page of the table."""
+    where = _where(connection, view)
+    wanted = (
+        sa.select(
+            experiment.c.id,
+            experiment.c.dataset,
+            experiment.c.name,
+            experiment.c.is_real,
+            experiment.c.n_frame,
+            experiment.c.duration_s,
+            experiment.c.start_x_m,
+            experiment.c.start_y_m,
+            experiment.c.start_theta_rad,
+            experiment.c.end_x_m,
+            experiment.c.end_y_m,
+            experiment.c.end_theta_rad,
+            experiment.c.contact_mode,
+            sa.cast(experiment.c.conditions, sa.Text).label("conditions"),
+            experiment.c.created_at_utc,
+            experiment.c.content_sha256,
+            _before.c.error_mm2.label("before_mm2"),
+            _after.c.error_mm2.label("after_mm2"),
+            experiment.c.deleted_at_utc,
+        )
+        .select_from(_FROM)
+        .where(*where)
+        .order_by(*_order(connection, view))
+        .limit(view.limit)
+        .offset(view.offset)
+    )
+    found = list(connection.execute(wanted))
+    numbers = [row.id for row in found]
+    flags, notes = _flags_of(connection, numbers), _notes_of(connection, numbers)
+    count = sa.select(sa.func.count()).select_from(_counted(view)).where(*where)
+    total = int(connection.scalar(count) or 0)
+    faulty = int(connection.scalar(count.where(experiment.c.id.in_(_FAULTY))) or 0)
+    return Leaf([_row(row, flags, notes) for row in found], total, faulty)
+
+
+def ids(connection: sa.Connection, view: View) -> list[int]:
+    """Of all that match, in order."""
+    wanted = (
+        sa.select(experiment.c.id)
+        .select_from(_FROM)
+        .where(*_where(connection, view))
+        .order_by(*_order(connection, view))
+    )
+    return list(connection.scalars(wanted))
+
+
+def columns(connection: sa.Connection, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+    """Values of all that match, by id: texts, numbers, or null."""
+    chosen: list[Any] = []
+    squared = []
+    for name in names:
+        squared.append(name in SQUARES)
+        if name in SQUARES:
+            chosen.append(SQUARES[name])
+        elif name in TEXTS or name in NUMBERS:
+            chosen.append(TEXTS.get(name, NUMBERS.get(name)))
+        else:
+            chosen.append(experiment.c.conditions[name])
+            _condition(connection, name)  # refuses names that cannot be
+    wanted = (
+        sa.select(*(column.label(f"c{k}") for k, column in enumerate(chosen)))
+        .select_from(_FROM)
+        .where(*_where(connection, view))
+        .order_by(experiment.c.id)
+    )
+    found = connection.execute(wanted)
+    if not any(squared):
+        return [tuple(row) for row in found]
+    return [
+        tuple(v**0.5 if root and v is not None else v for v, root in zip(row, squared, strict=True))
+        for row in found
+    ]
+
+
+def _counted(view: View) -> Any:
+    """What to count in: without the errors where nobody asks for them."""
+    asked = any(bound.name in ("before_mm", "after_mm", "error_mm") for bound in view.bounds)
+    return _FROM if asked else experiment
+
+
+def _where(connection: sa.Connection, view: View) -> list[sa.ColumnElement[bool]]:
+    gone = experiment.c.deleted_at_utc
+    found: list[Any] = [gone.is_not(None) if "deleted" in view.marks else gone.is_(None)]
+    if "replaced" not in view.marks:
+        found.append(experiment.c.id.not_in(_REPLACED))
+    meaning: dict[str, Any] = {
+        "clean": experiment.c.id.not_in(_FAULTY),
+        "faulty": experiment.c.id.in_(_FAULTY),
+        "flagged": experiment.c.id.in_(_FLAGGED),
+        "noted": experiment.c.id.in_(_NOTED),
+        "real": experiment.c.is_real,
+        "simulated": ~experiment.c.is_real,
+    }
+    found += [meaning[mark] for mark in view.marks if mark in meaning]
+    found += [experiment.c.id.in_(_FLAGGED.where(flag.c.name == name)) for name in view.flags]
+    found += [_held(connection, one) for one in view.bounds]
+    found += [_has_word(word) for word in view.words]
+    return found
+
+
+def _held(connection: sa.Connection, bound: Bound) -> Any:
+    relate = _RELATIONS[bound.relation]
+    name, value = bound.name, bound.value
+    if name in TEXTS:
+        return relate(TEXTS[name], str(value) if isinstance(value, str) else f"{value:g}")
+    if name in NUMBERS or name in SQUARES:
+        if isinstance(value, str):
+            raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
+        if name in NUMBERS:
+            return relate(NUMBERS[name], value)
+        # Nothing is as small as a negative bound; all is as large.
+        return relate(SQUARES[name], value * abs(value))
+    text, number = _condition(connection, name)
+    if isinstance(value, str):
+        return (
+            sa.or_(text != value, text.is_(None)) if bound.relation == "!=" else relate(text, value)
+        )
+    return relate(number, value)
+
+
+def _has_word(word: str) -> Any:
+    pattern = "%" + re.sub(r"([\\%_])", r"\\\1", word) + "%"
+    flags = _FLAGGED.where(
+        sa.or_(flag.c.name.ilike(pattern, escape="\\"), flag.c.detail.ilike(pattern, escape="\\"))
+    )
+    return sa.or_(
+        (experiment.c.dataset + "/" + experiment.c.name).ilike(pattern, escape="\\"),
+        sa.cast(experiment.c.conditions, sa.Text).ilike(pattern, escape="\\"),
+        experiment.c.id.in_(flags),
+        experiment.c.id.in_(_NOTED.where(note.c.text.ilike(pattern, escape="\\"))),
+    )
+
+
+def _order(connection: sa.Connection, view: View) -> list[Any]:
+    """What is not known stands last either way; equals by id."""
+    keys: tuple[Any, ...]
+    if view.sort in TEXTS or view.sort in NUMBERS or view.sort in SQUARES:
+        keys = ((TEXTS | NUMBERS | SQUARES)[view.sort],)
+    else:
+        text, number = _condition(connection, view.sort)
+        keys = (number, text)
+    order: list[Any] = []
+    for key in keys:
+        order += [] if view.sort in ("id", "created", "frames") else [key.is_(None)]
+        order.append(key.desc() if view.descending else key.asc())
+    return [*order, experiment.c.id.desc() if view.descending else experiment.c.id.asc()]
+
+
+def _flags_of(connection: sa.Connection, numbers: list[int]) -> dict[int, list[Any]]:
+    wanted = (
+        sa.select(flag.c.experiment_id, flag.c.name, flag.c.detail, flag.c.is_fault)
+        .where(flag.c.experiment_id.in_(numbers), _live_flag)
+        .order_by(flag.c.id)
+    )
+    found: dict[int, list[Any]] = {}
+    for number, *one in connection.execute(wanted):
+        found.setdefault(number, []).append(tuple(one))
+    return found
+
+
+def _notes_of(connection: sa.Connection, numbers: list[int]) -> dict[int, int]:
+    wanted = (
+        sa.select(note.c.experiment_id, sa.func.count())
+        .where(note.c.experiment_id.in_(numbers), note.c.deleted_at_utc.is_(None))
+        .group_by(note.c.experiment_id)
+    )
+    return {number: count for number, count in connection.execute(wanted)}
+
+
+def _row(row: Any, flags: dict[int, list[Any]], notes: dict[int, int]) -> Row:
+    return Row(
+        id=row.id,
+        dataset=row.dataset,
+        name=row.name,
+        real=row.is_real,
+        frames=row.n_frame,
+        duration_s=row.duration_s,
+        start=(row.start_x_m, row.start_y_m, row.start_theta_rad),
+        end=(row.end_x_m, row.end_y_m, row.end_theta_rad),
+        contacts=row.contact_mode,
+        conditions=json.loads(row.conditions),
+        created=row.created_at_utc,
+        content=row.content_sha256,
+        before_mm2=row.before_mm2,
+        after_mm2=row.after_mm2,
+        flags=flags.get(row.id, []),
+        notes=notes.get(row.id, 0),
+        deleted=row.deleted_at_utc is not None,
+    )

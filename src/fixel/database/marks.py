@@ -1,0 +1,142 @@
+"""Flags, notes and deletions, of many experiments in one act.
+
+What carries a mark already is left alone, and what changed is told: taking an act back changes
+those and no others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import sqlalchemy as sa
+
+from fixel.database import rows, tables
+from fixel.errors import InvalidInput, NotStored
+from fixel.model import Flag
+
+MOST_TEXT = 10_000  # characters of a note
+
+
+class Note(NamedTuple):
+    """What somebody wrote beside an experiment."""
+
+    id: int
+    text: str
+    created: str  # as ISO 8601 in UTC
+
+
+def flag_all(connection: sa.Connection, numbers: Iterable[int], flag: Flag) -> list[int]:
+    """Add a flag to those that do not carry it; returns these."""
+    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    had = set(_carrying(connection, wanted, flag.name))
+    new = [number for number in wanted if number not in had]
+    if new:
+        instant = rows.now()
+        connection.execute(
+            sa.insert(tables.flag),
+            [
+                {
+                    "experiment_id": number,
+                    "name": flag.name,
+                    "detail": flag.detail,
+                    "is_fault": flag.fault,
+                    "created_at_utc": instant,
+                }
+                for number in new
+            ],
+        )
+    return new
+
+
+def unflag_all(connection: sa.Connection, numbers: Iterable[int], name: str) -> list[int]:
+    """Take a flag off; returns those that carried it."""
+    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    had = _carrying(connection, wanted, name)
+    flag = tables.flag
+    connection.execute(
+        sa.update(flag)
+        .where(flag.c.experiment_id.in_(had), flag.c.name == name, flag.c.deleted_at_utc.is_(None))
+        .values(deleted_at_utc=rows.now())
+    )
+    return had
+
+
+def delete_all(connection: sa.Connection, numbers: Iterable[int], instant: str | None) -> list[int]:
+    """Delete at an instant, or take deletions back with none; returns those that changed."""
+    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    return _mark(connection, tables.experiment, wanted, instant)
+
+
+def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> list[int]:
+    """Write a note beside experiments; returns the ids of the notes."""
+    text = text.strip()
+    if not text or len(text) > MOST_TEXT:
+        raise InvalidInput(
+            "note.text",
+            found=f"{len(text)} characters",
+            expected=f"1 to {MOST_TEXT} characters",
+        )
+    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    instant = rows.now()
+    made = []
+    for number in wanted:
+        row = {"experiment_id": number, "text": text, "created_at_utc": instant}
+        key = connection.execute(sa.insert(tables.note), row).inserted_primary_key
+        assert key is not None
+        made.append(int(key[0]))
+    return made
+
+
+def delete_notes(connection: sa.Connection, notes: Iterable[int], instant: str | None) -> list[int]:
+    """Delete notes at an instant, or take deletions back with none; returns those that changed."""
+    wanted = _known(connection, tables.note, notes, "note")
+    return _mark(connection, tables.note, wanted, instant)
+
+
+def notes_of(connection: sa.Connection, number: int) -> list[Note]:
+    """Notes beside an experiment, the oldest first."""
+    note = tables.note
+    wanted = (
+        sa.select(note.c.id, note.c.text, note.c.created_at_utc)
+        .where(note.c.experiment_id == number, note.c.deleted_at_utc.is_(None))
+        .order_by(note.c.id)
+    )
+    return [Note(*row) for row in connection.execute(wanted)]
+
+
+def _mark(
+    connection: sa.Connection, table: sa.Table, numbers: list[int], instant: str | None
+) -> list[int]:
+    gone = table.c.deleted_at_utc
+    other = gone.is_not(None) if instant is None else gone.is_(None)
+    found = connection.scalars(sa.select(table.c.id).where(table.c.id.in_(numbers), other))
+    changed = sorted(found)
+    connection.execute(
+        sa.update(table).where(table.c.id.in_(changed)).values(deleted_at_utc=instant)
+    )
+    return changed
+
+
+def _carrying(connection: sa.Connection, numbers: list[int], name: str) -> list[int]:
+    flag = tables.flag
+    found = connection.scalars(
+        sa.select(flag.c.experiment_id)
+        .where(
+            flag.c.experiment_id.in_(numbers), flag.c.name == name, flag.c.deleted_at_utc.is_(None)
+        )
+        .distinct()
+    )
+    return sorted(found)
+
+
+def _known(
+    connection: sa.Connection, table: sa.Table, numbers: Iterable[int], what: str
+) -> list[int]:
+    """The numbers once each, or a refusal of the first that is not there."""
+    wanted = sorted(set(numbers))
+    found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
+    for number in wanted:
+        if number not in found:
+            raise NotStored(f"{what} {number}", hint="see what there is with: fixel list")
+    return wanted

@@ -1,0 +1,93 @@
+"""A run at a glance: a small SVG, written without Matplotlib in a millisecond."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.view import Box
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Experiment, Shape, placed
+
+WIDTH: Final = 120
+HEIGHT: Final = 80
+MARGIN: Final = 0.04  # of the larger side
+MOST_POINTS: Final = 60  # of a trail
+ROUND: Final = 16  # corners that a disk is drawn with
+
+
+def thumbnail(experiment: Experiment) -> str:
+    """The object at start and end, its trail, pusher and fixels, as an SVG of 120 by 80.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Without a scene, only the trail is drawn, with a cross where it ends.
+    """
+    scene = experiment.scene
+    poses = experiment.trajectory.pose[_thinned(len(experiment.trajectory.pose))]
+    trail = poses[:, :2]
+    outlines: list[tuple[FloatArray, str]] = []  # in the world, and how they are drawn
+    if scene is not None:
+        body = next(b for b in scene.bodies if b.name == experiment.object_name)
+        touched = experiment.contact_mode
+        for k, fixel in enumerate(scene.fixels):
+            colour = palette.TOUCHED if touched[k : k + 1] == "1" else palette.FIXEL
+            outlines.append((_outline(fixel.shape, fixel.pose), f'fill="{colour}"'))
+        if scene.pushers:
+            pusher = scene.pushers[0]
+            pose = pusher.pose if experiment.pusher is None else experiment.pusher.pose[-1]
+            outlines.append(
+                (
+                    _outline(pusher.shape, pose),
+                    f'fill="{palette.PUSHER}" fill-opacity="0.35" stroke="{palette.PUSHER}"',
+                )
+            )
+        outlines.append(
+            (
+                _outline(body.shape, poses[0]),
+                f'fill="none" stroke="{palette.BODY}" stroke-opacity="0.5" stroke-dasharray="3 2"',
+            )
+        )
+        outlines.append(
+            (
+                _outline(body.shape, poses[-1]),
+                f'fill="{palette.BODY}" fill-opacity="0.22" stroke="{palette.BODY}"',
+            )
+        )
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = body.com
+        trail = trail + np.column_stack((c * x - s * y, s * x + c * y))
+    points = np.concatenate([trail, *(outline for outline, _ in outlines)])
+    (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    if right == left and high == low:
+        right, high = left + 1e-3, low + 1e-3
+    box = Box((left, right), (low, high)).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
+    scale = WIDTH / (box.x[1] - box.x[0])
+
+    def path(world: FloatArray, end: str) -> str:
+        across = (world[:, 0] - box.x[0]) * scale
+        down = (box.y[1] - world[:, 1]) * scale
+        corners = "L".join(f"{x:.1f} {y:.1f}" for x, y in zip(across, down, strict=True))
+        return f"M{corners}{end}"
+
+    shapes = "".join(f'<path d="{path(world, "Z")}" {look}/>' for world, look in outlines)
+    end = path(trail[-1:], "m-3 0h6m-3 -3v6") if scene is None else ""
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
+        f'stroke-linejoin="round" stroke-width="1.2">{shapes}'
+        f'<path d="{path(trail, "")}{end}" fill="none" stroke="{palette.INK}" '
+        'stroke-width="1.4" stroke-linecap="round"/></svg>'
+    )
+
+
+def _thinned(n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).round().astype(np.int64))
+
+
+def _outline(shape: Shape, pose: FloatArray) -> FloatArray:
+    outline = shape.outline
+    every = max(1, len(outline) // ROUND) if len(outline) > 2 * ROUND else 1
+    return placed(outline[::every], pose)

@@ -1,0 +1,42 @@
+"""Kinds of values that several resources take and give."""
+
+from __future__ import annotations
+
+import base64
+from typing import Annotated
+
+import numpy as np
+from fastapi import Path
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BaseModel, Field
+
+LARGEST = 2**31 - 1  # what a database counts with
+
+# Ids, as they stand in addresses and in bodies.
+Number = Annotated[int, Path(ge=1, le=LARGEST)]
+Id = Annotated[int, Field(ge=1, le=LARGEST)]
+
+
+def plain_text(text: str) -> str:
+    """Refuse what neither a database nor a browser can hold."""
+    if any(c < " " and c not in "\n\t" for c in text):
+        raise ValueError("control characters in a text")
+    return text
+
+
+Text = Annotated[str, AfterValidator(plain_text)]
+
+
+class Array(BaseModel):
+    """Numbers: little-endian, row after row, in base64."""
+
+    dtype: str = Field(description='"<f8" or "<f4" or "<i4", as NumPy names them')
+    shape: list[int]
+    base64: str
+
+    @classmethod
+    def of(cls, values: ArrayLike, dtype: str = "<f8") -> Array:
+        """The array of these values."""
+        array = np.ascontiguousarray(values, dtype=dtype)
+        data = base64.b64encode(array.tobytes()).decode("ascii")
+        return cls(dtype=dtype, shape=list(array.shape), base64=data)

@@ -1,0 +1,144 @@
+"""Simulations of one experiment under parameters that somebody changes."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from fastapi import APIRouter
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from fixel.exchange.trajectory_file import plain_numbers
+from fixel.web.api._values import Id, Number
+from fixel.web.api.motion import MotionOut
+from fixel.workflows import compare
+
+if TYPE_CHECKING:
+    from fixel.model import Experiment
+    from fixel.web.project import Desk
+
+MotionName = Literal["dynamic", "quasistatic", "first-order"]
+# A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
+Finite = Annotated[float | None, BeforeValidator(plain_numbers)]
+Value = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class SliderOut(BaseModel):
+    """A parameter that may be changed."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    nominal: float = Field(description="of the experiment's scene")
+
+
+class SetOut(BaseModel):
+    """Values somebody may want to look at."""
+
+    id: str
+    label: str
+    kind: Literal["nominal", "calibration", "simulation"]
+    parameters: dict[str, float] = Field(description="in place of the scene's own values; SI")
+    motion: str = Field(description="motion model")
+    error_mm2: float | None = Field(description="the thesis's E, where it is known already")
+
+
+class DeskOut(BaseModel):
+    """What there is to compare."""
+
+    experiment: str
+    sliders: list[SliderOut]
+    sets: list[SetOut]
+
+
+class CompareIn(BaseModel):
+    """What to simulate the experiment with."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    parameters: dict[str, Value] = Field(default_factory=dict, max_length=64)
+    motion: MotionName = "dynamic"
+
+
+class ComparedOut(BaseModel):
+    """A simulation of the experiment, and how far it is from what was measured."""
+
+    motion: MotionOut
+    position_rms_m: Finite = Field(description="none where the simulation stopped early")
+    final_position_m: Finite
+    final_angle_rad: Finite
+    error_mm2: Finite = Field(description="the thesis's E, angles counted at 35 mm/rad")
+    contact_mode: str = Field(description="at the end, a digit a fixel")
+    measured_contact_mode: str
+    command: str = Field(description="what to type for the same")
+    python: str
+    wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
+
+
+class KeptOut(BaseModel):
+    """A stored simulation."""
+
+    id: Id
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/experiments/{number}/comparison`."""
+    found = APIRouter(tags=["compare"])
+    at_hand = compare.CompareDesk(desk.store)
+    threading.Thread(target=compare.warm_up, name="fixel-warm-up", daemon=True).start()
+
+    @found.get("/experiments/{number}/comparison", summary="What there is to compare it with")
+    def offered(number: Number) -> DeskOut:
+        return DeskOut(
+            experiment=at_hand.experiment(number).key,
+            sets=[SetOut(**one._asdict() | {"parameters": dict(one.parameters)})
+                  for one in at_hand.sets(number)],
+            sliders=[
+                SliderOut(
+                    name=one.name,
+                    unit=one.unit,
+                    meaning=compare.meaning_of(one.name),
+                    low=one.low,
+                    high=one.high,
+                    nominal=one.nominal,
+                )
+                for one in at_hand.sliders(number)
+            ],
+        )  # fmt: skip
+
+    @found.post("/experiments/{number}/comparison", summary="Simulate it with other parameters")
+    def compared(number: Number, wanted: CompareIn) -> ComparedOut:
+        held = at_hand.compared(number, wanted.parameters, wanted.motion)
+        return _answered(held, at_hand.experiment(number), desk)
+
+    @found.get("/experiments/{number}/simulations/{simulation}", summary="A stored simulation")
+    def stored(number: Number, simulation: Number) -> ComparedOut:
+        held = at_hand.stored(number, simulation)
+        return _answered(held, at_hand.experiment(number), desk)
+
+    @found.post("/experiments/{number}/simulations", summary="Keep such a simulation")
+    def keep(number: Number, wanted: CompareIn) -> KeptOut:
+        command = compare.command_of(
+            at_hand.experiment(number), desk.project.folder, wanted.parameters, wanted.motion
+        )
+        return KeptOut(id=at_hand.keep(number, wanted.parameters, wanted.motion, command))
+
+    return found
+
+
+def _answered(held: compare.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
+    same = experiment, desk.project.folder, held.parameters, held.method
+    return ComparedOut(
+        motion=MotionOut.of(held.motion),
+        position_rms_m=held.position_rms,
+        final_position_m=held.final_position,
+        final_angle_rad=held.final_angle,
+        error_mm2=held.error_mm2,
+        contact_mode=held.contact_mode,
+        measured_contact_mode=experiment.contact_mode,
+        command=compare.command_of(*same),
+        python=compare.python_of(*same),
+        wall_time_s=held.wall_time,
+    )

@@ -1,0 +1,315 @@
+"""Experiments: the table and all of one."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
+from typing import TYPE_CHECKING, Annotated, Final, final
+
+from fastapi import APIRouter, Query
+from fastapi.responses import FileResponse, Response
+
+from fixel.database.browsing import Row
+from fixel.drawing.thumbnail import thumbnail
+from fixel.errors import NotStored
+from fixel.exchange.trajectory_file import plain_numbers
+from fixel.model import Experiment, Trajectory
+from fixel.web.api._experiments import (
+    AxisOut,
+    CoverageOut,
+    ExperimentOut,
+    FlagOut,
+    IdsOut,
+    NoteOut,
+    OutlinesOut,
+    RowOut,
+    SeenOut,
+    SignalOut,
+    SimulationOut,
+    SimulationsOut,
+    TableOut,
+    TactileOut,
+    TrackOut,
+    TrajectoryOut,
+    ValuesOut,
+    VocabularyOut,
+)
+from fixel.web.api._values import LARGEST, Array, Number
+from fixel.workflows.browse import coverage, view_of, vocabulary
+from fixel.workflows.experiments import summary
+from fixel.workflows.seen import seen_in_video
+from fixel.workflows.watchable import watchable
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+MOST_ROWS: Final = 500  # on one page
+MOST_THUMBNAILS: Final = 5000  # kept; about 2 kB each
+FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
+
+Filter = Annotated[
+    str,
+    Query(
+        max_length=1000,
+        description="words, `shape=square`, `error>5` [mm], `flag:NAME`, `is:faulty`, ...",
+    ),
+]
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/experiments`, `/coverage` and `/vocabulary`."""
+    found = APIRouter(tags=["experiments"])
+    _add_table(found, desk)
+    _add_one(found, desk)
+    return found
+
+
+def _add_table(router: APIRouter, desk: Desk) -> None:
+    @router.get("/experiments", summary="One page of the table, sorted and filtered")
+    def table(
+        filter: Filter = "",
+        sort: Annotated[str, Query(max_length=100, description="a column or a condition")] = "id",
+        descending: bool = False,
+        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+        offset: Annotated[int, Query(ge=0, le=LARGEST)] = 0,
+    ) -> TableOut:
+        view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
+        leaf = desk.store.browse(view)
+        rows = [row_out(row) for row in leaf.rows]
+        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty)
+
+    @router.get("/experiments/ids", summary="Ids of all that match, in order")
+    def ids(
+        filter: Filter = "",
+        sort: Annotated[str, Query(max_length=100)] = "id",
+        descending: bool = False,
+    ) -> IdsOut:
+        view = view_of(filter, sort=sort, descending=descending)
+        return IdsOut(ids=desk.store.browse_ids(view))
+
+    @router.get("/vocabulary", summary="What experiments can be told apart by")
+    def words() -> VocabularyOut:
+        known = vocabulary(desk.store)
+        return VocabularyOut(
+            datasets=known.datasets,
+            flags=known.flags,
+            conditions={k: ValuesOut(**v._asdict()) for k, v in known.conditions.items()},
+        )
+
+    @router.get("/coverage", summary="Which configurations have been run")
+    def covered(
+        filter: Filter = "",
+        x: Annotated[str | None, Query(max_length=100)] = None,
+        y: Annotated[str | None, Query(max_length=100)] = None,
+    ) -> CoverageOut:
+        found = coverage(desk.store, view_of(filter), x, y)
+        axes = {
+            name: AxisOut(name=axis.name, edges=axis.edges.tolist(), centres=axis.centres.tolist())
+            for name, axis in (("x", found.x), ("y", found.y))
+        }
+        return CoverageOut(
+            **axes,
+            number=found.number.astype(int).tolist(),
+            shapes=list(found.shapes),
+            layouts=list(found.layouts),
+            table=found.table.astype(int).tolist(),
+            axes=list(found.axes),
+            without=found.without,
+        )
+
+
+def _add_one(router: APIRouter, desk: Desk) -> None:
+    store = desk.store
+    drawn = Thumbnails(lambda number: thumbnail(store.experiment(number)))
+
+    @router.get("/experiments/{number}", summary="All that is known of an experiment")
+    def one(number: Number) -> ExperimentOut:
+        return experiment_out(desk, number)
+
+    @router.get("/experiments/{number}/trajectory", summary="Poses that were measured")
+    def trajectory(number: Number) -> TrajectoryOut:
+        experiment = store.experiment(number)
+        return TrajectoryOut(
+            object=experiment.object_name,
+            **_track(experiment.trajectory),
+            pusher=None if experiment.pusher is None else TrackOut(**_track(experiment.pusher)),
+            effective_s=None if experiment.effective is None else list(experiment.effective),
+        )
+
+    @router.get("/experiments/{number}/simulations", summary="Its newest stored simulations")
+    def simulations(
+        number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
+    ) -> SimulationsOut:
+        store.content(number)  # refuses one that is not there
+        stored = store.simulations(number)[::-1]
+        return SimulationsOut(
+            total=len(stored), simulations=[_simulation(desk, one) for one in stored[:limit]]
+        )
+
+    @router.get("/experiments/{number}/tactile", summary="Which fixel was touched when")
+    def tactile(number: Number) -> TactileOut:
+        experiment = store.experiment(number)
+        scene, channel = experiment.scene, experiment.channel("tactile")
+        return TactileOut(
+            measured=None
+            if channel is None
+            else SignalOut(
+                name=channel.name,
+                columns=list(channel.columns),
+                time=Array.of(channel.time),
+                values=Array.of(channel.values),
+            ),
+            fixels=[] if scene is None else [fixel.name for fixel in scene.fixels],
+        )
+
+    @router.get(
+        "/experiments/{number}/thumbnail.svg",
+        summary="A small picture of the run",
+        response_class=Response,
+        responses={200: {"content": {"image/svg+xml": {}}}},
+    )
+    def small(
+        number: Number,
+        content: Annotated[
+            str, Query(max_length=64, description="its checksum: then the answer may be kept")
+        ] = "",
+    ) -> Response:
+        picture = drawn.of(number, content or store.content(number))
+        headers = {"cache-control": FOR_EVER} if content else None
+        return Response(picture, media_type="image/svg+xml", headers=headers)
+
+    @router.get(
+        "/experiments/{number}/video",
+        summary="Its video as a browser plays it, whole or by ranges",
+        response_class=FileResponse,
+        responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
+    )
+    def video(number: Number) -> Response:
+        path = store.video(number)
+        if path is None or not path.is_file():
+            raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
+        found = watchable(desk.project, path)
+        # The address stays when a correction brings another video, so it is asked for each time.
+        headers = {"cache-control": "private, no-cache"}
+        return FileResponse(found.path, media_type=found.media_type, headers=headers)
+
+    @router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
+    def outlines(number: Number) -> OutlinesOut:
+        seen = seen_in_video(desk.project, store.experiment(number))
+        if seen is None:
+            return OutlinesOut(outlines=None)
+        return OutlinesOut(
+            outlines=SeenOut(
+                size_px=list(seen.size),
+                time_s=Array.of(seen.time),
+                outline_px=Array.of(seen.outline, "<f4"),
+            )
+        )
+
+
+def row_out(row: Row) -> RowOut:
+    """A line of the table, for JSON."""
+    dx, dy = row.end[0] - row.start[0], row.end[1] - row.start[1]
+    return RowOut(
+        id=row.id,
+        dataset=row.dataset,
+        name=row.name,
+        real=row.real,
+        shape=_text(row.conditions.get("shape")),
+        layout=_text(row.conditions.get("layout")),
+        frames=row.frames,
+        duration_s=row.duration_s,
+        start=list(row.start),
+        end=list(row.end),
+        moved_m=(dx * dx + dy * dy) ** 0.5,
+        turned_rad=row.end[2] - row.start[2],
+        contacts=row.contacts,
+        conditions=row.conditions,
+        created_utc=row.created,
+        content=row.content[:16],
+        before_mm=_root(row.before_mm2),
+        after_mm=_root(row.after_mm2),
+        flags=[FlagOut(name=name, detail=detail, fault=fault) for name, detail, fault in row.flags],
+        notes=row.notes,
+        deleted=row.deleted,
+    )
+
+
+def experiment_out(desk: Desk, number: int) -> ExperimentOut:
+    """All that is known of an experiment but for what is long, for JSON."""
+    experiment: Experiment = desk.store.experiment(number)
+    known = plain_numbers(summary(experiment))
+    return ExperimentOut(
+        id=number,
+        key=experiment.key,
+        notes=[
+            NoteOut(id=note.id, text=note.text, created_utc=note.created)
+            for note in desk.store.notes(number)
+        ],
+        deleted=desk.store.deleted(number),
+        content=desk.store.content(number)[:16],
+        has_video=bool(experiment.video),
+        **known,
+    )
+
+
+def _simulation(desk: Desk, number: int) -> SimulationOut:
+    record = desk.store.simulation(number)
+    return SimulationOut(
+        id=number,
+        parameters=dict(record.parameters),
+        status=record.status,
+        contacts=record.contact_mode,
+        error_mm=_root(record.error_mm2),
+        created_utc=record.provenance.created,
+        command=record.provenance.command,
+        method=dict(record.method),
+        track=TrackOut(**_track(record.trajectory)),
+        pusher=None if record.pusher is None else TrackOut(**_track(record.pusher)),
+    )
+
+
+def _track(trajectory: Trajectory) -> dict[str, Array]:
+    return {"time": Array.of(trajectory.time), "pose": Array.of(trajectory.pose)}
+
+
+def _root(square: float | None) -> float | None:
+    return None if square is None else square**0.5
+
+
+def _text(value: str | float | None) -> str | None:
+    return None if value is None else f"{value:g}" if isinstance(value, float) else value
+
+
+@final
+class Thumbnails:
+    """Small pictures that have been drawn, the newest kept in memory.
+
+    Parameters
+    ----------
+    draw : callable
+        Told the id of an experiment, gives an SVG.
+    most : int
+        So many are kept.
+    """
+
+    def __init__(self, draw: Callable[[int], str], most: int = MOST_THUMBNAILS) -> None:
+        self._draw = draw
+        self._most = most
+        self._kept: OrderedDict[tuple[int, str], str] = OrderedDict()
+        self._lock = Lock()
+
+    def of(self, number: int, content: str) -> str:
+        """The picture of an experiment whose content has this checksum."""
+        key = (number, content[:16])
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        picture = self._draw(number)
+        with self._lock:
+            self._kept[key] = picture
+            while len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        return picture

@@ -1,0 +1,141 @@
+"""Scenes that are made on a page, and simulated within bounds."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fastapi import APIRouter, HTTPException, Path, Request
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from fixel.web.api._values import Number, Text
+from fixel.web.api.motion import StoryOut
+from fixel.workflows import scene_desk
+from fixel.workflows.bounded import Cancelled
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+NOBODY_WAITS = 499  # of HTTP, as nginx counts it
+GLANCE = 0.05  # [s] between two looks whether the browser still waits
+
+
+def _writable(scene: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what no file can hold, before a sentence is made of it."""
+    try:
+        json.dumps(scene, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise ValueError("text and levels that a scene file can hold") from None
+    return scene
+
+
+class SceneIn(BaseModel):
+    """A scene, as the keys of a scene file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
+        description="as in a scene file: fixel scene files are the same"
+    )
+
+
+class FileIn(BaseModel):
+    """The text of a scene file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: Text = Field(max_length=scene_desk.MOST_TEXT)
+    is_json: bool = Field(False, description="JSON; else YAML")
+
+
+class SceneOut(BaseModel):
+    """A scene that was checked."""
+
+    scene: dict[str, Any]
+
+
+class ExampleOut(BaseModel):
+    """A scene that comes with fixel."""
+
+    name: str
+    sentence: str
+
+
+class TextOut(BaseModel):
+    """A scene file."""
+
+    text: str = Field(description="YAML")
+
+
+class SimulatedOut(BaseModel):
+    """What became of a scene."""
+
+    story: StoryOut
+    summary: dict[str, Any] = Field(description="as `fixel simulate --json` answers")
+
+
+ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/scenes` and `/simulate`."""
+    found = APIRouter(tags=["scenes"])
+
+    @found.get("/scenes/examples", summary="Scenes that come with fixel")
+    def examples() -> list[ExampleOut]:
+        return [ExampleOut(name=name, sentence=text) for name, text in scene_desk.examples()]
+
+    @found.get("/scenes/examples/{name}", summary="One of them")
+    def example(name: ExampleName) -> SceneOut:
+        return SceneOut(scene=scene_desk.example(name))
+
+    @found.get("/experiments/{number}/scene", summary="The scene of an experiment")
+    def of_experiment(number: Number) -> SceneOut:
+        return SceneOut(scene=scene_desk.scene_of_experiment(desk.store.experiment(number)))
+
+    @found.post("/scenes/read", summary="Read the text of a scene file")
+    def read(file: FileIn) -> SceneOut:
+        return SceneOut(scene=scene_desk.read_scene(file.text, json=file.is_json))
+
+    @found.post("/scenes/check", summary="Say what is wrong with a scene", status_code=204)
+    def check(wanted: SceneIn) -> None:
+        scene_desk.check_scene(wanted.scene)
+
+    @found.post("/scenes/write", summary="A scene as the text of a scene file")
+    def write(wanted: SceneIn) -> TextOut:
+        return TextOut(text=scene_desk.write_scene(wanted.scene))
+
+    @found.post(
+        "/simulate",
+        summary="Simulate a scene",
+        description=f"Within {scene_desk.LIMIT:g} s of computing, {scene_desk.MOST_STEPS} steps "
+        f"and {scene_desk.MOST_DURATION:g} s of simulated time. Ends when the connection does.",
+    )
+    async def simulate(wanted: SceneIn, request: Request) -> SimulatedOut:
+        gone = threading.Event()
+        watch = asyncio.create_task(_watch(request, gone))
+        try:
+            answer = await asyncio.to_thread(_simulated, wanted.scene, gone)
+        finally:  # also when the server ends
+            gone.set()
+            watch.cancel()
+        return answer
+
+    return found
+
+
+def _simulated(scene: dict[str, Any], gone: threading.Event) -> SimulatedOut:
+    scene_desk.check_scene(scene)  # what cannot be needs no other process
+    try:
+        answer: scene_desk.Simulated = scene_desk.beside().call(scene, gone.is_set)
+    except Cancelled:
+        raise HTTPException(NOBODY_WAITS, "Nobody waits for this any more.") from None
+    return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)
+
+
+async def _watch(request: Request, gone: threading.Event) -> None:
+    while not await request.is_disconnected():
+        await asyncio.sleep(GLANCE)
+    gone.set()

@@ -1,0 +1,36 @@
+"""The page on which sets of parameters are held against one experiment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from fastapi import Request
+
+from fixel.database.query import Query
+from fixel.errors import NotStored
+from fixel.web.app import Page
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+OFFERED: Final = 300  # names in the list from which an experiment is chosen
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/compare?experiment=KEY`."""
+
+    def fill(request: Request) -> dict[str, Any]:
+        listed = desk.store.experiments(Query(), limit=OFFERED).summaries
+        key = request.query_params.get("experiment", "")
+        if not key and not listed:
+            raise NotStored("experiment to compare with", hint="import some with: fixel import")
+        number = desk.store.find(key) if key else listed[0].id
+        experiment = desk.store.experiment(number)
+        return {
+            "title": f"Compare {experiment.key}",
+            "number": number,
+            "key": experiment.key,
+            "keys": [summary.key for summary in listed],
+        }
+
+    return [Page(path="/compare", title="Compare", template="compare.html", fill=fill, place=20)]

@@ -1,0 +1,178 @@
+"""One experiment: what was on the plate, how it moved, what a simulation makes of it."""
+
+from __future__ import annotations
+
+import shlex
+from math import degrees
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fastapi import Request
+
+from fixel.errors import NotStored
+from fixel.model import Experiment
+from fixel.testbed.simulated import TRUTH
+from fixel.web.app import Page
+from fixel.workflows.experiments import summary
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+LARGEST_ID = 2**31 - 1
+
+
+class Fact(NamedTuple):
+    """A line of a list."""
+
+    name: str
+    value: str
+    unit: str = ""
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/experiments/{number}`."""
+
+    def fill(request: Request) -> dict[str, Any]:
+        given = str(request.path_params["number"])
+        number = int(given) if given.isdecimal() and len(given) < 11 else 0
+        if not 0 < number <= LARGEST_ID:
+            raise NotStored(f"experiment {given!r}", hint="the table shows what there is")
+        experiment = desk.store.experiment(number)
+        return {
+            "title": experiment.key,
+            "number": number,
+            "key": experiment.key,
+            "real": experiment.real,
+            "simulated_by": experiment.simulated_by,
+            "deleted": desk.store.deleted(number),
+            "has_scene": experiment.scene is not None,
+            "has_video": bool(experiment.video),
+            "facts": facts(experiment),
+            "conditions": conditions(experiment, truth=False),
+            "truth": conditions(experiment, truth=True),
+            "provenance": provenance(experiment),
+            "command": command(desk, experiment),
+            "python": python(desk, experiment),
+        }
+
+    return [
+        Page(
+            path="/experiments/{number}",
+            title="Experiment",
+            template="experiment.html",
+            fill=fill,
+            listed=False,
+        )
+    ]
+
+
+def facts(experiment: Experiment) -> list[Fact]:
+    """What was measured, in the units of people."""
+    known = summary(experiment)
+    rate, useful = known["rate_hz"], known["effective_s"]
+    found = [
+        Fact("time", _fixed(known["duration_s"], 2), "s"),
+        Fact("frames", f"{known['frames']}" + ("" if rate is None else f" at {rate:.3g} Hz")),
+        Fact("way", _fixed(1e3 * known["travelled_m"], 1), "mm"),
+        Fact("turned", _fixed(degrees(known["turned_rad"]), 1), "deg"),
+        Fact("start", *_pose(known["start"])),
+        Fact("end", *_pose(known["end"])),
+    ]
+    if useful is not None:
+        found.append(Fact("useful", f"{_fixed(useful[0], 2)} to {_fixed(useful[1], 2)}", "s"))
+    if known["contact_mode"]:
+        found.append(Fact("touches at the end", _touched(known["contact_mode"])))
+    channels = ", ".join(channel.name for channel in experiment.channels)
+    return [*found, Fact("signals", channels)] if channels else found
+
+
+def conditions(experiment: Experiment, truth: bool) -> list[Fact]:
+    """What else was written down, or what was true on a simulated testbed."""
+    chosen = [
+        (name, value)
+        for name, value in experiment.conditions.items()
+        if name.startswith(TRUTH) == truth
+    ]
+    return [_condition(name.removeprefix(TRUTH), value) for name, value in chosen]
+
+
+def _touched(mode: str) -> str:
+    touched = [str(k) for k, digit in enumerate(mode, 1) if digit == "1"]
+    return "fixel " + " and ".join(touched) if touched else "no fixel"
+
+
+def _pose(pose: list[float]) -> tuple[str, str]:
+    x, y, angle = pose
+    place = f"{_fixed(1e3 * x, 1)}, {_fixed(1e3 * y, 1)} mm"
+    return f"{place}, {_fixed(degrees(angle), 1)}", "deg"
+
+
+def _fixed(value: float, digits: int) -> str:
+    """With a true minus sign, and none before a zero."""
+    text = f"{abs(value):.{digits}f}"
+    return f"\u2212{text}" if value < 0.0 and float(text) else text
+
+
+_UNITS = (
+    ("_rad_s", degrees(1.0), "deg/s"),
+    ("_m_s", 1e3, "mm/s"),
+    ("_rad", degrees(1.0), "deg"),
+    ("_m", 1e3, "mm"),
+    ("_s", 1.0, "s"),
+    ("_n", 1.0, "N"),
+    ("_kg", 1e3, "g"),
+    ("_ratio", 1.0, ""),
+)
+
+
+def _condition(name: str, value: str | float) -> Fact:
+    """As `condition` of units.js."""
+    if isinstance(value, str):
+        return Fact(name.replace("_", " "), value)
+    for ending, factor, unit in _UNITS:
+        if name.endswith(ending):
+            told = f"{factor * value:.4g}".replace("-", "\u2212", 1)
+            return Fact(name.removesuffix(ending).replace("_", " "), told, unit)
+    return Fact(name.replace("_", " "), f"{value:.4g}".replace("-", "\u2212", 1))
+
+
+def provenance(experiment: Experiment) -> list[Fact]:
+    """Where it comes from."""
+    origin = experiment.provenance
+    given = (
+        ("stored", _instant(origin.created)),
+        ("by fixel", origin.version),
+        ("command", origin.command),
+        ("simulated by", experiment.simulated_by),
+        ("read from", origin.source),
+        ("its SHA-256", origin.sha256),
+        ("seed", "" if origin.seed is None else str(origin.seed)),
+        ("video SHA-256", experiment.video),
+    )
+    return [Fact(name, _short(name, value)) for name, value in given if value]
+
+
+def _short(name: str, value: str) -> str:
+    """Checksums by their beginning: enough to tell them apart, and the JSON has all of it."""
+    return f"{value[:16]}\u2026" if name.endswith("SHA-256") else value
+
+
+def _instant(iso: str) -> str:
+    return f"{iso[:10]} {iso[11:16]} UTC" if len(iso) >= 16 else iso
+
+
+def command(desk: Desk, experiment: Experiment) -> str:
+    """What to type for the same."""
+    folder = str(desk.project.folder.resolve())
+    return shlex.join(["fixel", "show", experiment.key, "--project", folder, "--plot", "run.png"])
+
+
+def python(desk: Desk, experiment: Experiment) -> str:
+    """What to write in a script for the same."""
+    folder = str(desk.project.folder.resolve())
+    return (
+        "from pathlib import Path\n\n"
+        "from fixel.database.project import Project\n\n"
+        f"with Project.open(Path({folder!r})).store() as store:\n"
+        f"    experiment = store.experiment(store.find({experiment.key!r}))\n"
+        "print(experiment.trajectory.pose[-1])  # x [m], y [m], angle [rad]\n"
+    )

@@ -1,0 +1,24 @@
+"""All experiments: look through them, mark them, see what has been run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fixel.web.app import Page
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/experiments`."""
+    context = {"folder": str(desk.project.folder)}
+    return [
+        Page(
+            path="/experiments",
+            title="Experiments",
+            template="experiments.html",
+            context=context,
+            place=10,
+        )
+    ]

@@ -1,0 +1,38 @@
+"""The page on which scenes are made and simulated."""
+
+from __future__ import annotations
+
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final
+
+from fastapi import Request
+
+from fixel.database.query import Query
+from fixel.web.app import Page
+from fixel.workflows import scene_desk
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+OFFERED: Final = 300  # names in the list from which an experiment is chosen
+FIRST: Final = "grasp"  # the example that is there to begin with
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
+
+    def fill(request: Request) -> dict[str, Any]:
+        # Whoever opens the page will simulate: the process should be there by then.
+        Thread(target=scene_desk.beside().start, name="fixel-beside", daemon=True).start()
+        key = request.query_params.get("experiment", "")
+        listed = desk.store.experiments(Query(), limit=OFFERED).summaries
+        return {
+            "examples": scene_desk.examples(),
+            "example": request.query_params.get("example", FIRST),
+            "number": desk.store.find(key) if key else "",
+            "key": key,
+            "keys": [summary.key for summary in listed],
+            "most_bytes": scene_desk.MOST_TEXT,
+        }
+
+    return [Page(path="/simulate", title="Simulate", template="simulate.html", fill=fill, place=50)]

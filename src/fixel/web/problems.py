@@ -1,0 +1,95 @@
+"""What went wrong, as a document for programs: where, what was found, what could stand there."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+
+from fixel.errors import (
+    DatasetMissing,
+    FixelError,
+    InvalidInput,
+    JobRefused,
+    NotStored,
+    StoreRefused,
+)
+
+UNPROCESSABLE = 422
+ABSENT = 404
+CONFLICT = 409
+
+
+class Problem(BaseModel):
+    """Why a request was refused."""
+
+    status: int = Field(description="of HTTP, from 400 to 499")
+    sentence: str = Field(description="all of it, for a person")
+    where: str | None = Field(default=None, description="the field or the record in question")
+    found: str | None = Field(default=None, description="what stands there")
+    expected: str | None = Field(default=None, description="what could stand there")
+    hint: str | None = Field(default=None, description="what to do next")
+
+
+def problem_of(error: FixelError) -> Problem:
+    """The document of what fixel raises on purpose."""
+    sentence = str(error)
+    match error:
+        case InvalidInput():
+            found: Any = error.found
+            missing = repr(found) == "ABSENT"
+            return Problem(
+                status=UNPROCESSABLE,
+                sentence=sentence,
+                where=error.where,
+                found=None if missing else found if isinstance(found, str) else reprlib.repr(found),
+                expected=error.expected,
+                hint=error.hint,
+            )
+        case NotStored():
+            return Problem(status=ABSENT, sentence=sentence, where=error.what, hint=error.hint)
+        case DatasetMissing():
+            return Problem(status=ABSENT, sentence=sentence, where=error.folder, hint=error.hint)
+        case StoreRefused() | JobRefused():
+            return Problem(status=CONFLICT, sentence=sentence, where=error.reason, hint=error.hint)
+        case _:
+            return Problem(status=UNPROCESSABLE, sentence=sentence)
+
+
+def tell_problems(api: FastAPI) -> None:
+    """Answer every failure of an API with a `Problem`."""
+
+    @api.exception_handler(FixelError)
+    def refused(_: Request, error: FixelError) -> JSONResponse:
+        return answer(problem_of(error))
+
+    @api.exception_handler(RequestValidationError)
+    def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        found, expected = reprlib.repr(first.get("input")), str(first["msg"])
+        return answer(
+            Problem(
+                status=UNPROCESSABLE,
+                sentence=f"{where}: {expected[:1].lower()}{expected[1:]}",
+                where=where,
+                found=found,
+                expected=expected,
+            )
+        )
+
+    @api.exception_handler(HTTPException)
+    def other(_: Request, error: HTTPException) -> JSONResponse:
+        return answer(
+            Problem(status=error.status_code, sentence=str(error.detail)), dict(error.headers or {})
+        )
+
+
+def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
+    """A problem as an answer."""
+    return JSONResponse(problem.model_dump(), status_code=problem.status, headers=headers)

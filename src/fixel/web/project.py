@@ -1,0 +1,98 @@
+"""The pages and the interface for programs of one project.
+
+Whoever adds a page puts a module into `fixel.web.pages` with `pages(desk) -> list[Page]`, and
+whoever adds a resource one into `fixel.web.api` with `router(desk) -> APIRouter`. Being there is
+all: nothing needs to be told of them.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from importlib import import_module
+from typing import Any, Final, final
+
+from fastapi import FastAPI
+
+import fixel
+from fixel.database.browsing import View
+from fixel.database.project import Project
+from fixel.web import api as resources
+from fixel.web import pages as shown
+from fixel.web.app import Page
+from fixel.web.problems import Problem, tell_problems
+from fixel.web.serve import HERE_ONLY, WebServer
+
+ABOUT: Final = """Experiments, simulations, calibrations and domains of one project.
+
+Lengths are in metres, angles in radians, times in seconds, unless a field's name ends with another
+unit (`error_mm`). Long arrays are objects `{"dtype": "<f8", "shape": [n, 3], "base64": "..."}`:
+little-endian, row after row. A refused request is answered with a status from 400 to 499 and a
+`Problem`.
+
+Programs send `Authorization: Bearer TOKEN` with the token of the link that `fixel serve` printed.
+"""
+
+
+@final
+class Desk:
+    """What the pages of one project share.
+
+    Parameters
+    ----------
+    project : Project
+
+    Attributes
+    ----------
+    store : Store
+        Its records, opened once; any thread may use it.
+    """
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.store = project.store()
+        self.store.browse(View(limit=1))  # so that the first page does not wait for its statements
+
+    @property
+    def name(self) -> str:
+        """Of the project."""
+        return self.project.settings.name
+
+    def close(self) -> None:
+        """Let go of the records."""
+        self.store.close()
+
+
+def project_pages(desk: Desk) -> list[Page]:
+    """All pages, in the order of the navigation."""
+    found = [page for module in _modules(shown) for page in module.pages(desk)]
+    return sorted(found, key=lambda page: (not page.listed, page.place))
+
+
+def project_api(desk: Desk) -> FastAPI:
+    """The interface for programs, to be mounted."""
+    api = FastAPI(
+        title=f"fixel: {desk.name}",
+        version=fixel.__version__,
+        description=ABOUT,
+        docs_url=None,  # these pages load scripts from elsewhere
+        redoc_url=None,
+        openapi_url="/openapi.json",
+        responses={"4XX": {"model": Problem}, 422: {"model": Problem}},
+    )
+    for module in _modules(resources):
+        api.include_router(module.router(desk))
+    tell_problems(api)
+    return api
+
+
+def project_server(desk: Desk, *, port: int | None = None, host: str = HERE_ONLY) -> WebServer:
+    """A server of all of it; it is not started yet."""
+    pages = project_pages(desk)
+    return WebServer(pages, port=port, host=host, api=project_api(desk), name=desk.name)
+
+
+def _modules(package: Any) -> list[Any]:
+    names = sorted(entry.name for entry in pkgutil.iter_modules(package.__path__))
+    return [
+        import_module(f"{package.__name__}.{name}") for name in names if not name.startswith("_")
+    ]

@@ -1,0 +1,144 @@
+// @ts-check
+// Asking fixel: JSON in and out, refusals as sentences, undo.
+
+import { at, make } from "./dom.js";
+
+const BASE = "/api/v1";
+const SHOWN_FOR = 8000; // [ms]
+
+/** @typedef {{dtype: string, shape: number[], base64: string}} Packed */
+
+/** What fixel answered instead of what was asked for. */
+export class Refusal extends Error {
+  /** @param {{sentence: string, status: number, where?: string | null, hint?: string | null}} problem */
+  constructor(problem) {
+    super(problem.sentence);
+    this.problem = problem;
+  }
+}
+
+/** @returns {string} */
+function word() {
+  const meta = document.querySelector('meta[name="fixel-word"]');
+  return meta instanceof HTMLMetaElement ? meta.content : "";
+}
+
+/**
+ * @param {string} path below /api/v1
+ * @param {Record<string, string | number | boolean | null | undefined>} [query]
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<any>}
+ */
+export function get(path, query = {}, signal) {
+  const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  const search = new URLSearchParams(given.map(([name, value]) => [name, String(value)]));
+  return ask(`${path}${search.size ? `?${search}` : ""}`, { signal });
+}
+
+/**
+ * Changes something.
+ * @param {string} path
+ * @param {any} [body]
+ * @param {string} [method]
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<any>}
+ */
+export function send(path, body, method = "POST", signal) {
+  const headers = { "Content-Type": "application/json", "X-Fixel-Word": word() };
+  return ask(path, { method, headers, signal, body: body === undefined ? undefined : JSON.stringify(body) });
+}
+
+/**
+ * @param {string} path
+ * @param {RequestInit} options
+ */
+async function ask(path, options) {
+  let answer;
+  try {
+    answer = await fetch(BASE + path, options);
+  } catch (problem) {
+    if (problem instanceof DOMException && problem.name === "AbortError") throw problem;
+    throw new Refusal({ status: 0, sentence: "No connection to fixel: has it ended?" });
+  }
+  if (answer.ok) return answer.status === 204 ? null : answer.json();
+  const said = await answer.json().catch(() => ({}));
+  throw new Refusal({ status: answer.status, ...said, sentence: said.sentence ?? `fixel answered ${answer.status}` });
+}
+
+const KINDS = { "<f8": Float64Array, "<f4": Float32Array, "<i4": Int32Array };
+
+/**
+ * The numbers of an array, row after row.
+ * @param {Packed} packed
+ * @returns {Float64Array | Float32Array | Int32Array}
+ */
+export function numbers(packed) {
+  const text = atob(packed.base64);
+  const bytes = new Uint8Array(text.length);
+  for (let k = 0; k < text.length; k += 1) bytes[k] = text.charCodeAt(k);
+  const Kind = KINDS[/** @type {keyof typeof KINDS} */ (packed.dtype)];
+  return new Kind(bytes.buffer);
+}
+
+/**
+ * One column of a table of numbers.
+ * @param {Packed} packed of shape [n, m]
+ * @param {number} k
+ */
+export function column(packed, k) {
+  const all = numbers(packed);
+  const width = packed.shape[1] ?? 1;
+  return Float64Array.from({ length: packed.shape[0] }, (_, row) => all[row * width + k]);
+}
+
+/** @type {(() => void) | null} */
+let newestUndo = null;
+
+/**
+ * Says something for a while, with a way back where there is one.
+ * @param {string} sentence
+ * @param {{undo?: () => Promise<unknown>, bad?: boolean}} [options]
+ */
+export function toast(sentence, { undo, bad = false } = {}) {
+  const close = () => {
+    box.remove();
+    if (newestUndo === back) newestUndo = null;
+  };
+  const back = () => {
+    close();
+    if (undo) undo().catch(complain);
+  };
+  const box = make("div", { class: bad ? "toast bad" : "toast", role: bad ? "alert" : null },
+    make("span", {}, sentence),
+    undo ? make("button", { type: "button", class: "undo", onclick: back }, "Undo") : null,
+    make("button", { type: "button", "aria-label": "Close", onclick: close }, "\u2715"));
+  at("toasts").append(box);
+  if (undo) newestUndo = back;
+  setTimeout(close, bad ? 2 * SHOWN_FOR : SHOWN_FOR);
+}
+
+/** Takes back what the newest toast offers to; for Ctrl-Z. @returns {boolean} */
+export function undoNewest() {
+  if (!newestUndo) return false;
+  newestUndo();
+  return true;
+}
+
+/** Shows why something did not work. @param {unknown} problem */
+export function complain(problem) {
+  if (problem instanceof DOMException && problem.name === "AbortError") return;
+  toast(problem instanceof Error ? problem.message : String(problem), { bad: true });
+}
+
+/**
+ * @param {string} text
+ * @param {string} what it is
+ */
+export async function copy(text, what) {
+  try {
+    await navigator.clipboard.writeText(text);
+    toast(`Copied ${what}.`);
+  } catch {
+    toast("The browser does not let pages copy here; mark the text and copy it.", { bad: true });
+  }
+}

@@ -1,0 +1,196 @@
+"""A function in a process of its own, which can be ended: at a time limit, or when nobody waits.
+
+Compiled kernels cannot be interrupted. What a stranger's scene makes of them must not hold up a
+server, so it runs beside it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import Any, Final, final
+
+from fixel.errors import JobRefused
+
+GLANCE: Final = 0.02  # [s] between two looks whether somebody still waits
+STARTS_WITHIN: Final = 120.0  # [s], with an engine to compile
+
+
+class Cancelled(Exception):
+    """Nobody waits for the answer any more."""
+
+
+@final
+class Bounded:
+    """Calls a function of a module, one call at a time, each within a time limit.
+
+    The process starts with the first call and stays for the next ones; one that was ended is
+    replaced.
+
+    Parameters
+    ----------
+    function : callable
+        Takes one argument; both it and the answer can be pickled.
+    limit : float
+        Of one call [s].
+    ready : callable, optional
+        Called in the process when it starts, outside the time limit: compiles, loads.
+
+    Examples
+    --------
+    >>> from math import sqrt
+    >>> with Bounded(sqrt, limit=30.0) as root:
+    ...     root.call(9.0)
+    3.0
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        *,
+        limit: float,
+        ready: Callable[[], object] | None = None,
+    ) -> None:
+        self._function, self._ready, self.limit = function, ready, limit
+        self._turn = threading.Lock()
+        self._process: Any = None
+        self._pipe: Connection | None = None
+
+    def call(self, argument: Any, nobody_waits: Callable[[], bool] = lambda: False) -> Any:
+        """The function's answer, or what it raised.
+
+        Raises
+        ------
+        JobRefused
+            The time limit, or a process that died.
+        Cancelled
+            `nobody_waits` said so.
+        """
+        with self._my_turn(nobody_waits):
+            pipe = self._running(nobody_waits)
+            pipe.send(argument)
+            worked, answer = self._received(pipe, self.limit, nobody_waits)
+        if not worked:
+            raise answer
+        return answer
+
+    def start(self) -> None:
+        """Start the process now, so that the first call need not wait for it."""
+        with self._turn:
+            self._running(lambda: False)
+
+    def close(self) -> None:
+        """End the process."""
+        with self._turn:
+            self._end()
+
+    def __enter__(self) -> Bounded:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _my_turn(self, nobody_waits: Callable[[], bool]) -> threading.Lock:
+        until = time.monotonic() + self.limit
+        while not self._turn.acquire(timeout=GLANCE):
+            if nobody_waits():
+                raise Cancelled
+            if time.monotonic() > until:
+                raise JobRefused(
+                    f"others have been computing for {self.limit:g} s", hint="try again"
+                )
+        return _Held(self._turn)  # type: ignore[return-value]
+
+    def _running(self, nobody_waits: Callable[[], bool]) -> Connection:
+        """The pipe to a process that is ready."""
+        if self._pipe is not None and self._process.is_alive():
+            return self._pipe
+        self._end()
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, self._function, self._ready), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self._pipe = ours
+        self._received(ours, STARTS_WITHIN, nobody_waits)
+        return ours
+
+    def _received(
+        self, pipe: Connection, limit: float, nobody_waits: Callable[[], bool]
+    ) -> tuple[bool, Any]:
+        until = time.monotonic() + limit
+        try:
+            while not pipe.poll(GLANCE):
+                if nobody_waits():
+                    raise Cancelled
+                if time.monotonic() > until:
+                    raise JobRefused(
+                        f"the computation took more than {limit:g} s and was ended",
+                        hint="make it shorter or simpler, or run it with: fixel simulate",
+                    )
+            answer: tuple[bool, Any] = pipe.recv()
+        except (EOFError, OSError):
+            self._end()
+            raise JobRefused("the computation died", hint="try again") from None
+        except (Cancelled, JobRefused):
+            self._end()
+            raise
+        return answer
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process.close()
+        if self._pipe is not None:
+            self._pipe.close()
+        self._process = self._pipe = None
+
+
+@final
+class _Held:
+    """A lock that is held already, to be let go."""
+
+    def __init__(self, lock: threading.Lock) -> None:
+        self._lock = lock
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+def _serve(
+    pipe: Connection, function: Callable[[Any], Any], ready: Callable[[], object] | None
+) -> None:
+    """What the process does: answer until nobody asks."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if ready is not None:
+        ready()
+    with suppress(EOFError, OSError):
+        pipe.send((True, None))
+        while True:
+            argument = pipe.recv()
+            try:
+                answer = (True, function(argument))
+            except Exception as problem:
+                answer = (False, problem)
+            pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    """Nobody hears the end of a computation whose server is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,282 @@
+"""Looking through experiments: a filter as one types it, what there is to filter by, coverage."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+
+from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, Bound, Relation, View
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+
+MOST_FILTER: Final = 1000  # characters
+MOST_VALUES: Final = 40  # of a condition, to be named one by one
+MOST_PLACES: Final = 40  # on an axis of the coverage, before they are put together
+
+# What people call a column, and what its unit is in metres and radians.
+DEGREE: Final = float(np.pi / 180.0)
+NAMES: Final[dict[str, tuple[str, float]]] = {
+    "error": ("error_mm", 1.0),
+    "before": ("before_mm", 1.0),
+    "after": ("after_mm", 1.0),
+    "moved": ("moved_m", 1e-3),
+    "turned": ("turned_rad", DEGREE),
+    "x": ("start_x_m", 1e-3),
+    "y": ("start_y_m", 1e-3),
+    "angle": ("start_angle_rad", DEGREE),
+    "duration": ("duration_s", 1.0),
+}
+_BOUND: Final = re.compile(r"([\w.-]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
+
+
+def view_of(
+    filter: str = "",
+    *,
+    sort: str = "id",
+    descending: bool = False,
+    limit: int | None = None,
+    offset: int = 0,
+) -> View:
+    """A view from a filter as one types it.
+
+    Parameters
+    ----------
+    filter : str
+        Words that must stand somewhere, `"two words"` in quotes; `shape=square`, `offset_x_m>0.01`
+        of a condition or a column; `error>5` [mm], `moved<80` [mm], `turned>10` [deg], `x`, `y`
+        [mm], `angle` [deg], `duration` [s], `before` and `after` [mm]; `dataset:NAME`, `flag:NAME`,
+        `is:clean`, `is:faulty`, `is:flagged`, `is:noted`, `is:real`, `is:simulated`, `is:deleted`.
+    sort : str
+        A column, by either name, or a condition.
+    descending : bool
+    limit : int, optional
+    offset : int
+
+    Raises
+    ------
+    InvalidInput
+        A quote that does not end, an `is:` of another kind, a text where a number must stand.
+
+    Examples
+    --------
+    >>> view = view_of('pentagon error>5 flag:late')
+    >>> view.words, view.bounds, view.flags
+    (('pentagon',), (Bound(name='error_mm', relation='>', value=5.0),), ('late',))
+    """
+    words: list[str] = []
+    bounds: list[Bound] = []
+    flags: list[str] = []
+    marks: list[str] = []
+    for token in _tokens(filter):
+        head, colon, rest = token.partition(":")
+        if colon and head == "is":
+            marks.append(_mark(rest))
+        elif colon and head == "flag" and rest:
+            flags.append(rest)
+        elif colon and head == "dataset" and rest:
+            bounds.append(Bound("dataset", "=", rest))
+        elif (found := _BOUND.fullmatch(token)) is not None:
+            bounds.append(_bound(*found.groups()))
+        else:
+            words.append(token)
+    return View(
+        words=tuple(words),
+        bounds=tuple(bounds),
+        flags=tuple(flags),
+        marks=tuple(marks),
+        sort=NAMES.get(sort, (sort, 1.0))[0],
+        descending=descending,
+        limit=limit,
+        offset=offset,
+    )
+
+
+def _tokens(text: str) -> list[str]:
+    if len(text) > MOST_FILTER:
+        raise InvalidInput(
+            "filter", found=f"{len(text)} characters", expected=f"at most {MOST_FILTER}"
+        )
+    reader = shlex.shlex(text, posix=True)
+    reader.whitespace_split = True
+    reader.commenters = ""
+    reader.quotes = '"'
+    reader.escape = ""
+    try:
+        return list(reader)
+    except ValueError:
+        raise InvalidInput("filter", found="a quote that does not end", expected='"..."') from None
+
+
+def _mark(name: str) -> str:
+    if name not in MARKS:
+        raise InvalidInput("filter: is:", found=repr(name), expected="one of " + ", ".join(MARKS))
+    return name
+
+
+def _bound(name: str, relation: str, value: str) -> Bound:
+    known, unit = NAMES.get(name, (name, 1.0))
+    number = _number(value)
+    if number is None:
+        if known in NUMBERS or known in SQUARES:
+            raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
+        return Bound(known, cast(Relation, relation), value)
+    if known in TEXTS:
+        return Bound(known, cast(Relation, relation), value)
+    return Bound(known, cast(Relation, relation), number * unit)
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+# --- what there is to filter by -----------------------------------------------------------------
+
+
+class Values(NamedTuple):
+    """What a condition was, among all experiments."""
+
+    texts: dict[str, int]  # with how many; empty for too many
+    low: float | None
+    high: float | None
+    total: int  # of experiments that have it
+
+
+class Vocabulary(NamedTuple):
+    """Words of a filter."""
+
+    datasets: dict[str, int]
+    flags: dict[str, int]
+    conditions: dict[str, Values]
+
+
+def vocabulary(store: Store) -> Vocabulary:
+    """What experiments can be told apart by."""
+    texts: dict[str, Counter[str]] = {}
+    numbers: dict[str, list[float]] = {}
+    for conditions in store.conditions():
+        for name, value in conditions.items():
+            if isinstance(value, str):
+                texts.setdefault(name, Counter())[value] += 1
+            else:
+                numbers.setdefault(name, []).append(float(value))
+    found = {}
+    for name in sorted({*texts, *numbers}):
+        words, values = texts.get(name, Counter()), numbers.get(name, [])
+        few = dict(sorted(words.items())) if len(words) <= MOST_VALUES else {}
+        low, high = (min(values), max(values)) if values else (None, None)
+        found[name] = Values(few, low, high, words.total() + len(values))
+    return Vocabulary(store.datasets(), store.flags(), found)
+
+
+# --- coverage -----------------------------------------------------------------------------------
+
+
+class Axis(NamedTuple):
+    """An axis of the coverage: places, each from one edge to the next."""
+
+    name: str
+    edges: FloatArray  # (n + 1,)
+    centres: FloatArray  # (n,)
+
+
+class Coverage(NamedTuple):
+    """How many experiments there are at each place of a plane of configurations.
+
+    Attributes
+    ----------
+    x, y : Axis
+    number : (n_x, n_y) array
+    shapes, layouts : tuple of str
+        Empty where nobody wrote them down.
+    table : (n_shape, n_layout) array
+    axes : tuple of str
+        Names that an axis may have here.
+    without : int
+        Experiments that have no such value.
+    """
+
+    x: Axis
+    y: Axis
+    number: FloatArray
+    shapes: tuple[str, ...]
+    layouts: tuple[str, ...]
+    table: FloatArray
+    axes: tuple[str, ...]
+    without: int
+
+
+PLACES: Final = ("start_x_m", "start_y_m", "start_angle_rad")
+OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
+
+
+def coverage(store: Store, view: View, x: str | None = None, y: str | None = None) -> Coverage:
+    """Which configurations have been run.
+
+    Parameters
+    ----------
+    store : Store
+    view : View
+    x, y : str, optional
+        Columns or conditions with numbers; left out, offsets along x and y, or where the object
+        began.
+    """
+    known = tuple(
+        name
+        for name, values in vocabulary(store).conditions.items()
+        if values.low is not None and not name.startswith("truth_")
+    )
+    usual = OFFSETS if {*OFFSETS} <= {*known} else PLACES
+    x, y = x or usual[0], y or usual[1]
+    rows = store.browse_columns(view, (x, y, "shape", "layout"))
+    pairs = [
+        (float(a), float(b))
+        for a, b, *_ in rows
+        if isinstance(a, int | float) and isinstance(b, int | float)
+    ]
+    points = np.array(pairs, dtype=np.float64).reshape(-1, 2)
+    across, up = _axis(x, points[:, 0]), _axis(y, points[:, 1])
+    count, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(across.edges, up.edges))
+    shapes, layouts, table = _table([row[2:] for row in rows])
+    return Coverage(
+        across, up, count, shapes, layouts, table, (*PLACES, *known), len(rows) - len(points)
+    )
+
+
+def _axis(name: str, values: FloatArray) -> Axis:
+    """One place a value where these are few, else places of one width."""
+    distinct = np.unique(np.round(values, 9))
+    if len(distinct) == 0:
+        return Axis(name, np.array([0.0, 1.0]), np.array([0.5]))
+    if len(distinct) <= MOST_PLACES:
+        between = (distinct[1:] + distinct[:-1]) / 2.0
+        margin = float(np.diff(distinct).min()) / 2.0 if len(distinct) > 1 else 0.5e-3
+        edges = np.concatenate(([distinct[0] - margin], between, [distinct[-1] + margin]))
+        return Axis(name, edges, distinct)
+    edges = np.linspace(distinct[0], distinct[-1], MOST_PLACES + 1)
+    edges[-1] = np.nextafter(edges[-1], np.inf)
+    return Axis(name, edges, (edges[1:] + edges[:-1]) / 2.0)
+
+
+def _table(
+    rows: Sequence[tuple[Any, Any]],
+) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
+    """How many of each shape in each layout."""
+    counted = Counter((str(s), str(p)) for s, p in rows if s is not None and p is not None)
+    shapes = tuple(sorted({shape for shape, _ in counted}))
+    layouts = tuple(sorted({layout for _, layout in counted}))
+    if len(shapes) > MOST_VALUES or len(layouts) > MOST_VALUES:
+        return (), (), np.zeros((0, 0))
+    table = np.zeros((len(shapes), len(layouts)))
+    for (shape, layout), n in counted.items():
+        table[shapes.index(shape), layouts.index(layout)] = n
+    return shapes, layouts, table

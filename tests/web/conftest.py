@@ -1,0 +1,111 @@
+"""A project of simulated runs, made once; a server of a copy of it; a real browser."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.model import Flag
+from fixel.sampling import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+
+NAMES = (os.environ.get("CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
+QUIET = [
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-features=OptimizationHints,MediaRouter",
+    "--disable-dev-shm-usage",
+    "--disable-gpu",
+]
+SCRIPTS = ["<img src=x onerror=window.hacked=1>", "</script><script>window.hacked=1</script>"]
+
+
+@pytest.fixture(scope="session")
+def laboratory(tmp_path_factory) -> Path:
+    """A project folder with 30 experiments of two shapes and some layouts; not to be changed."""
+    folder = tmp_path_factory.mktemp("laboratory") / "my_lab"
+    project = Project.create(folder)
+    planned = thesis_plan().experiments[::14]
+    with project.store() as store:
+        for experiment in SimulatedTestbed(seed=1).run(planned):
+            store.add_experiment(experiment)
+        store.flag(3, Flag("misregistered", "starts 4.2 mm inside the pusher"))
+        store.flag(5, Flag("late", "by 0.2 s", fault=False))
+        _simulate(store, [1, 2, 3])
+    return folder
+
+
+def _simulate(store, numbers):
+    """Stored simulations with nominal values, as `fixel compare --save` keeps them."""
+    from fixel.workflows.experiments import comparison
+
+    for number in numbers:
+        answer = comparison(store.experiment(number))
+        store.add_simulation(answer.record(number, "fixel compare --save"))
+
+
+@pytest.fixture(scope="module")
+def project(laboratory, tmp_path_factory) -> Path:
+    """A copy of the laboratory for the tests of one module, which may change it."""
+    folder = tmp_path_factory.mktemp("copy") / "my_lab"
+    shutil.copytree(laboratory, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(project):
+    """The pages of the copy, on a port of this machine: `server.link`, `server.address`."""
+    from fixel.web.project import Desk, project_server
+
+    desk = Desk(Project.open(project))
+    running = project_server(desk).start()
+    running.desk = desk
+    yield running
+    running.stop()
+    desk.close()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """One browser for a module; longer, and its event loop would be in the way of others."""
+    found = next((path for name in NAMES if name and (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip("no Chromium on this machine")
+    api = pytest.importorskip("playwright.sync_api")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=found, chromium_sandbox=os.geteuid() != 0, args=QUIET
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def browser_page(chromium, server):
+    """A page that has opened the link; every error in it fails the test."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    page.set_default_timeout(5000)
+    problems = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda line: problems.append(line.text) if line.type == "error" else None)
+    page.expected_problems = []
+    page.goto(server.link)
+    yield page
+    context.close()
+    surprises = [p for p in problems if not any(e in p for e in page.expected_problems)]
+    assert surprises == []
+
+
+def unpacked(array):
+    """The numbers of a packed array."""
+    import base64
+
+    data = base64.b64decode(array["base64"])
+    return np.frombuffer(data, array["dtype"]).reshape(array["shape"])

@@ -1,0 +1,191 @@
+"""What the Compare and Simulate pages ask for."""
+
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+from tests.web.client import Client
+from tests.web.conftest import unpacked
+
+from fixel.database.project import Project
+from fixel.web.app import create_app
+from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.security import WORD_HEADER, Gate
+from fixel.workflows import scene_desk
+from fixel.workflows.experiments import comparison
+
+
+class Bench:
+    """Asks as a page of ours would."""
+
+    def __init__(self, folder):
+        gate = Gate()
+        self.desk = Desk(Project.open(folder))
+        app = create_app(project_pages(self.desk), gate, api=project_api(self.desk), name="my_lab")
+        cookies = {gate.cookie: gate.session}
+        self._client = Client(app, "http://127.0.0.1:8000", cookies=cookies)
+        self._word = {WORD_HEADER: gate.word}
+
+    def page(self, path):
+        return self._client.get(path)
+
+    def get(self, path):
+        return self._client.get("/api/v1" + path)
+
+    def send(self, path, text):
+        headers = {**self._word, "content-type": "application/json"}
+        return self._client.request("POST", "/api/v1" + path, headers, content=text)
+
+    def post(self, path, body):
+        return self._client.post("/api/v1" + path, headers=self._word, json=body)
+
+
+@pytest.fixture(scope="module")
+def bench(project):
+    made = Bench(project)
+    yield made
+    made.desk.close()
+
+
+def test_a_motion_document_has_everything_a_drawing_needs(bench):
+    story = bench.get("/experiments/1/motion?simulation=1").json()
+    experiment = bench.desk.store.experiment(1)
+    measured, simulated = story["motions"]
+    assert [measured["kind"], simulated["kind"]] == ["measured", "simulated"]
+    pose = unpacked(measured["pose"]["object"])
+    assert pose[:, :2] == pytest.approx(experiment.trajectory.pose[:, :2])
+    assert unpacked(measured["touch"]["values"]).shape[1] == 3
+    assert unpacked(simulated["errors"]["position_m"]).min() >= 0.0
+    assert [thing["role"] for thing in story["things"]][:2] == ["object", "pusher"]
+    assert len(story["box_m"]) == 4
+
+
+def test_other_peoples_simulations_are_refused(bench):
+    assert bench.get("/experiments/1/motion?simulation=2").status_code == 422
+    assert bench.get("/experiments/1/motion?simulation=999").status_code == 404
+    assert bench.get("/experiments/999/motion").status_code == 404
+
+
+def test_a_comparison_is_that_of_the_workflow(bench):
+    offered = bench.get("/experiments/1/comparison").json()
+    assert offered["sets"][0]["kind"] == "nominal"
+    assert offered["sliders"][0]["unit"] == "-"
+    answer = bench.post("/experiments/1/comparison", {"parameters": {"mu_support": 0.4}}).json()
+    own = comparison(bench.desk.store.experiment(1), {"mu_support": 0.4})
+    assert answer["error_mm2"] == pytest.approx(own.error_mm2)
+    contacts = answer["motion"]["contacts"]
+    assert unpacked(contacts["force_n"]).shape == unpacked(contacts["point_m"]).shape
+    assert "--set mu_support=0.4" in answer["command"]
+
+
+def test_keeping_one_stores_it(bench):
+    wanted = {"parameters": {"mu_pusher": 0.31}, "motion": "quasistatic"}
+    kept = bench.post("/experiments/4/simulations", wanted).json()["id"]
+    record = bench.desk.store.simulation(kept)
+    assert dict(record.parameters) == {"mu_pusher": 0.31}
+    assert record.method["motion"] == "quasistatic"
+    assert record.provenance.command.startswith("fixel compare testbed/")
+
+
+@pytest.mark.parametrize(
+    ("body", "where"),
+    [
+        ({"parameters": {"mu_suport": 0.4}}, "parameters"),
+        ({"parameters": {"mu_support": -1.0}}, "mu_support"),
+        ({"parameters": {"tripod_radius": 0.0}}, "tripod_radius"),
+        ({"motion": "magic"}, "body.motion"),
+        ({"parameters": {"mu_support": "much"}}, "body.parameters.mu_support"),
+    ],
+)
+def test_what_cannot_be_simulated_is_told_with_its_field(bench, body, where):
+    answer = bench.post("/experiments/1/comparison", body)
+    assert answer.status_code == 422
+    assert answer.json()["where"] == where
+
+
+def test_far_too_large_values_have_an_answer_all_the_same(bench):
+    for value in (1e-300, 1e3, 1e300):
+        answer = bench.post("/experiments/1/comparison", {"parameters": {"mu_support": value}})
+        assert answer.status_code in (200, 422)
+        json.loads(answer.text, parse_constant=pytest.fail)
+
+
+def test_scenes_come_from_examples_experiments_and_files(bench):
+    names = [one["name"] for one in bench.get("/scenes/examples").json()]
+    scene = bench.get(f"/scenes/examples/{names[0]}").json()["scene"]
+    assert scene["bodies"]
+    own = bench.get("/experiments/1/scene").json()["scene"]
+    assert own["fixels"]
+    text = bench.post("/scenes/write", {"scene": own}).json()["text"]
+    assert bench.post("/scenes/read", {"text": text}).json()["scene"] == own
+    as_json = {"text": json.dumps(own), "is_json": True}
+    assert bench.post("/scenes/read", as_json).json()["scene"] == own
+    assert bench.get("/scenes/examples/..%2Fsecret").status_code in (404, 422)
+
+
+def test_a_scene_is_simulated_in_a_process_of_its_own(bench):
+    scene = scene_desk.example("grasp")
+    answer = bench.post("/simulate", {"scene": scene})
+    assert answer.status_code == 200
+    story, summary = answer.json()["story"], answer.json()["summary"]
+    assert summary["status"] == "converged"
+    pose = unpacked(story["motions"][0]["pose"]["object"])
+    assert pose[-1] == pytest.approx(np.array(summary["final"]["object"]))
+
+
+def test_problems_of_a_scene_name_their_key(bench):
+    scene = scene_desk.example("grasp")
+    scene["bodies"][0]["mass"] = -1.0
+    for path in ("/scenes/check", "/scenes/write", "/simulate"):
+        answer = bench.post(path, {"scene": scene})
+        assert answer.status_code == 422
+        assert answer.json()["where"] == "bodies[0].mass"
+    scene["bodies"][0]["mass"] = 0.15
+    assert bench.post("/scenes/check", {"scene": scene}).status_code == 204
+    scene["fixels"][0]["pose"] = scene["bodies"][0]["pose"]
+    told = bench.post("/scenes/check", {"scene": scene}).json()
+    assert told["where"] == "'object' and 'fixel-1'"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '{"scene": {"bodies": [{"name": "\\ud800"}]}}',
+        '{"scene": {"\\ud800": 1}}',
+        '{"\\ud800": 1}',
+        '{"scene": {"duration": NaN}}',
+        '{"scene": {"duration": 1e999}}',
+        '{"scene": {"duration": 1' + 400 * "0" + "}}",
+        '{"scene": {"bodies": ' + 900 * "[" + 900 * "]" + "}}",
+        '{"scene": {"bodies": ' + 90_000 * "[" + 90_000 * "]" + "}}",
+        '{"scene": {"fixels": [{"name": "a", "shape": {"disk": true}}]}}',
+        '{"scene": []}',
+        "{",
+        "",
+    ],
+)
+def test_no_body_is_too_strange_for_an_answer(bench, body):
+    for path in ("/scenes/check", "/simulate", "/scenes/write", "/experiments/1/comparison"):
+        answer = bench.send(path, body)
+        assert 400 <= answer.status_code < 500
+        assert answer.json()["sentence"]
+
+
+def test_a_simulation_that_takes_too_long_is_ended(bench, monkeypatch):
+    beside = scene_desk.beside()
+    beside.start()
+    monkeypatch.setattr(beside, "limit", 0.2)
+    os.kill(beside._process.pid, signal.SIGSTOP)  # as long a computation as there is
+    answer = bench.post("/simulate", {"scene": scene_desk.example("grasp")})
+    assert answer.status_code == 409
+    assert "was ended" in answer.json()["sentence"]
+
+
+def test_the_pages_name_what_they_show(bench):
+    assert "testbed/" in bench.page("/compare?experiment=2").text
+    assert bench.page("/compare?experiment=nobody").status_code == 404
+    assert 'data-example="grasp"' in bench.page("/simulate").text
+    strange = bench.page("/simulate?example=<script>alert(1)</script>").text
+    assert "<script>alert" not in strange

@@ -1,0 +1,300 @@
+"""Playing, comparing and making scenes, in a real browser."""
+
+import json
+import os
+import signal
+import time
+from statistics import median
+
+import pytest
+
+from fixel.exchange import load_scene
+from fixel.workflows import scene_desk
+
+ROUND_TRIP = 100.0  # [ms]
+FRAMES = 30.0  # a second
+
+
+@pytest.fixture
+def compare(browser_page, server):
+    browser_page.goto(server.address + "compare?experiment=1")
+    browser_page.wait_for_selector("#compare[data-ready]", timeout=60_000)
+    return browser_page
+
+
+@pytest.fixture
+def simulate(browser_page, server):
+    browser_page.goto(server.address + "simulate")
+    browser_page.wait_for_selector("#simulate[data-simulated]", timeout=60_000)
+    return browser_page
+
+
+def player(page, expression, host="#player"):
+    return page.evaluate(f"document.querySelector('{host}').player.{expression}")
+
+
+def editor(page, expression):
+    return page.evaluate(f"document.getElementById('simulate').editor.{expression}")
+
+
+def spot(page, kind, index):
+    """Where a thing of the scene editor is on the screen."""
+    return page.evaluate(
+        """([kind, index]) => {
+            const { stage, scene } = document.getElementById('simulate').editor;
+            const frame = stage.canvas.getBoundingClientRect();
+            const [x, y] = stage.toScreen(scene[kind][index].pose);
+            return [frame.left + x, frame.top + y];
+        }""",
+        [kind, index],
+    )
+
+
+def drag(page, start, by):
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + by[0], start[1] + by[1], steps=8)
+    page.mouse.up()
+
+
+def simulated_again(page, before):
+    page.wait_for_function(
+        "n => Number(document.getElementById('simulate').dataset.simulated) > n", arg=before
+    )
+
+
+def simulations(page):
+    return int(page.get_attribute("#simulate", "data-simulated"))
+
+
+# --- the player -------------------------------------------------------------------------------
+
+
+def test_a_run_plays_at_30_frames_a_second_and_stops_at_space(compare):
+    compare.evaluate("document.activeElement.blur()")
+    compare.keyboard.press("Space")
+    assert player(compare, "playing")
+    frames, seconds = compare.evaluate(
+        """async () => {
+            const { player } = document.querySelector('#player');
+            const [drawn, began] = [player.stage.drawn, performance.now()];
+            await new Promise((done) => setTimeout(done, 1500));
+            return [player.stage.drawn - drawn, (performance.now() - began) / 1000];
+        }"""
+    )
+    compare.keyboard.press("Space")
+    assert not player(compare, "playing")
+    assert player(compare, "time") > 0.5
+    print(f"{frames / seconds:.1f} frames/s")
+    assert frames / seconds > FRAMES / 3  # of a machine that does much else beside
+
+
+def test_scrubber_and_arrow_keys_and_charts_move_the_time(compare):
+    bar = compare.locator("#player input[type=range]").bounding_box()
+    middle = (bar["x"] + bar["width"] / 2, bar["y"] + bar["height"] / 2)
+    compare.mouse.click(*middle)
+    half = player(compare, "time")
+    assert half == pytest.approx(player(compare, "end") / 2, rel=0.05)
+    compare.keyboard.press("ArrowRight")
+    compare.keyboard.press("ArrowRight")
+    assert 0.0 < player(compare, "time") - half < 0.3
+    compare.keyboard.press("Home")
+    assert player(compare, "time") == player(compare, "start")
+    compare.locator("#charts canvas").last.scroll_into_view_if_needed()
+    chart = compare.locator("#charts canvas").last.bounding_box()
+    start = (chart["x"] + 0.4 * chart["width"], chart["y"] + 20)
+    drag(compare, start, (0.3 * chart["width"], 0))
+    assert 0.5 < player(compare, "time") / player(compare, "end") < 0.9
+    moved = compare.evaluate("document.querySelector('.cursor').style.transform")
+    assert moved.startswith("translateX(")
+    the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare)
+
+
+def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
+    compare.locator("#player canvas").scroll_into_view_if_needed()
+    scale, centre = player(compare, "stage.scale"), player(compare, "stage.centre")
+    box = compare.locator("#player canvas").bounding_box()
+    compare.mouse.move(box["x"] + 100, box["y"] + 100)
+    compare.mouse.wheel(0, -300)
+    compare.wait_for_function(
+        "s => document.querySelector('#player').player.stage.scale > s", arg=scale
+    )
+    drag(compare, (box["x"] + 150, box["y"] + 60), (40, 30))
+    assert player(compare, "stage.centre") != centre
+    compare.mouse.dblclick(box["x"] + 100, box["y"] + 100)
+    assert player(compare, "stage.scale") == pytest.approx(scale)
+
+
+# --- compare ----------------------------------------------------------------------------------
+
+
+def test_a_slider_has_a_new_simulation_within_100_ms(compare, server):
+    slider = compare.locator("#slide-mu_pusher")
+    slider.focus()
+    before = compare.locator("tr[data-set=adjusted] td").first.inner_text()
+    trips = []
+    for _ in range(8):
+        compare.evaluate("delete document.getElementById('compare').dataset.roundTrip")
+        compare.keyboard.press("Shift+ArrowRight")
+        compare.wait_for_selector("#compare[data-round-trip]")
+        trips.append(float(compare.get_attribute("#compare", "data-round-trip")))
+    print("round trips [ms]:", trips)
+    assert compare.locator("tr[data-set=adjusted] td").first.inner_text() != before
+    assert median(trips) < 2 * ROUND_TRIP  # of a machine that does much else beside
+    sets_are_pinned_removed_brought_back_and_kept(compare, server)
+
+
+def sets_are_pinned_removed_brought_back_and_kept(compare, server):
+    compare.click("#reset")
+    row = compare.locator("#sets tr")
+    assert row.count() == 2
+    compare.fill(".slider[data-name=mu_support] input[type=number]", "0.4")
+    compare.click("#pin")
+    compare.wait_for_selector("tr[data-set=pinned-1]")
+    assert "mu_support 0.4" in compare.inner_text("tr[data-set=pinned-1]")
+    compare.click("tr[data-set=pinned-1] button[aria-label^=Remove]")
+    assert row.count() == 2
+    compare.click(".toast .undo")
+    assert row.count() == 3
+    number = len(server.desk.store.simulations(1))
+    compare.click("#keep")
+    compare.wait_for_selector("text=Kept as simulation")
+    kept = server.desk.store.simulations(1)
+    assert len(kept) == number + 1
+    compare.wait_for_selector(f"#add-set option[value=simulation-{kept[-1]}]", state="attached")
+    compare.select_option("#add-set", f"simulation-{kept[-1]}")
+    compare.wait_for_selector(f"tr[data-set=simulation-{kept[-1]}]")
+
+
+# --- simulate ---------------------------------------------------------------------------------
+
+
+def test_dragging_a_fixel_simulates_and_undo_takes_it_back(simulate):
+    start, before = editor(simulate, "scene.fixels[0].pose"), simulations(simulate)
+    drag(simulate, spot(simulate, "fixels", 0), (30, -20))
+    moved = editor(simulate, "scene.fixels[0].pose")
+    assert moved[0] > start[0]
+    assert moved[1] > start[1]
+    simulated_again(simulate, before)
+    simulate.keyboard.press("Control+z")
+    assert editor(simulate, "scene.fixels[0].pose") == start
+    simulate.keyboard.press("Control+y")
+    assert editor(simulate, "scene.fixels[0].pose") == moved
+    arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate)
+
+
+def arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate):
+    simulate.click("#things label:nth-child(1)")
+    x, y, angle = editor(simulate, "scene.bodies[0].pose")
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowRight")
+    simulate.keyboard.press("Shift+ArrowUp")
+    simulate.keyboard.press("q")
+    pose = editor(simulate, "scene.bodies[0].pose")
+    assert pose == pytest.approx([x + 0.001, y + 0.010, angle + 0.0174533], abs=1e-6)
+    handle = simulate.evaluate(
+        """() => {
+            const { stage, scene } = document.getElementById('simulate').editor;
+            const [x, y, angle] = scene.bodies[0].pose;
+            const frame = stage.canvas.getBoundingClientRect();
+            const reach = 0.05375 * Math.SQRT2 * stage.scale + 26;
+            const [px, py] = stage.toScreen([x, y]);
+            const [dx, dy] = [reach * Math.sin(angle), reach * Math.cos(angle)];
+            return [frame.left + px - dx, frame.top + py - dy];
+        }"""
+    )
+    drag(simulate, handle, (-60, 0))
+    assert editor(simulate, "scene.bodies[0].pose")[2] > angle + 0.2
+    simulate.click("#undo")
+    assert editor(simulate, "scene.bodies[0].pose") == pytest.approx(pose)
+
+
+def test_a_wrong_value_is_told_at_its_field(simulate):
+    simulate.expected_problems.append("422")
+    simulate.click("#things label:nth-child(2)")
+    simulate.fill(".field[data-where='pushers[0].drive.speed'] input", "-3")
+    refusal = simulate.locator(".field[data-where='pushers[0].drive.speed'] .refusal")
+    refusal.wait_for(state="visible")
+    assert "at least 0" in refusal.inner_text()
+    simulate.fill(".field[data-where='pushers[0].drive.speed'] input", "20")
+    refusal.wait_for(state="hidden")
+    things_are_added_removed_and_changed_in_kind(simulate)
+
+
+def things_are_added_removed_and_changed_in_kind(simulate):
+    simulate.click("#add-fixel")
+    assert editor(simulate, "scene.fixels.length") == 4
+    assert simulate.input_value(".field[data-where='fixels[3].name'] input") == "fixel-4"
+    simulate.select_option(".field[data-where='fixels[3].shape'] select", "box")
+    assert len(editor(simulate, "scene.fixels[3].shape.polygon")) == 4
+    simulate.click("#remove")
+    assert editor(simulate, "scene.fixels.length") == 3
+    simulate.click(".toast .undo")
+    assert editor(simulate, "scene.fixels.length") == 4
+
+
+def test_run_plays_at_once_and_the_saved_file_is_the_scene(simulate, tmp_path):
+    simulate.click("#run")
+    simulate.wait_for_selector("#watch[data-state=playing]")
+    time.sleep(0.2)
+    assert player(simulate, "time", "#watch") > 0.0
+    with simulate.expect_download() as download:
+        simulate.click("#save")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.name == "grasp.yaml"
+    assert load_scene(path).scene.names == ("object", "actuator", "fixel-1", "fixel-2", "fixel-3")
+
+
+def test_what_takes_too_long_is_cancelled_and_the_next_run_works(simulate):
+    os.kill(scene_desk.beside()._process.pid, signal.SIGSTOP)  # as long as there is
+    simulate.click("#run")
+    simulate.click("#cancel")
+    simulate.wait_for_selector("#verdict >> text=cancelled")
+    simulate.click("#run")
+    simulate.wait_for_selector("#watch[data-state=playing]", timeout=60_000)
+
+
+def test_what_was_made_survives_going_away(simulate, server):
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowLeft")
+    pose = editor(simulate, "scene.bodies[0].pose")
+    simulate.goto(server.address + "api")
+    simulate.goto(server.address + "simulate")
+    simulate.wait_for_selector("#simulate[data-ready]")
+    assert editor(simulate, "scene.bodies[0].pose") == pose
+    assert simulate.inner_text("#origin") == "what you made here before"
+
+
+def test_a_measured_path_goes_along_with_its_pusher(simulate, tmp_path):
+    scene = scene_desk.example("grasp")
+    path = [[0.0, 0.0, 0.006, 0.0], [5.0, 0.06, 0.006, 0.1], [11.0, 0.12, 0.0, 0.2]]
+    scene["pushers"][0]["drive"] = {"waypoints": path}
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps(scene))
+    before = simulations(simulate)
+    simulate.set_input_files("#file", file)
+    simulated_again(simulate, before)
+    simulate.click("#things label:nth-child(2)")
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowDown")
+    moved = editor(simulate, "scene.pushers[0].drive.waypoints")
+    for (t, x, y, angle), row in zip(path, moved, strict=True):
+        assert row == pytest.approx([t, x, y - 0.001, angle])
+
+
+def test_a_file_is_opened_and_one_that_is_none_is_refused(simulate, tmp_path):
+    good, bad = tmp_path / "my scene.yaml", tmp_path / "bad.yaml"
+    simulate.click("#things label:nth-child(3)")
+    with simulate.expect_download() as download:
+        simulate.click("#save")
+    text = download.value.path().read_text().replace("fixel-1", "<b>peg</b>")
+    good.write_text(text)
+    bad.write_text("fixel: [")
+    simulate.set_input_files("#file", good)
+    simulate.wait_for_selector("#things >> text=<b>peg</b>")
+    assert simulate.input_value("#file-name") == "my-scene"
+    simulate.expected_problems.append("422")
+    simulate.set_input_files("#file", bad)
+    simulate.wait_for_selector(".toast.bad")
+    assert editor(simulate, "scene.fixels[0].name") == "<b>peg</b>"

@@ -1,0 +1,191 @@
+"""The gate and the conventions of the interface for programs."""
+
+import http.client
+import json
+import socket
+import subprocess
+import sys
+
+import pytest
+from tests.web.client import Client
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.web.app import create_app
+from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
+from fixel.web.project import Desk, project_api, project_pages, project_server
+from fixel.web.security import MOST_BODY, WORD_HEADER, Gate
+
+HERE = "http://127.0.0.1:8000"
+
+
+class Bench:
+    def __init__(self, folder):
+        self.gate = Gate()
+        self.desk = Desk(Project.open(folder))
+        self.app = create_app(
+            project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
+        )
+
+    def client(self, *, let_in=True, **options):
+        cookies = {self.gate.cookie: self.gate.session} if let_in else None
+        return Client(self.app, HERE, cookies=cookies, **options)
+
+    @property
+    def token(self):
+        return {"authorization": f"Bearer {self.gate.token}"}
+
+
+@pytest.fixture(scope="module")
+def bench(project):
+    made = Bench(project)
+    yield made
+    made.desk.close()
+
+
+def test_a_program_gets_in_with_the_token(bench):
+    client = bench.client(let_in=False)
+    answer = client.get("/api/v1/project", headers=bench.token)
+    assert answer.status_code == 200
+    assert answer.json()["name"] == "my_lab"
+    assert answer.json()["datasets"] == {"testbed": 30}
+    assert "set-cookie" not in answer.headers
+
+
+@pytest.mark.parametrize(
+    "header", ["Bearer guess", "Bearer ", "Basic {token}", "{token}", "Bearer {token} {token}"]
+)
+def test_and_with_nothing_else(bench, header):
+    # Not even with the cookie: a program that sends a wrong token should hear of it.
+    for client in (bench.client(), bench.client(let_in=False)):
+        sent = {"authorization": header.format(token=bench.gate.token)}
+        answer = client.get("/api/v1/project", headers=sent)
+        assert answer.status_code == 401
+        assert answer.headers["www-authenticate"] == "Bearer"
+        assert answer.json()["hint"]
+
+
+def test_no_page_of_another_site_with_the_token(bench):
+    sent = bench.token | {"origin": "http://evil.example"}
+    assert bench.client().get("/api/v1/project", headers=sent).status_code == 401
+
+
+def test_refusals_at_the_gate_are_documents(bench):
+    answer = bench.client(let_in=False).get("/api/v1/project")
+    assert answer.status_code == 403
+    assert "link" in answer.json()["sentence"]
+
+
+def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
+    client = bench.client()
+    document = client.get("/api/v1/nothing")
+    assert (document.status_code, document.json()["status"]) == (404, 404)
+    page = client.get("/nothing")
+    assert page.status_code == 404
+    assert "To the first page" in page.text
+
+
+def test_everything_is_described(bench):
+    described = bench.client().get("/api/v1/openapi.json").json()
+    assert described["servers"] == [{"url": "/api/v1"}]
+    for path, entries in described["paths"].items():
+        for method, entry in entries.items():
+            assert entry["summary"], (method, path)
+            assert entry["tags"], (method, path)
+            assert "4XX" in entry["responses"], (method, path)
+
+
+def test_the_guide_names_every_operation(bench):
+    guide = bench.client().get("/api").text
+    described = bench.client().get("/api/v1/openapi.json").json()
+    for path in described["paths"]:
+        assert f"/api/v1{path}" in guide
+    assert bench.gate.token not in guide
+
+
+def test_long_bodies_are_refused(bench):
+    sent = {WORD_HEADER: bench.gate.word}
+    answer = bench.client().request(
+        "POST", "/api/v1/project", headers=sent, content=b"x" * (MOST_BODY + 1)
+    )
+    assert answer.status_code == 413
+
+
+def test_pages_are_strict(bench):
+    client = bench.client()
+    for page in project_pages(bench.desk):
+        text = client.get(page.path.replace("{number}", "1")).text
+        assert 'style="' not in text
+        assert "<script>" not in text
+        assert "https://" not in text
+
+
+@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("ground", [LIGHT, DARK])
+def test_colours_can_be_read(role, ground):
+    assert contrast_of(readable(ROLES[role], ground, READABLE), ground) >= 4.5
+
+
+def test_the_palette_is_that_of_the_figures():
+    assert "--body: #0072b2;" in palette_css()
+    assert contrast_of("#000000", "#ffffff") == pytest.approx(21.0)
+
+
+# --- the command ------------------------------------------------------------------------------
+
+
+def test_other_machines_only_where_that_is_said(project):
+    from fixel.cli.serve import serve
+
+    with pytest.raises(InvalidInput, match="--allow-others"):
+        serve(project, host="0.0.0.0")
+
+
+def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
+    import signal
+    import urllib.request
+
+    code = "from fixel.cli.main import run; run()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "serve", str(project), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        said = json.loads(process.stdout.readline())
+        assert said["project"] == "my_lab"
+        page, _, token = said["link"].partition("?token=")
+        asked = urllib.request.Request(
+            f"{page}api/v1/project", headers={"Authorization": f"Bearer {token}"}
+        )
+        with urllib.request.urlopen(asked, timeout=5) as answer:
+            assert json.load(answer)["name"] == "my_lab"
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=5)
+    assert process.returncode == 0
+    assert token not in out + err
+
+
+def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
+    server = project_server(bench.desk, host="0.0.0.0")
+    with server:
+        assert socket.gethostname() in server.link
+        for name, status in ((socket.gethostname(), 200), ("evil.example", 400)):
+            line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+            line.request(
+                "GET",
+                "/api/v1/project",
+                headers={"host": name, "authorization": f"Bearer {server.gate.token}"},
+            )
+            assert line.getresponse().status == status
+            line.close()
+
+
+def test_a_port_that_is_taken(project):
+    from fixel.cli.serve import serve
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InvalidInput, match="--port"):
+            serve(project, port=taken.getsockname()[1])
