@@ -19,7 +19,7 @@ function cell(text, kind = "td") {
   return node;
 }
 
-/** @param {any} part @param {{mm: number, deg: number}} decimals */
+/** @param {any} part @param {number} decimals */
 function row(part, decimals) {
   const node = document.createElement("tr");
   node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
@@ -41,7 +41,7 @@ function row(part, decimals) {
   return node;
 }
 
-/** @param {any} part @param {{mm: number, deg: number}} within @param {{mm: number, deg: number}} decimals */
+/** @param {any} part @param {{mm: number, deg: number}} within @param {number} decimals */
 function guide(part, within, decimals) {
   at("guide").hidden = !part || !part.seen;
   if (!part || !part.seen) return;
