@@ -1,12 +1,16 @@
 """Shared by all tests: a quiet Matplotlib, Hypothesis profiles, and real data if there is any."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Shells start what runs in the background with Ctrl-C ignored; then no test of it could pass.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

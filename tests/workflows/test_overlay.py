@@ -138,7 +138,9 @@ def test_a_mirrored_picture():
     mirrored = np.ascontiguousarray(plate_picture(RIG, AT_HOME)[:, ::-1])
     for k in range(3):
         assert "mirror" in overlay.look(frame(mirrored, 0.1 * k)).problems[0]
-    assert overlay.look(frame(plate_picture(RIG, AT_HOME), 1.0)).placed
+    # What was not found for a while is looked for in every fourth frame.
+    right = plate_picture(RIG, AT_HOME)
+    assert any([overlay.look(frame(right, 1.0 + 0.1 * k)).placed for k in range(4)])
     empty = np.full((360, 640, 3), 90, dtype=np.uint8)
     assert overlay.look(frame(empty, 2.0)).state == "not-seen"
 
