@@ -65,6 +65,7 @@ class _Served:
         code = "from fixel.cli.main import run; run()"
         command = [sys.executable, "-c", code, "serve", str(project), "--json", "--no-open"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
         self.link = json.loads(self.process.stdout.readline())["link"]
         self.address, _, self.token = self.link.partition("/?token=")
         time.sleep(3.0)  # other pages get ready in the background
