@@ -166,4 +166,5 @@ def _window(
     right, bottom = min(int(middle[0] + half) + 1, width), min(int(middle[1] + half) + 1, height)
     if right - left < half or bottom - top < half:
         return None, (0, 0)
-    return frame.colour(slice(top, bottom), slice(left, right)), (left, top)
+    # Always a copy: of each kind of array the loops would be compiled anew.
+    return np.array(frame.colour(slice(top, bottom), slice(left, right))), (left, top)

@@ -157,7 +157,8 @@ def window_of(
     bottom = min(int(box[1, 1] + beyond) + 1, height)
     if right - left < SMALLEST or bottom - top < SMALLEST:
         return None
-    return frame.luma_in(slice(top, bottom), slice(left, right)), (left, top)
+    # Always a copy: of each kind of array the loops would be compiled anew.
+    return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)
 
 
 def circle_edges(radius: float, height: float, *, dark_inside: bool, points: int = 40) -> Edges:

@@ -20,6 +20,31 @@ SAME = 0.005  # [px] of change between them that ends it
 OPEN = 1e-3  # least over largest pivot, below which the edges tell no pose
 
 
+@kernel
+def _ranked(values: FloatArray, n: int, rank: int) -> float:
+    """Which of the first n values has a rank from below, by Hoare's selection; reorders them."""
+    first, last = 0, n - 1
+    while first < last:
+        pivot = values[(first + last) // 2]
+        i, j = first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if rank <= j:
+            last = j
+        elif rank >= i:
+            first = i
+        else:
+            break
+    return float(values[rank])
+
+
 @entry
 def plausible(
     found: FloatArray, group: NDArray[np.int64], clear: BoolArray, usable: BoolArray
@@ -42,8 +67,7 @@ def plausible(
             end += 1
         if count >= LEAST_LEVELS:
             half = count // 2
-            low = np.partition(dark[:count], half)[half]
-            high = np.partition(bright[:count], half)[half]
+            low, high = _ranked(dark, count, half), _ranked(bright, count, half)
             slack = LEVEL * (high - low)
             for i in range(start, end):
                 usable[i] = (
