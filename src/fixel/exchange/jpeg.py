@@ -8,6 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg_blocks import JpegBlocks, blocks_of
 from fixel.vision.frame import Gray, Picture
 
 BEGIN: Final = b"\xff\xd8"
@@ -87,30 +88,60 @@ def shrunk(picture: Picture) -> Gray:
 
 @final
 class JpegPlanes:
-    """A JPEG picture for `Frame`: brightness alone costs half of what colours cost.
+    """A JPEG picture for `Frame`: windows of it are decoded alone, where it is of the usual kind.
 
     Parameters
     ----------
     data : bytes
+    size : (int, int)
+        Width and height [px].
     where : str
         What it is called where it turns out to be spoilt.
     """
 
-    __slots__ = ("_data", "_picture", "_where")
+    __slots__ = ("_blocks", "_data", "_looked", "_luma", "_picture", "_where", "size")
 
-    def __init__(self, data: bytes, where: str = "picture") -> None:
+    def __init__(self, data: bytes, size: tuple[int, int], where: str = "picture") -> None:
         self._data, self._where = data, where
+        self.size = size
         self._picture: Picture | None = None
+        self._luma: Gray | None = None
+        self._blocks: JpegBlocks | None = None
+        self._looked = False
 
     def luma(self) -> Gray:
         """(height, width) of brightness."""
-        return brightness(self._data, where=self._where)
+        if self._luma is None:
+            self._luma = brightness(self._data, where=self._where)
+        return self._luma
+
+    def luma_in(self, rows: slice, columns: slice) -> Gray:
+        """(height, width) of brightness in a window."""
+        if self._luma is None:
+            blocks = self._walked()
+            window = None if blocks is None else blocks.luma(rows, columns)
+            if window is not None:
+                return window
+        return self.luma()[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
         """(height, width, 3) blue, green, red of a window."""
+        width, height = self.size
+        whole = rows.indices(height)[:2] == (0, height) and columns.indices(width)[:2] == (0, width)
+        if self._picture is None and not whole:
+            blocks = self._walked()
+            window = None if blocks is None else blocks.colour(rows, columns)
+            if window is not None:
+                return window
         if self._picture is None:
             self._picture = decoded(self._data, self._where)
         return self._picture[rows, columns]
+
+    def _walked(self) -> JpegBlocks | None:
+        if not self._looked:
+            self._looked = True
+            self._blocks = blocks_of(self._data)
+        return self._blocks
 
 
 def _spoilt(where: str, problem: Exception) -> InvalidInput:

@@ -179,7 +179,7 @@ class PictureDecoder:
         """The frame in a packet, None where there is no picture of this size in it."""
         if self._codec is None:
             fits = jpeg_size(data) == self._size
-            return Frame(time, planes=JpegPlanes(data, where)) if fits else None
+            return Frame(time, planes=JpegPlanes(data, self._size, where)) if fits else None
         import av
 
         from fixel.exchange.video_planes import DecodedPlanes

@@ -41,11 +41,20 @@ class DecodedPlanes:
         self._full = self._format.startswith("yuvj") or int(decoded.color_range) == FULL_RANGE
         self._size: tuple[int, int] = (decoded.width, decoded.height)
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self._size
+
     def luma(self) -> Gray:
         """(height, width) of brightness, as it is stored."""
         if self._format in BRIGHT_FIRST:
             return self._plane(0, *self._size)
         return np.asarray(np.rint(self._all() @ LUMA), dtype=np.uint8)
+
+    def luma_in(self, rows: slice, columns: slice) -> Gray:
+        """(height, width) of brightness in a window."""
+        return self.luma()[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
         """(height, width, 3) blue, green, red of a window."""

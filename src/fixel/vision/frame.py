@@ -17,8 +17,15 @@ LUMA = np.array([0.114, 0.587, 0.299])
 class Planes(Protocol):
     """A decoded picture that has not been turned into colours yet."""
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+
     def luma(self) -> Gray:
         """(height, width) of brightness, not to be written to."""
+
+    def luma_in(self, rows: slice, columns: slice) -> Gray:
+        """The same of a window."""
 
     def colour(self, rows: slice, columns: slice) -> Picture:
         """(height, width, 3) blue, green, red of a window."""
@@ -68,6 +75,12 @@ class Frame:
             self._luma = self._planes.luma() if self._planes else _gray(self.picture)
         return self._luma
 
+    def luma_in(self, rows: slice, columns: slice) -> Gray:
+        """(height, width) uint8 of brightness in a window, decoded alone where that is possible."""
+        if self._luma is None and self._planes is not None:
+            return self._planes.luma_in(rows, columns)
+        return self.luma[rows, columns]
+
     def colour(self, rows: slice, columns: slice) -> Picture:
         """(height, width, 3) uint8 of a window, blue, green, red."""
         if self._picture is None:
@@ -78,7 +91,10 @@ class Frame:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height [px]."""
-        height, width = (self.luma if self._picture is None else self._picture).shape[:2]
+        if self._picture is None:
+            assert self._planes is not None
+            return self._planes.size
+        height, width = self._picture.shape[:2]
         return width, height
 
     def __repr__(self) -> str:

@@ -14,7 +14,7 @@ from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.tracking.outline import LEAST_SCATTER, fit_pose
+from fixel.vision.tracking.outline import LEAST_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges
 
@@ -66,8 +66,12 @@ def plate_offsets(rig: Rig, frame: Frame) -> dict[int, FloatArray]:
     """(2,) how far tags of the plate are off their places, in the plane [m], by id."""
     offsets: dict[int, FloatArray] = {}
     for tag in rig.plate:
+        edges, pose = tag_edges(tag, 0), np.zeros(3)
+        window = window_of(frame, rig.camera, edges, pose, FOUND)
+        if window is None:
+            continue
         fit = fit_pose(
-            frame.luma, rig.camera, tag_edges(tag, 0), np.zeros(3), reach=FOUND, turns=False
+            window[0], rig.camera, edges, pose, reach=FOUND, turns=False, corner=window[1]
         )
         if fit is not None and fit.residual < 1.0:
             offsets[tag.id] = fit.pose[:2]

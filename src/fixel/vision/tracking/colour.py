@@ -9,9 +9,12 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Gray, Picture
+from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Sticker
 from fixel.vision.opencv import opencv
+from fixel.vision.tracking.cover import RING, cover
+from fixel.vision.tracking.loops import box_of
+from fixel.vision.tracking.optics import optics_of, seen_at
 from fixel.vision.tracking.outline import Edges, Fit, circle_edges, fit_pose
 
 # Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
@@ -29,9 +32,6 @@ LEAST_SATURATION: Final = 75  # of 255
 LEAST_BRIGHTNESS: Final = 35  # of 255
 AREA: Final = (0.45, 1.8)  # of what it should be, for what might be a sticker
 ROUND: Final = 0.6  # least share of its box, and of the box's sides, of something round
-CORE, RING = 0.55, (1.35, 1.75)  # of the radius: surely inside, surely outside
-CONTRAST: Final = 25.0  # of 255 between a sticker and what is around it
-COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
 RIM: Final = 14.0  # [px] around a sticker that is looked at
 
 
@@ -120,18 +120,19 @@ def fit_sticker(
     Fit, or a reason why there is none.
     """
     radius = sticker.diameter / 2.0
-    middle = camera.project_at(place, sticker.height)
-    in_pixels = radius / _scale(camera, sticker.height)
+    edges = _rim(radius, sticker.height)
+    in_pixels = _in_pixels(camera, edges, place)
+    middle = seen_at(camera, place, sticker.height)
     window, corner = _window(frame, middle, RING[1] * in_pixels + RIM)
     if window is None:
         return f"the {sticker.colour} sticker is out of the picture"
     fit: Fit | None = None
     pose = np.append(place, 0.0)
     for look in (reach, 3.2):
-        covered = _coverage(window, camera.project_at(pose[:2], sticker.height) - corner, in_pixels)
-        if covered is None:
+        u, v = seen_at(camera, pose[:2], sticker.height)
+        covered = np.empty(window.shape[:2], np.uint8)
+        if not cover(window, u - corner[0], v - corner[1], in_pixels, covered):
             return f"the {sticker.colour} sticker does not show"
-        edges = _rim(radius, sticker.height)
         fit = fit_pose(
             covered, camera, edges, pose, reach=look, turns=False, rounds=2, corner=corner
         )
@@ -149,34 +150,21 @@ def _rim(radius: float, height: float) -> Edges:
     return circle_edges(radius, height, dark_inside=False, points=32)
 
 
-@functools.lru_cache(maxsize=32)
-def _scale(camera: Camera, height: float) -> float:
-    return camera.metres_per_pixel(height)
+def _in_pixels(camera: Camera, edges: Edges, place: FloatArray) -> float:
+    """Radius of a circle at a place, as the picture has it on average [px]."""
+    box = np.empty((2, 2))
+    if not box_of(optics_of(camera), edges.thing, np.append(place, 0.0), box):
+        return 1.0
+    return float(0.25 * (box[1] - box[0]).sum())
 
 
 def _window(
-    frame: Frame, middle: FloatArray, half: float
+    frame: Frame, middle: tuple[float, float], half: float
 ) -> tuple[Picture | None, tuple[int, int]]:
     width, height = frame.size
-    left, top = (max(int(x), 0) for x in np.floor(middle - half))
+    left, top = (max(int(x), 0) for x in (middle[0] - half, middle[1] - half))
     right, bottom = min(int(middle[0] + half) + 1, width), min(int(middle[1] + half) + 1, height)
     if right - left < half or bottom - top < half:
         return None, (0, 0)
-    return frame.colour(slice(top, bottom), slice(left, right)), (left, top)
-
-
-def _coverage(window: Picture, middle: FloatArray, radius: float) -> Gray | None:
-    """How much of each pixel the sticker covers, as a picture; None where nothing stands out."""
-    height, width = window.shape[:2]
-    apart = np.hypot(np.arange(height)[:, None] - middle[1], np.arange(width) - middle[0]) / radius
-    inside, around = window[apart < CORE], window[(apart > RING[0]) & (apart < RING[1])]
-    if len(inside) < 4 or len(around) < 8:
-        return None
-    colour, ground = inside.mean(0, dtype=np.float32), around.mean(0, dtype=np.float32)
-    difference = colour - ground
-    square = float(difference @ difference)
-    if square < CONTRAST**2:
-        return None
-    share = window.astype(np.float32) @ (difference / square) - float(ground @ difference) / square
-    covered: Gray = np.clip(BARE + (COVERED - BARE) * share, 0.0, 255.0).astype(np.uint8)
-    return covered
+    # Always a copy: of each kind of array the loops would be compiled anew.
+    return np.array(frame.colour(slice(top, bottom), slice(left, right))), (left, top)

@@ -11,7 +11,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Fixel
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose
+from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.tracked import FoundFixel
 
 REACH_FIRST: Final = 10.0  # [px] from where the scene has it
@@ -64,7 +64,12 @@ class FixelFinder:
         share, dark = ring
         edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
         pose = np.append(start, 0.0)
-        fit = fit_pose(frame.luma, self._camera, edges, pose, reach=reach, turns=False)
+        window = window_of(frame, self._camera, edges, pose, reach)
+        if window is None:
+            return None
+        fit = fit_pose(
+            window[0], self._camera, edges, pose, reach=reach, turns=False, corner=window[1]
+        )
         if fit is None or fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
             return None
         return fit

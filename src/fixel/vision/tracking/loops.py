@@ -18,9 +18,20 @@ SHIFTS = 4  # of that window onto the centre of what is in it
 BESIDE = 2.5  # [px] from an edge to where its dark and its bright side are judged
 LEAST_RISE = 12.0  # of brightness, of 255, below which nothing is an edge
 
-ROUNDS = 12  # of weighting, at most
-SAME = 0.005  # [px] of change between them that ends it
-OPEN = 1e-3  # least over largest pivot, below which the edges tell no pose
+NUDGE = 1e-5  # [m], for derivatives of pixels by places
+
+
+@kernel
+def _bilinear(picture: Gray, u: float, v: float) -> float:
+    """Brightness at a place; beyond the picture, as at its border."""
+    height, width = picture.shape
+    u = min(max(u, 0.0), width - 1.0)
+    v = min(max(v, 0.0), height - 1.0)
+    x, y = min(int(u), width - 2), min(int(v), height - 2)
+    a, b = u - x, v - y
+    above = (1.0 - a) * picture[y, x] + a * picture[y, x + 1]
+    below = (1.0 - a) * picture[y + 1, x] + a * picture[y + 1, x + 1]
+    return float((1.0 - b) * above + b * below)
 
 
 @entry
@@ -45,13 +56,7 @@ def edges_along(
         u0, v0 = pixel[i, 0], pixel[i, 1]
         for k in range(m):
             s = STEP * (k - half)
-            u = min(max(u0 + s * normal[i, 0], 0.0), width - 1.0)
-            v = min(max(v0 + s * normal[i, 1], 0.0), height - 1.0)
-            x, y = min(int(u), width - 2), min(int(v), height - 2)
-            a, b = u - x, v - y
-            above = (1.0 - a) * picture[y, x] + a * picture[y, x + 1]
-            below = (1.0 - a) * picture[y + 1, x] + a * picture[y + 1, x + 1]
-            profile[k] = (1.0 - b) * above + b * below
+            profile[k] = _bilinear(picture, u0 + s * normal[i, 0], v0 + s * normal[i, 1])
         best, fastest = 0, -1e300
         for k in range(m - 1):
             last, first = min(k + 2, m - 1), max(k - 1, 0)
@@ -85,141 +90,143 @@ def edges_along(
 
 
 @kernel
-def _solve(
-    slope: FloatArray,
-    offset: FloatArray,
-    usable: BoolArray,
-    weight: FloatArray,
-    size: FloatArray,
-    factor: FloatArray,
-    step: FloatArray,
-) -> bool:
-    """Weighted least squares by Cholesky's factor of the normal equations, which it writes too."""
-    n, m = slope.shape
-    factor[:] = 0.0
-    step[:] = 0.0
-    for i in range(n):
-        if usable[i]:
-            for j in range(m):
-                row = weight[i] * slope[i, j] / size[j]
-                step[j] += row * offset[i]
-                for k in range(j + 1):
-                    factor[j, k] += row * slope[i, k] / size[k]
-    largest = 0.0
-    for j in range(m):
-        largest = max(largest, factor[j, j])
-    for j in range(m):
-        for k in range(j + 1):
-            total = factor[j, k]
-            for q in range(k):
-                total -= factor[j, q] * factor[k, q]
-            if j > k:
-                factor[j, k] = total / factor[k, k]
-            elif total < OPEN * largest or total <= 0.0:
-                return False
-            else:
-                factor[j, j] = math.sqrt(total)
-    for j in range(m):
-        for k in range(j):
-            step[j] -= factor[j, k] * step[k]
-        step[j] /= factor[j, j]
-    for j in range(m - 1, -1, -1):
-        for k in range(j + 1, m):
-            step[j] -= factor[k, j] * step[k]
-        step[j] /= factor[j, j]
-    for j in range(m):
-        step[j] /= size[j]
-    return True
-
-
-@kernel
-def _inverse(factor: FloatArray, column: FloatArray, inverse: FloatArray) -> None:
-    """Of the matrix whose Cholesky factor this is."""
-    m = len(factor)
-    for c in range(m):
-        for j in range(m):
-            column[j] = 1.0 if j == c else 0.0
-            for k in range(j):
-                column[j] -= factor[j, k] * column[k]
-            column[j] /= factor[j, j]
-        for j in range(m - 1, -1, -1):
-            for k in range(j + 1, m):
-                column[j] -= factor[k, j] * column[k]
-            column[j] /= factor[j, j]
-        for j in range(m):
-            inverse[j, c] = column[j]
+def _pixel(optics: FloatArray, x: float, y: float, z: float) -> tuple[float, float, bool]:
+    """Pixel of a point of the world, as `Camera.project`, and whether there is one."""
+    depth = optics[6] * x + optics[7] * y + optics[8] * z + optics[11]
+    if not depth > 0.0:
+        return 0.0, 0.0, False
+    p = (optics[0] * x + optics[1] * y + optics[2] * z + optics[9]) / depth
+    q = (optics[3] * x + optics[4] * y + optics[5] * z + optics[10]) / depth
+    if optics[17] > 0.0:
+        r = math.hypot(p, q)
+        a = math.atan(r)
+        a2 = a * a
+        seen = a * (
+            1.0
+            + a2
+            * (optics[18] + a2 * (optics[18 + 1] + a2 * (optics[18 + 2] + a2 * optics[18 + 3])))
+        )
+        ratio = seen / r if r > 0.0 else 1.0
+        p, q = p * ratio, q * ratio
+    else:
+        r2 = p * p + q * q
+        radial = (1.0 + r2 * (optics[18] + r2 * (optics[18 + 1] + r2 * optics[18 + 4]))) / (
+            1.0 + r2 * (optics[18 + 5] + r2 * (optics[18 + 6] + r2 * optics[18 + 7]))
+        )
+        aside = 2.0 * optics[18 + 2] * p * q + optics[18 + 3] * (r2 + 2.0 * p * p)
+        down = optics[18 + 2] * (r2 + 2.0 * q * q) + 2.0 * optics[18 + 3] * p * q
+        p, q = p * radial + aside, q * radial + down
+    u = (p + optics[16] * q) * optics[12] + optics[14]
+    v = q * optics[13] + optics[15]
+    return u, v, math.isfinite(u) and math.isfinite(v)
 
 
 @entry
-def solve_robustly(
-    slope: FloatArray,
-    offset: FloatArray,
-    usable: BoolArray,
-    least: float,
-    cut: float,
-    step: FloatArray,
-    covariance: FloatArray,
-    used: BoolArray,
-    room: FloatArray,
-    square: FloatArray,
-) -> float:
-    """Least squares of `slope @ step = offset` without what does not agree.
+def pixel_of(optics: FloatArray, x: float, y: float, z: float) -> tuple[float, float, bool]:
+    """Pixel of a point of the world, and whether there is one."""
+    return _pixel(optics, x, y, z)
 
-    Weights of Cauchy find the rows that agree, whatever the others are; these alone then count.
-    Writes the step (m,), its covariance (m, m), and which rows were used (n,); `room` (4, n) and
-    `square` (m + 2, m) are to work in.
+
+@entry
+def box_of(optics: FloatArray, thing: FloatArray, pose: FloatArray, box: FloatArray) -> bool:
+    """Write the least and largest pixel (2, 2) of a thing, and tell whether the camera has one."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    box[0, :], box[1, :] = math.inf, -math.inf
+    for i in range(len(thing)):
+        x = c * thing[i, 0] - s * thing[i, 1] + pose[0]
+        y = s * thing[i, 0] + c * thing[i, 1] + pose[1]
+        u, v, there = _pixel(optics, x, y, thing[i, 4])
+        if not there:
+            return False
+        box[0, 0], box[0, 1] = min(box[0, 0], u), min(box[0, 1], v)
+        box[1, 0], box[1, 1] = max(box[1, 0], u), max(box[1, 1], v)
+    return True
+
+
+@entry
+def edges_expected(
+    optics: FloatArray,
+    corner: FloatArray,
+    thing: FloatArray,
+    pose: FloatArray,
+    pixel: FloatArray,
+    normal: FloatArray,
+    slope: FloatArray,
+) -> bool:
+    """Write where edges are expected, and (n, m) how they move along their normals with the pose.
+
+    `thing` (n, 5) holds points, directions from dark to bright, and heights.
 
     Returns
     -------
-    float
-        Root mean square of what is left over [px], or -1 where the rows leave something open.
+    bool
+        Whether all of it lies before the camera.
     """
-    n, m = slope.shape
-    weight, rest, before, sizes = room
-    size, factor = square[m], square[:m]
-    weight[:] = 1.0
-    before[:] = 0.0
-    for j in range(m):
-        size[j] = np.abs(slope[:, j]).max()
-        if not size[j] > 0.0:
-            return -1.0
-    scatter = least
-    for _ in range(ROUNDS):
-        if not _solve(slope, offset, usable, weight, size, factor, step):
-            return -1.0
-        change, count = 0.0, 0
-        for i in range(n):
-            if usable[i]:
-                rest[i] = offset[i]
-                for j in range(m):
-                    rest[i] -= slope[i, j] * step[j]
-                change = max(change, abs(rest[i] - before[i]))
-                before[i] = rest[i]
-                sizes[count] = abs(rest[i])
-                count += 1
-        scatter = max(1.4826 * np.median(sizes[:count]), least)
-        if change < SAME:
-            break
-        for i in range(n):
-            weight[i] = 1.0 / (1.0 + (rest[i] / scatter) ** 2)
-    count = 0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for i in range(len(thing)):
+        x = c * thing[i, 0] - s * thing[i, 1]
+        y = s * thing[i, 0] + c * thing[i, 1]
+        out_x = c * thing[i, 2] - s * thing[i, 3]
+        out_y = s * thing[i, 2] + c * thing[i, 3]
+        z = thing[i, 4]
+        u, v, there = _pixel(optics, x + pose[0], y + pose[1], z)
+        u_x, v_x, there_x = _pixel(optics, x + pose[0] + NUDGE, y + pose[1], z)
+        u_y, v_y, there_y = _pixel(optics, x + pose[0], y + pose[1] + NUDGE, z)
+        if not (there and there_x and there_y):
+            return False
+        u_x, v_x = (u_x - u) / NUDGE, (v_x - v) / NUDGE
+        u_y, v_y = (u_y - u) / NUDGE, (v_y - v) / NUDGE
+        # Along the edge itself, in the picture; and across it.
+        n_u, n_v = out_x * v_y - out_y * v_x, out_y * u_x - out_x * u_y
+        length = math.hypot(n_u, n_v)
+        if not length > 0.0:
+            return False
+        # The picture is mirrored against the plane; the normal has to point as `outward` does.
+        if n_u * (u_x * out_x + u_y * out_y) + n_v * (v_x * out_x + v_y * out_y) < 0.0:
+            length = -length
+        n_u, n_v = n_u / length, n_v / length
+        pixel[i, 0], pixel[i, 1] = u - corner[0], v - corner[1]
+        normal[i, 0], normal[i, 1] = n_u, n_v
+        dx, dy = u_x * n_u + v_x * n_v, u_y * n_u + v_y * n_v
+        slope[i, 0], slope[i, 1] = dx, dy
+        if slope.shape[1] > 2:
+            slope[i, 2] = x * dy - y * dx
+    return True
+
+
+@entry
+def cells_right(
+    picture: Gray,
+    corner: FloatArray,
+    optics: FloatArray,
+    middle: FloatArray,
+    height: float,
+    white: BoolArray,
+    pose: FloatArray,
+    contrast: float,
+) -> float:
+    """Share of the cells (n, 2) of a tag that are as black and white as they should be."""
+    n = len(middle)
+    level, dark, bright = np.empty(n), np.empty(n), np.empty(n)
+    n_dark = n_bright = 0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(n):
-        used[i] = usable[i] and abs(rest[i]) < cut * scatter
-        weight[i] = 1.0
-        count += used[i]
-    if count < 2 * m + 2 or not _solve(slope, offset, used, weight, size, factor, step):
-        return -1.0
-    total = 0.0
+        x = c * middle[i, 0] - s * middle[i, 1] + pose[0]
+        y = s * middle[i, 0] + c * middle[i, 1] + pose[1]
+        u, v, there = _pixel(optics, x, y, height)
+        if not there:
+            return 0.0
+        level[i] = _bilinear(picture, u - corner[0], v - corner[1])
+        if white[i]:
+            bright[n_bright] = level[i]
+            n_bright += 1
+        else:
+            dark[n_dark] = level[i]
+            n_dark += 1
+    low, high = np.median(dark[:n_dark]), np.median(bright[:n_bright])
+    if high - low < contrast:
+        return 0.0
+    right = 0
     for i in range(n):
-        if used[i]:
-            left = offset[i]
-            for j in range(m):
-                left -= slope[i, j] * step[j]
-            total += left * left
-    residual = math.sqrt(total / count)
-    _inverse(factor, square[m + 1], covariance)
-    variance = max(residual, least) ** 2
-    for j in range(m):
-        for k in range(m):
-            covariance[j, k] *= variance / (size[j] * size[k])
-    return residual
+        right += (level[i] > 0.5 * (low + high)) == white[i]
+    return right / n

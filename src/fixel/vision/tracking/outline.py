@@ -7,23 +7,24 @@ The pose is planar: what moves on the plate cannot flip.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray, Comparable
+from fixel.model.fields import BoolArray, Comparable, settle
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Gray
-from fixel.vision.tracking.edges import EdgeLine, Found, find_edges
-from fixel.vision.tracking.loops import solve_robustly
+from fixel.vision.frame import Frame, Gray
+from fixel.vision.tracking.loops import box_of, edges_along, edges_expected
+from fixel.vision.tracking.optics import optics_of
+from fixel.vision.tracking.solver import plausible, solve_robustly
 
-NUDGE: Final = 1e-5  # [m], for derivatives of pixels by places
 ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
 LEAST_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
-LEVEL: Final = 0.35  # how far from the usual, as a share of the contrast, brightness may be
 LEAST_SHARE: Final = 0.25  # of all points that must show an edge
+BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to it
+SMALLEST: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
 SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
@@ -50,6 +51,10 @@ class Edges(Comparable):
     outward: FloatArray
     height: FloatArray
     group: np.ndarray[tuple[int], np.dtype[np.int64]]
+    thing: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        settle(self, thing=np.column_stack((self.point, self.outward, self.height)))
 
 
 class Fit(NamedTuple):
@@ -109,25 +114,51 @@ def fit_pose(
     -------
     Fit, or None where too few edges are to be seen to tell a pose.
     """
-    n_unknown = 3 if turns else 2
-    fit: Fit | None = None
-    for round_ in range(rounds):
-        line, slope = _expected(camera, edges, pose)
-        look = reach if round_ == 0 else min(reach, NEAR)
-        found = find_edges(picture, line._replace(pixel=line.pixel - corner), look)
-        usable = found.clear & _plausible(found, edges.group)
-        solved = _solved(np.ascontiguousarray(slope[:, :n_unknown]), found.offset, usable)
-        if solved is None:
+    n, m = len(edges.point), 3 if turns else 2
+    optics = optics_of(camera)
+    origin = np.array(corner, dtype=np.float64)
+    pose = np.array(pose, dtype=np.float64)
+    pixel, normal, slope = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, m))
+    found, room = np.empty((n, 3)), np.empty((4, n))
+    clear, usable, used = (np.empty(n, dtype=np.bool_) for _ in range(3))
+    step, covariance, square = np.empty(m), np.empty((m, m)), np.empty((m + 2, m))
+    residual = 0.0
+    for look in range(rounds):
+        if not edges_expected(optics, origin, edges.thing, pose, pixel, normal, slope):
             return None
-        step, covariance, residual, used = solved
-        pose = pose.copy()
-        pose[:n_unknown] += step
-        full = np.zeros((3, 3))
-        full[:n_unknown, :n_unknown] = covariance
-        fit = Fit(pose, full, residual, float(used.mean()), used)
-        if np.abs(slope[:, :n_unknown] @ step).max() < (SETTLED if round_ else FORESEEN):
+        edges_along(picture, pixel, normal, min(reach, NEAR) if look else reach, found, clear)
+        count = plausible(found, edges.group, clear, usable)
+        if count < LEAST_SHARE * n or count < 2 * m + 2:
+            return None
+        residual = solve_robustly(
+            slope, found, usable, LEAST_SCATTER, ROBUST, step, covariance, used, room, square
+        )
+        if residual < 0.0:
+            return None
+        pose[:m] += step
+        if np.abs(slope @ step).max() < (SETTLED if look else FORESEEN):
             break
-    return fit
+    full = np.zeros((3, 3))
+    full[:m, :m] = covariance
+    return Fit(pose, full, float(residual), np.count_nonzero(used) / n, used)
+
+
+def window_of(
+    frame: Frame, camera: Camera, edges: Edges, pose: FloatArray, reach: float
+) -> tuple[Gray, tuple[int, int]] | None:
+    """What a fit may look at, and its corner in the picture; None where that is out of it."""
+    box = np.empty((2, 2))
+    if not box_of(optics_of(camera), edges.thing, pose, box):
+        return None
+    beyond = 2.0 * reach + BESIDE_IT  # the first look may move it by its reach
+    width, height = frame.size
+    left, top = (max(int(low - beyond), 0) for low in box[0])
+    right = min(int(box[1, 0] + beyond) + 1, width)
+    bottom = min(int(box[1, 1] + beyond) + 1, height)
+    if right - left < SMALLEST or bottom - top < SMALLEST:
+        return None
+    # Always a copy: of each kind of array the loops would be compiled anew.
+    return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)
 
 
 def circle_edges(radius: float, height: float, *, dark_inside: bool, points: int = 40) -> Edges:
@@ -140,76 +171,3 @@ def circle_edges(radius: float, height: float, *, dark_inside: bool, points: int
         height=np.full(points, height),
         group=np.zeros(points, dtype=np.int64),
     )
-
-
-def _expected(camera: Camera, edges: Edges, pose: FloatArray) -> tuple[EdgeLine, FloatArray]:
-    """Where edges are expected, and (n, 3) how they move along their normals with the pose."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array([[c, -s], [s, c]])
-    place = edges.point @ turn.T
-    outward = edges.outward @ turn.T
-    around = np.empty((3, len(place), 3))
-    around[:, :, :2] = place + pose[:2]
-    around[:, :, 2] = edges.height
-    around[1, :, 0] += NUDGE
-    around[2, :, 1] += NUDGE
-    pixel, by_x, by_y = camera.project(around)
-    by_x = (by_x - pixel) / NUDGE
-    by_y = (by_y - pixel) / NUDGE
-    along = by_x * -outward[:, 1:] + by_y * outward[:, :1]  # the edge itself, in the picture
-    normal = np.column_stack((along[:, 1], -along[:, 0]))
-    normal /= np.hypot(*normal.T)[:, None]
-    # The picture is mirrored against the plane; the normal has to point as `outward` does.
-    across = by_x * outward[:, :1] + by_y * outward[:, 1:]
-    normal *= np.sign((normal * across).sum(1))[:, None]
-    dx, dy = (by_x * normal).sum(1), (by_y * normal).sum(1)
-    turning = -place[:, 1] * dx + place[:, 0] * dy
-    return EdgeLine(pixel, normal), np.column_stack((dx, dy, turning))
-
-
-def _plausible(found: Found, group: np.ndarray[tuple[int], np.dtype[np.int64]]) -> BoolArray:
-    """Which edges are as dark and as bright beside them as others of their group.
-
-    What covers a mark shows edges of its own; they rarely are from the mark's black to its white.
-    """
-    keep = found.clear.copy()
-    for index in range(int(group[-1]) + 1):
-        own = np.flatnonzero((group == index) & found.clear)
-        if len(own) < 4:
-            keep[own] = False
-            continue
-        dark, bright = found.dark[own], found.bright[own]
-        usual_dark, usual_bright = _middle(dark), _middle(bright)
-        slack = LEVEL * (usual_bright - usual_dark)
-        keep[own] = (np.abs(dark - usual_dark) < slack) & (np.abs(bright - usual_bright) < slack)
-    return np.asarray(keep)
-
-
-def _middle(values: FloatArray) -> float:
-    """A median, without the care of NumPy's."""
-    half = len(values) // 2
-    return float(np.partition(values, half)[half])
-
-
-def _solved(
-    slope: FloatArray, offset: FloatArray, usable: BoolArray
-) -> tuple[FloatArray, FloatArray, float, BoolArray] | None:
-    """Step of the pose, its covariance, scatter and the edges used; or none."""
-    n, m = slope.shape
-    count = int(np.count_nonzero(usable))
-    if count < LEAST_SHARE * n or count < 2 * m + 2:
-        return None
-    step, covariance, used = np.empty(m), np.empty((m, m)), np.empty(n, dtype=np.bool_)
-    residual = solve_robustly(
-        slope,
-        offset,
-        usable,
-        LEAST_SCATTER,
-        ROBUST,
-        step,
-        covariance,
-        used,
-        np.empty((4, n)),
-        np.empty((m + 2, m)),
-    )
-    return None if residual < 0.0 else (step, covariance, residual, used)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import BoolArray
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
@@ -25,7 +25,9 @@ from fixel.vision.tracking.base import (
     vague,
     worth_a_search,
 )
-from fixel.vision.tracking.outline import Edges, Fit, fit_pose
+from fixel.vision.tracking.loops import cells_right
+from fixel.vision.tracking.optics import optics_of
+from fixel.vision.tracking.outline import Edges, Fit, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
@@ -99,6 +101,7 @@ class _TaggedPart:
         self._name = name
         self._tags = tuple(tags)
         self._edges = joined([tag_edges(tag, k) for k, tag in enumerate(tags)])
+        self._cells = tuple(_cells_on(tag) for tag in tags)
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._prediction = Prediction()
@@ -107,7 +110,7 @@ class _TaggedPart:
     def see(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
         if expected is not None:
-            sight = self._followed(frame.luma, expected, REACH)
+            sight = self._followed(frame, expected, REACH)
             if sight.pose is not None:
                 return self._took(frame, sight)
         else:
@@ -115,11 +118,11 @@ class _TaggedPart:
         if not worth_a_search(self._lost):
             self._lost += 1
             return sight
-        read, reason = self._read(frame.luma)
+        read, reason = self._read(frame)
         if read is None:
             self._lost += 1
             return Sighting(reason=reason or sight.reason)
-        sight = self._followed(frame.luma, read, REACH_READ)
+        sight = self._followed(frame, read, REACH_READ)
         if sight.pose is None:
             self._lost += 1
             return sight
@@ -131,11 +134,15 @@ class _TaggedPart:
         self._prediction.seen(frame.time, sight.pose)
         return sight
 
-    def _followed(self, picture: Gray, pose: FloatArray, reach: float) -> Sighting:
-        fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach)
+    def _followed(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
+        window = window_of(frame, self._camera, self._edges, pose, reach)
+        if window is None:
+            return Sighting(reason="its tags are out of the picture")
+        picture, corner = window
+        fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach, corner=corner)
         if fit is None:
             return Sighting(reason="too few edges of its tags are to be seen")
-        agreeing = self._agreeing(picture, fit)
+        agreeing = self._agreeing(picture, corner, fit)
         if not agreeing:
             return Sighting(reason="what is there does not read as its tags")
         sd = np.sqrt(np.diag(fit.covariance))
@@ -152,17 +159,21 @@ class _TaggedPart:
             share=fit.share,
         )
 
-    def _agreeing(self, picture: Gray, fit: Fit) -> int:
+    def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
         """How many tags read as they should, at a pose."""
-        return sum(
-            reads_as(picture, self._camera, tag, fit.pose) >= AGREES
-            for k, tag in enumerate(self._tags)
-            if fit.used[self._edges.group == k].any()
-        )
+        optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
+        agreeing = 0
+        for k, (tag, (middle, white)) in enumerate(zip(self._tags, self._cells, strict=True)):
+            if fit.used[self._edges.group == k].any():
+                share = cells_right(
+                    picture, origin, optics, middle, tag.height, white, fit.pose, CONTRAST
+                )
+                agreeing += share >= AGREES
+        return agreeing
 
-    def _read(self, picture: Gray) -> tuple[FloatArray | None, str]:
+    def _read(self, frame: Frame) -> tuple[FloatArray | None, str]:
         """Pose from tags that are read, roughly; or why not."""
-        window, corner = self._window(picture)
+        window, corner = self._window(frame)
         found = read_tags(window, self._families)
         own, seen = [], []
         for tag in self._tags:
@@ -177,23 +188,24 @@ class _TaggedPart:
             return None, ""
         return rigid(np.concatenate(own), np.concatenate(seen)), ""
 
-    def _window(self, picture: Gray) -> tuple[Gray, FloatArray]:
+    def _window(self, frame: Frame) -> tuple[Gray, FloatArray]:
         """Where to read: near the last place, and now and then everywhere."""
         last = self._prediction.pose
         if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
-            return picture, np.zeros(2)
+            return frame.luma, np.zeros(2)
         corners = [
             self._camera.project_at(placed(tag_corners(tag), last), tag.height)
             for tag in self._tags
         ]
         low = np.floor(np.min(np.concatenate(corners), axis=0)).astype(int) - MARGIN
         high = np.ceil(np.max(np.concatenate(corners), axis=0)).astype(int) + MARGIN
-        height, width = picture.shape
+        width, height = frame.size
         left, top = max(int(low[0]), 0), max(int(low[1]), 0)
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)
         if right - left < MARGIN or bottom - top < MARGIN:
-            return picture, np.zeros(2)
-        return picture[top:bottom, left:right], np.array([left, top], dtype=np.float64)
+            return frame.luma, np.zeros(2)
+        window = frame.luma_in(slice(top, bottom), slice(left, right))
+        return window, np.array([left, top], dtype=np.float64)
 
 
 def tag_edges(tag: Tag, group: int) -> Edges:
@@ -222,17 +234,10 @@ def joined(edges: Sequence[Edges]) -> Edges:
     )
 
 
-def reads_as(picture: Gray, camera: Camera, tag: Tag, pose: FloatArray) -> float:
-    """Share of a tag's cells that are as black and white as they should be, at a pose."""
+def _cells_on(tag: Tag) -> tuple[FloatArray, BoolArray]:
+    """Middles of its cells in the frame of its part (n, 2) [m], and which are white."""
     middle, white = cells(tag.family, tag.id)
-    u, v = camera.project_at(placed(on_tag(tag, middle), pose), tag.height).T
-    level = map_coordinates(
-        picture, (v, u), output=np.float64, order=1, mode="nearest", prefilter=False
-    )
-    dark, bright = np.median(level[~white]), np.median(level[white])
-    if bright - dark < CONTRAST:
-        return 0.0
-    return float(((level > 0.5 * (dark + bright)) == white).mean())
+    return on_tag(tag, middle), white
 
 
 def rigid(own: FloatArray, seen: FloatArray) -> FloatArray:
