@@ -145,7 +145,7 @@ function profiles() {
     const [low, high] = [Math.min(...curve.values), Math.max(...curve.values)];
     requestAnimationFrame(() => new Plot(host).show({
       title: `Profile of ${curve.label}: rise of the misfit when it is held elsewhere`,
-      x: { label: curve.label, unit },
+      x: { label: curve.label, unit, range: around(curve, factor) },
       y: { label: "rise", range: [-0.1 * curve.threshold, 3 * curve.threshold] },
       series: [
         { kind: "line", xs: curve.values.map((v) => factor * v), ys: curve.rises.map((r) => r ?? NaN), name: "best", label: "others fitted" },
@@ -157,6 +157,16 @@ function profiles() {
     }));
     return host;
   }));
+}
+
+/** What of the values is of interest: where the rise can be seen. @param {Curve} curve @param {number} factor @returns {[number, number]} */
+function around(curve, factor) {
+  const near = curve.values.filter((_, k) => (curve.rises[k] ?? Infinity) < 4 * curve.threshold);
+  const ends = [...near, curve.low ?? NaN, curve.high ?? NaN].filter(Number.isFinite).map((value) => factor * value);
+  const [low, high] = [Math.min(...ends), Math.max(...ends)];
+  const margin = 0.35 * (high - low) || 1e-3;
+  const every = curve.values.map((value) => factor * value);
+  return [Math.max(low - margin, Math.min(...every)), Math.min(high + margin, Math.max(...every))];
 }
 
 // --- where it is off -------------------------------------------------------------------------

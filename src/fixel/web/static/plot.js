@@ -233,10 +233,10 @@ function axes(content, x, y, across, up, width, height) {
  * @param {number} about how many
  */
 function ticks([low, high], log, about) {
-  if (log && high / low > 5) {
+  if (log && high / low > 3.5) {
     const every = [];
     for (let p = Math.floor(Math.log10(low)); p <= Math.log10(high); p += 1) {
-      for (const k of high / low > 300 ? [1] : high / low > 30 ? [1, 3] : [1, 2, 5]) {
+      for (const k of high / low > 300 ? [1] : high / low > 30 ? [1, 3] : high / low > 12 ? [1, 2, 5] : [1, 2, 3, 5, 7]) {
         const value = +(k * 10 ** p).toPrecision(3);
         if (value >= low && value <= high) every.push(value);
       }
