@@ -94,7 +94,8 @@ def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> 
     gathered = _gathered(content, asked)
     if asked.measure == "relative":
         gathered = _with_own(project, store, asked, gathered)
-    return gathered._replace(mark=mark)
+    real = all(summary.is_real for summary in store.experiments(asked.query).summaries)
+    return gathered._replace(is_real=real, mark=mark)
 
 
 def mark_of(store: Store, asked: Asked, calibration: int | None) -> str:
