@@ -14,8 +14,10 @@ PEERS     := $(VENV)/.peers
 PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
+SCRIPTS   := build/scripts/.packages
+TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo test test-slow test-cluster check lint format soak bench lock clean
+.PHONY: help demo test test-slow test-cluster check lint lint-scripts format soak bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -43,6 +45,19 @@ lint: $(READY)  ## formatting, lint and types
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check --no-cache .  # a cache does not notice a module that moved
 	@$(BIN)/mypy
+	@$(MAKE) --no-print-directory lint-scripts
+
+# Node checks the types of the scripts of the pages; nothing else needs it. Without it, this says so.
+lint-scripts: $(SCRIPTS)
+	@if [ -x $(TSC) ]; then node $(TSC) -p requirements/scripts/tsconfig.json; \
+	else echo "The types of the scripts are not checked: no Node, or its packages cannot be had."; fi
+
+$(SCRIPTS): requirements/scripts/package-lock.json
+	@mkdir -p build/scripts
+	@if command -v npm >/dev/null 2>&1; then \
+	  cp requirements/scripts/package.json requirements/scripts/package-lock.json build/scripts/ && \
+	  (cd build/scripts && npm ci --no-audit --no-fund --silent >npm.log 2>&1) || true; fi
+	@touch $@
 
 check: lint test  ## everything a change must pass: lint, then test
 

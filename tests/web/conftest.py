@@ -71,9 +71,9 @@ def server(project):
     desk.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium():
-    """One browser for all tests."""
+    """One browser for a module; longer, and its event loop would be in the way of others."""
     found = next((path for name in NAMES if name and (path := shutil.which(name))), None)
     if found is None:
         pytest.skip("no Chromium on this machine")

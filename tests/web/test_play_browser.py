@@ -1,11 +1,14 @@
 """Playing, comparing and making scenes, in a real browser."""
 
+import os
+import signal
 import time
 from statistics import median
 
 import pytest
 
 from fixel.exchange import load_scene
+from fixel.workflows import scene_desk
 
 ROUND_TRIP = 100.0  # [ms]
 FRAMES = 30.0  # a second
@@ -151,7 +154,11 @@ def test_sets_are_pinned_removed_brought_back_and_kept(compare, server):
     number = len(server.desk.store.simulations(1))
     compare.click("#keep")
     compare.wait_for_selector("text=Kept as simulation")
-    assert len(server.desk.store.simulations(1)) == number + 1
+    kept = server.desk.store.simulations(1)
+    assert len(kept) == number + 1
+    compare.wait_for_selector(f"#add-set option[value=simulation-{kept[-1]}]", state="attached")
+    compare.select_option("#add-set", f"simulation-{kept[-1]}")
+    compare.wait_for_selector(f"tr[data-set=simulation-{kept[-1]}]")
 
 
 # --- simulate ---------------------------------------------------------------------------------
@@ -229,6 +236,26 @@ def test_run_plays_at_once_and_the_saved_file_is_the_scene(simulate, tmp_path):
     download.value.save_as(path)
     assert path.name == "grasp.yaml"
     assert load_scene(path).scene.names == ("object", "actuator", "fixel-1", "fixel-2", "fixel-3")
+
+
+def test_what_takes_too_long_is_cancelled_and_the_next_run_works(simulate):
+    os.kill(scene_desk.beside()._process.pid, signal.SIGSTOP)  # as long as there is
+    simulate.click("#run")
+    simulate.click("#cancel")
+    simulate.wait_for_selector("#verdict >> text=cancelled")
+    simulate.click("#run")
+    simulate.wait_for_selector("#watch[data-state=playing]", timeout=60_000)
+
+
+def test_what_was_made_survives_going_away(simulate, server):
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowLeft")
+    pose = editor(simulate, "scene.bodies[0].pose")
+    simulate.goto(server.address + "api")
+    simulate.goto(server.address + "simulate")
+    simulate.wait_for_selector("#simulate[data-ready]")
+    assert editor(simulate, "scene.bodies[0].pose") == pose
+    assert simulate.inner_text("#origin") == "what you made here before"
 
 
 def test_a_file_is_opened_and_one_that_is_none_is_refused(simulate, tmp_path):

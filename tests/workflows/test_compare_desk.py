@@ -32,7 +32,7 @@ def test_the_thesis_parameters_come_first_and_all_of_them_have_a_meaning(desk):
         ends = {slider.low, slider.high}
         for value in ends:
             compare.info_of(slider.name)
-            assert desk.compared(1, {slider.name: value}).simulation.status
+            assert desk.compared(1, {slider.name: value}).motion.status
 
 
 def test_a_set_is_the_comparison_of_the_command_line(desk):
@@ -40,9 +40,8 @@ def test_a_set_is_the_comparison_of_the_command_line(desk):
     answer = desk.compared(1, values, "quasistatic")
     same = comparison(desk.experiment(1), Parameters(values), compare.motion_model("quasistatic"))
     assert answer.error_mm2 == same.error_mm2
-    shown = compare.moved(answer)
-    assert shown.time[0] == answer.simulated.time[0]
-    assert shown.errors.position == pytest.approx(answer.position)
+    assert answer.motion.time[0] == same.simulated.time[0]
+    assert answer.motion.errors.position == pytest.approx(same.position)
 
 
 def test_what_is_kept_is_offered_next_time(desk):
@@ -52,8 +51,9 @@ def test_what_is_kept_is_offered_next_time(desk):
     assert len(desk.sets(2)) == before + 1
     assert dict(found.parameters) == {"mu_pusher": 0.4}
     assert found.error_mm2 is not None
-    stored = desk.simulated(2, kept)
-    assert stored.errors is not None
+    again, stored = desk.compared(2, {"mu_pusher": 0.4}), desk.stored(2, kept)
+    assert stored[1:-1] == again[1:-1]
+    assert stored.motion.contacts is None
     with pytest.raises(InvalidInput, match="one of experiment 2"):
         desk.simulated(1, kept)
 

@@ -14,6 +14,7 @@ from typing import Any, Final, final
 from fastapi import FastAPI
 
 import fixel
+from fixel.database.browsing import View
 from fixel.database.project import Project
 from fixel.web import api as resources
 from fixel.web import pages as shown
@@ -49,6 +50,7 @@ class Desk:
     def __init__(self, project: Project) -> None:
         self.project = project
         self.store = project.store()
+        self.store.browse(View(limit=1))  # so that the first page does not wait for its statements
 
     @property
     def name(self) -> str:

@@ -233,7 +233,7 @@ def coverage(store: Store, view: View, x: str | None = None, y: str | None = Non
     known = tuple(
         name
         for name, values in vocabulary(store).conditions.items()
-        if values.low is not None and not name.startswith("truth_") and values.low != values.high
+        if values.low is not None and not name.startswith("truth_")
     )
     usual = OFFSETS if {*OFFSETS} <= {*known} else PLACES
     x, y = x or usual[0], y or usual[1]

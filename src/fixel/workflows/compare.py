@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, final
 
+import numpy as np
+
 from fixel.calibration.target import scene_of
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -43,6 +45,20 @@ class ParameterSet(NamedTuple):
     parameters: Parameters
     motion: str  # name of the motion model
     error_mm2: float | None  # the thesis's E where it is known already
+
+
+class Held(NamedTuple):
+    """A simulation held against what was measured; no errors where it stopped early."""
+
+    motion: Motion
+    parameters: Parameters
+    method: str  # name of the motion model
+    position_rms: float | None  # [m]
+    final_position: float | None  # [m]
+    final_angle: float | None  # [rad]
+    error_mm2: float | None  # the thesis's E
+    contact_mode: str  # at the end, a digit a fixel
+    wall_time: float | None  # of the simulation alone [s]
 
 
 @final
@@ -96,10 +112,22 @@ class CompareDesk:
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
 
-    def compared(
-        self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC
-    ) -> Comparison:
+    def compared(self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC) -> Held:
         """A new simulation of an experiment, held against what was measured."""
+        answer = self._comparison(number, parameters, motion)
+        return Held(
+            compared_motion(answer, "simulated", id="simulated"),
+            answer.parameters,
+            motion,
+            answer.position_rms,
+            answer.final_position,
+            answer.final_angle,
+            answer.error_mm2,
+            answer.contact_mode,
+            answer.simulation.wall_time_s,
+        )
+
+    def _comparison(self, number: int, parameters: Mapping[str, float], motion: str) -> Comparison:
         return comparison(
             self.experiment(number),
             Parameters(parameters),
@@ -107,8 +135,32 @@ class CompareDesk:
             Adaptive(max_steps=MOST_STEPS),
         )
 
+    def stored(self, number: int, simulation: int) -> Held:
+        """A stored simulation of an experiment, as it was when it was kept."""
+        record = self._record(number, simulation)
+        motion = self.simulated(number, simulation)
+        known = record.error_mm2 is not None and motion.errors is not None
+        position = motion.errors.position if known and motion.errors else None
+        angle = motion.errors.angle if known and motion.errors else None
+        return Held(
+            motion,
+            record.parameters,
+            str(record.method.get("motion", DYNAMIC)),
+            None if position is None else float(np.sqrt(np.mean(position**2))),
+            None if position is None else float(position[-1]),
+            None if angle is None else float(angle[-1]),
+            record.error_mm2,
+            record.contact_mode,
+            None,
+        )
+
     def simulated(self, number: int, simulation: int) -> Motion:
-        """A stored simulation of an experiment."""
+        """What moved in a stored simulation of an experiment."""
+        record = self._record(number, simulation)
+        label, name = f"simulation {simulation}", f"simulation-{simulation}"
+        return stored_motion(self.experiment(number), record, label, id=name)
+
+    def _record(self, number: int, simulation: int) -> SimulationRecord:
         record = self._store.simulation(simulation)
         if record.experiment_id != number:
             raise InvalidInput(
@@ -116,12 +168,11 @@ class CompareDesk:
                 found=f"{simulation}, which is one of experiment {record.experiment_id}",
                 expected=f"a simulation of experiment {number}",
             )
-        label, name = f"simulation {simulation}", f"simulation-{simulation}"
-        return stored_motion(self.experiment(number), record, label, id=name)
+        return record
 
     def keep(self, number: int, parameters: Mapping[str, float], motion: str, command: str) -> int:
         """Store such a simulation; returns its id."""
-        answer = self.compared(number, parameters, motion)
+        answer = self._comparison(number, parameters, motion)
         return self._store.add_simulation(answer.record(number, command))
 
 
@@ -130,11 +181,6 @@ def warm_up() -> None:
     from fixel.testing.scenes import grasp
 
     get_ready(grasp())
-
-
-def moved(answer: Comparison, label: str = "simulated", id: str = "simulated") -> Motion:
-    """A comparison, to be shown."""
-    return compared_motion(answer, label, id=id)
 
 
 def motion_model(name: str) -> AbstractMotionModel:

@@ -61,18 +61,3 @@ def seen_in_video(project: Project, experiment: Experiment) -> Seen | None:
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
     lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
     return Seen(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))
-
-
-def media_type(start: bytes) -> str:
-    """What a browser should be told of a video file that begins like this.
-
-    Examples
-    --------
-    >>> media_type(b"\\x00\\x00\\x00\\x20ftypisom")
-    'video/mp4'
-    """
-    if start[:4] == b"\x1aE\xdf\xa3":
-        return "video/webm"  # Matroska, of which this is a part
-    if start[:4] == b"RIFF":
-        return "video/x-msvideo"
-    return "video/mp4"

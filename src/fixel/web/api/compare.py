@@ -14,8 +14,8 @@ from fixel.web.api.motion import MotionOut
 from fixel.workflows import compare
 
 if TYPE_CHECKING:
+    from fixel.model import Experiment
     from fixel.web.project import Desk
-    from fixel.workflows.experiments import Comparison
 
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
 # A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
@@ -74,7 +74,7 @@ class ComparedOut(BaseModel):
     measured_contact_mode: str
     command: str = Field(description="what to type for the same")
     python: str
-    wall_time_s: float = Field(description="of the simulation alone")
+    wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
 
 
 class KeptOut(BaseModel):
@@ -110,8 +110,13 @@ def router(desk: Desk) -> APIRouter:
 
     @found.post("/experiments/{number}/comparison", summary="Simulate it with other parameters")
     def compared(number: Number, wanted: CompareIn) -> ComparedOut:
-        answer = at_hand.compared(number, wanted.parameters, wanted.motion)
-        return _answered(answer, desk, wanted)
+        held = at_hand.compared(number, wanted.parameters, wanted.motion)
+        return _answered(held, at_hand.experiment(number), desk)
+
+    @found.get("/experiments/{number}/simulations/{simulation}", summary="A stored simulation")
+    def stored(number: Number, simulation: Number) -> ComparedOut:
+        held = at_hand.stored(number, simulation)
+        return _answered(held, at_hand.experiment(number), desk)
 
     @found.post("/experiments/{number}/simulations", summary="Keep such a simulation")
     def keep(number: Number, wanted: CompareIn) -> KeptOut:
@@ -123,17 +128,17 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _answered(answer: Comparison, desk: Desk, wanted: CompareIn) -> ComparedOut:
-    same = answer.experiment, desk.project.folder, wanted.parameters, wanted.motion
+def _answered(held: compare.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
+    same = experiment, desk.project.folder, held.parameters, held.method
     return ComparedOut(
-        motion=MotionOut.of(compare.moved(answer)),
-        position_rms_m=answer.position_rms,
-        final_position_m=answer.final_position,
-        final_angle_rad=answer.final_angle,
-        error_mm2=answer.error_mm2,
-        contact_mode=answer.contact_mode,
-        measured_contact_mode=answer.experiment.contact_mode,
+        motion=MotionOut.of(held.motion),
+        position_rms_m=held.position_rms,
+        final_position_m=held.final_position,
+        final_angle_rad=held.final_angle,
+        error_mm2=held.error_mm2,
+        contact_mode=held.contact_mode,
+        measured_contact_mode=experiment.contact_mode,
         command=compare.command_of(*same),
         python=compare.python_of(*same),
-        wall_time_s=answer.simulation.wall_time_s,
+        wall_time_s=held.wall_time,
     )

@@ -19,7 +19,8 @@ from fixel.model import Experiment, Flag, Trajectory
 from fixel.web.api._values import LARGEST, Array, Id, Number, Text
 from fixel.workflows.browse import coverage, view_of, vocabulary
 from fixel.workflows.experiments import summary
-from fixel.workflows.seen import media_type, seen_in_video
+from fixel.workflows.seen import seen_in_video
+from fixel.workflows.watchable import watchable
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -415,7 +416,7 @@ def _add_one(router: APIRouter, desk: Desk) -> None:
 
     @router.get(
         "/experiments/{number}/video",
-        summary="Its video, whole or by ranges",
+        summary="Its video as a browser plays it, whole or by ranges",
         response_class=FileResponse,
         responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
     )
@@ -423,10 +424,10 @@ def _add_one(router: APIRouter, desk: Desk) -> None:
         path = store.video(number)
         if path is None or not path.is_file():
             raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
-        with path.open("rb") as stream:
-            kind = media_type(stream.read(16))
+        found = watchable(desk.project, path)
         # The address stays when a correction brings another video, so it is asked for each time.
-        return FileResponse(path, media_type=kind, headers={"cache-control": "private, no-cache"})
+        headers = {"cache-control": "private, no-cache"}
+        return FileResponse(found.path, media_type=found.media_type, headers=headers)
 
     @router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
     def outlines(number: Number) -> OutlinesOut:

@@ -30,6 +30,7 @@ import { STYLES, stylesOf, swatch } from "./view.js";
  * @property {string} label
  * @property {Record<string, number>} parameters
  * @property {string} motion
+ * @property {string} [stored] number of a stored simulation, which is shown as it was kept
  * @property {Answer | null} answer
  * @property {Motion | null} shown
  */
@@ -69,8 +70,10 @@ const live = () => sets[0];
  * @param {AbortSignal} [signal]
  */
 async function simulated(set, signal) {
-  const { parameters, motion } = set;
-  const answer = /** @type {Answer} */ (await send(address, { parameters, motion }, "POST", signal));
+  const { parameters, motion, stored } = set;
+  const answer = /** @type {Answer} */ (await (stored
+    ? get(`/experiments/${number}/simulations/${stored}`, {}, signal)
+    : send(address, { parameters, motion }, "POST", signal)));
   set.answer = answer;
   set.shown = new Motion({ ...answer.motion, id: set.id, label: set.label });
 }
@@ -122,7 +125,7 @@ function show() {
   const motions = [];
   if (measured) motions.push(measured);
   for (const set of sets) if (set.shown) motions.push(set.shown);
-  player.setMotions(motions);
+  player.setMotions(motions, { keepTime: true });
   charts.show(usualPanels(at("charts"), motions, player.object), [player.start, player.end]);
   table(stylesOf(at("player"), motions));
 }
@@ -296,7 +299,8 @@ at("add-set").addEventListener("change", (event) => {
   const select = /** @type {HTMLSelectElement} */ (event.target);
   const one = offered.find(({ id }) => id === select.value);
   select.value = "";
-  if (one) add({ ...one, parameters: { ...one.parameters } }).catch(complain);
+  const stored = one?.kind === "simulation" ? one.id.replace("simulation-", "") : undefined;
+  if (one) add({ ...one, stored, parameters: { ...one.parameters } }).catch(complain);
 });
 at("pin").addEventListener("click", () => {
   pinned += 1;

@@ -75,6 +75,10 @@ async function film(player) {
     shown.shown = box.checked;
     shown.draw();
   });
+  at("video-remark").textContent = "Getting the video ready: one that no browser plays is written anew, once.";
+  video.addEventListener("loadeddata", () => {
+    if (at("video-remark").textContent?.startsWith("Getting")) at("video-remark").textContent = "";
+  });
   video.addEventListener("error", () => {
     at("video-remark").textContent = "This browser cannot play the video; its file is in the project's media folder.";
   });

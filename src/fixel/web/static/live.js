@@ -1,15 +1,20 @@
+// @ts-check
 // What all pages with a live picture share: the status stream, and saying so when it falls silent.
+
+import { at } from "./dom.js";
 
 const SILENT_AFTER = 3000; // [ms]
 
 export const path = document.body.dataset.path;
-export const at = (id) => document.getElementById(id);
+export { at };
 
+/** @param {string} id @param {string} text */
 export function write(id, text) {
   const node = at(id);
   if (node.textContent !== text) node.textContent = text;
 }
 
+/** @param {string} id @param {string[]} sentences */
 export function list(id, sentences) {
   const node = at(id);
   const key = sentences.join("\n");
@@ -23,6 +28,7 @@ export function list(id, sentences) {
   node.hidden = sentences.length === 0;
 }
 
+/** @param {string} state @param {string} mark @param {string} words */
 export function verdict(state, mark, words) {
   at("verdict").dataset.state = state;
   document.body.dataset.state = state;
@@ -30,8 +36,9 @@ export function verdict(state, mark, words) {
   write("verdict-words", words);
 }
 
+/** @param {string} address @returns {Promise<any>} */
 export async function tell(address) {
-  const word = document.querySelector('meta[name="fixel-word"]').content;
+  const word = /** @type {HTMLMetaElement} */ (document.querySelector('meta[name="fixel-word"]')).content;
   const answer = await fetch(address, { method: "POST", headers: { "X-Fixel-Word": word } });
   if (!answer.ok) throw new Error(await answer.text());
   return answer.json();
@@ -40,9 +47,10 @@ export async function tell(address) {
 // The stream of pictures never ends, and a page that waits for it would never be loaded.
 function look() {
   at("picture").hidden = false;
-  at("picture").src = `${path}/stream?from=${Math.round(performance.now())}`;
+  /** @type {HTMLImageElement} */ (at("picture")).src = `${path}/stream?from=${Math.round(performance.now())}`;
 }
 
+/** @param {string} sentence */
 function silence(sentence) {
   const node = at("silence");
   node.hidden = !sentence;
@@ -51,6 +59,7 @@ function silence(sentence) {
 }
 
 // Calls `show(status)` with every report.
+/** @param {(status: any) => void} show */
 export function follow(show) {
   let newest = performance.now();
   let ended = false;

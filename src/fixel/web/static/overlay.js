@@ -1,7 +1,10 @@
+// @ts-check
 import { at, follow, list, verdict, write } from "./live.js";
 
+/** @type {Record<string, string>} */
 const MARKS = { placed: "\u2713", off: "\u2717", "not-seen": "?", trouble: "!" };
 
+/** @param {number | null} value @param {number} digits */
 const signed = (value, digits) => {
   if (value === null) return "\u2013";
   const text = Math.abs(value).toFixed(digits);
@@ -9,12 +12,14 @@ const signed = (value, digits) => {
   return (value < 0 ? "\u2212" : "+") + text;
 };
 
+/** @param {string} text @param {"td" | "th"} [kind] @returns {HTMLTableCellElement} */
 function cell(text, kind = "td") {
   const node = document.createElement(kind);
   node.textContent = text;
   return node;
 }
 
+/** @param {any} part */
 function row(part) {
   const node = document.createElement("tr");
   node.dataset.state = part.seen ? (part.within ? "placed" : "off") : "not-seen";
@@ -35,6 +40,7 @@ function row(part) {
   return node;
 }
 
+/** @param {any} part @param {{mm: number, deg: number}} within */
 function guide(part, within) {
   at("guide").hidden = !part || !part.seen;
   if (!part || !part.seen) return;
@@ -58,7 +64,7 @@ follow((status) => {
   verdict(status.state, MARKS[status.state] ?? "", status.headline);
   const within = { mm: status.tolerance_mm, deg: status.tolerance_deg };
   write("tolerance", `${within.mm} mm, ${within.deg} deg`);
-  const part = status.parts.find((one) => one.name === status.to_place);
+  const part = status.parts.find((/** @type {any} */ one) => one.name === status.to_place);
   guide(status.state === "trouble" ? null : part, within);
   at("parts").replaceChildren(...status.parts.map(row));
   list("problems", status.problems);

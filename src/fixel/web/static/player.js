@@ -102,17 +102,17 @@ export class Player extends EventTarget {
     view.reference = content.reference_m;
     stage.box = content.box_m;
     this.canvas.setAttribute("aria-label", `Top view to scale: ${content.title}`);
-    this.setMotions(content.motions.map((packed) => new Motion(packed)));
+    this.setMotions(content.motions.map((packed) => new Motion(packed)), keep);
     if (!keep.keepView) stage.fit();
-    this.seek(keep.keepTime ? this.time : this.start);
     if (this.autoplay && !keep.keepTime) this.play();
   }
 
   /**
    * Other motions of the same things.
    * @param {Motion[]} motions
+   * @param {{keepTime?: boolean}} [keep]
    */
-  setMotions(motions) {
+  setMotions(motions, keep = {}) {
     this.view.setMotions(motions);
     this.start = Math.min(...motions.map((motion) => motion.span[0]));
     this.end = Math.max(...motions.map((motion) => motion.span[1]));
@@ -120,7 +120,7 @@ export class Player extends EventTarget {
     this.scrubber.max = String(this.end);
     this.forces.disabled = this.view.perNewton === 0;
     this.#legend();
-    this.seek(this.time);
+    this.seek(keep.keepTime ? this.time : this.start);
   }
 
   /** @param {number} time [s] */

@@ -1,5 +1,7 @@
+// @ts-check
 import { at, follow, list, path, tell, verdict, write } from "./live.js";
 
+/** @type {Record<string, [string, string, string]>} */
 const STATES = {
   waiting: ["waiting", "\u2026", "Waiting for the camera"],
   recording: ["recording", "\u25CF", "Recording"],
@@ -7,33 +9,37 @@ const STATES = {
 };
 const SCARCE = 2.0; // [GB]
 
+/** @param {number} seconds */
 const clock = (seconds) => {
   const whole = Math.floor(seconds);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 };
 
 let asked = false;
+const button = /** @type {HTMLButtonElement} */ (at("stop"));
 
+/** @param {{name: string, on: boolean | null}[]} tactile */
 function lamps(tactile) {
   tactile.forEach(({ name, on }) => {
-    const lamp = document.querySelector(`#lamps li[data-name="${CSS.escape(name)}"]`);
+    const lamp = /** @type {HTMLElement | null} */ (document.querySelector(`#lamps li[data-name="${CSS.escape(name)}"]`));
     if (!lamp) return;
     lamp.dataset.on = on === null ? "unknown" : on ? "yes" : "no";
-    lamp.querySelector(".words").textContent = on === null ? "no reading" : on ? "touched" : "free";
+    const words = lamp.querySelector(".words");
+    if (words) words.textContent = on === null ? "no reading" : on ? "touched" : "free";
   });
 }
 
 at("stop").addEventListener("click", async () => {
   asked = true;
-  at("stop").disabled = true;
+  button.disabled = true;
   write("stop", "Stopping\u2026");
   try {
     await tell(`${path}/stop`);
   } catch (problem) {
     asked = false;
-    at("stop").disabled = false;
+    button.disabled = false;
     write("stop", "Stop the recording");
-    list("problems", [`Stopping failed: ${problem.message}`]);
+    list("problems", [`Stopping failed: ${problem instanceof Error ? problem.message : problem}`]);
   }
 });
 
@@ -52,7 +58,7 @@ follow((status) => {
   }
   lamps(status.tactile);
   if (finished || status.stopping || asked) {
-    at("stop").disabled = true;
+    button.disabled = true;
     write("stop", finished ? "The recording has ended" : "Stopping\u2026");
   }
   list("problems", status.problems);

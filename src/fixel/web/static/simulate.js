@@ -16,6 +16,7 @@ import { deg, mm } from "./units.js";
 
 const SLOW = 1500; // [ms] of a simulation that is not made again at every touch
 const CANCELLED = 499;
+const DRAFT = "fixel-scene";
 
 const root = at("simulate");
 const canvas = /** @type {HTMLCanvasElement} */ (at("editor"));
@@ -130,6 +131,7 @@ function clear(problem) {
 }
 
 function changed() {
+  keepDraft();
   wanted = true;
   newest = null;
   buttons();
@@ -348,9 +350,20 @@ at("save").addEventListener("click", async () => {
 });
 at("copy").addEventListener("click", () => copy(`fixel simulate ${fileName()}`, "the command, for the saved file"));
 
+/** What is made here survives going to another page and coming back. */
+function keepDraft() {
+  try {
+    if (editor.history.past.length > 1) sessionStorage.setItem(DRAFT, JSON.stringify(editor.scene));
+  } catch {
+    // Too large for what the browser gives: then it does not survive.
+  }
+}
+
 async function begin() {
   const number = root.dataset.experiment;
+  const draft = new URLSearchParams(location.search).size ? null : sessionStorage.getItem(DRAFT);
   if (number) open((await get(`/experiments/${number}/scene`)).scene, root.dataset.key ?? "");
+  else if (draft) open(JSON.parse(draft), "what you made here before");
   else await openExample();
   root.dataset.ready = "yes";
 }

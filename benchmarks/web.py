@@ -1,0 +1,119 @@
+"""How fast the table of experiments is there, with many experiments.
+
+``python -m benchmarks.web [--n 10000] [--project FOLDER]``: a project as `benchmarks.store` fills
+it, unless a folder with one is given; `fixel serve` in a process of its own, started anew; the
+first answers to a program, and the first paint in a real browser.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+from benchmarks.store import experiments
+from fixel.database.project import Project
+
+QUESTIONS = {
+    "the first page": "limit=100",
+    "sorted by way": "limit=100&sort=moved&descending=true",
+    "sorted by a condition": "limit=100&sort=surface",
+    "words": "limit=100&filter=77+abs",
+    "a condition and a range": "limit=100&filter=surface=abs+moved%3E500",
+    "the last page": "limit=100&offset=9900",
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--n", type=int, default=10_000)
+    parser.add_argument("--project", type=Path)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        project = given.project or _filled(Path(folder) / "many", given.n)
+        for name, query in QUESTIONS.items():
+            with _Served(project) as served:
+                cold = served.ask(f"/api/v1/experiments?{query}")
+                warm = min(served.ask(f"/api/v1/experiments?{query}") for _ in range(5))
+            print(f"{name:24s} {1e3 * cold:6.0f} ms cold {1e3 * warm:6.0f} ms warm")
+        with _Served(project) as served:
+            _paint(served)
+
+
+def _filled(folder: Path, n: int) -> Path:
+    project = Project.create(folder)
+    with project.store() as store:
+        for experiment in experiments(n):
+            store.add_experiment(experiment)
+    return folder
+
+
+class _Served:
+    """`fixel serve`, started anew."""
+
+    def __init__(self, project: Path) -> None:
+        code = "from fixel.cli.main import run; run()"
+        command = [sys.executable, "-c", code, "serve", str(project), "--json", "--no-open"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.link = json.loads(self.process.stdout.readline())["link"]
+        self.address, _, self.token = self.link.partition("/?token=")
+        time.sleep(3.0)  # other pages get ready in the background
+
+    def ask(self, path: str) -> float:
+        headers = {"Authorization": f"Bearer {self.token}"}
+        begun = time.perf_counter()
+        with urllib.request.urlopen(
+            urllib.request.Request(self.address + path, headers=headers)
+        ) as answer:
+            answer.read()
+        return time.perf_counter() - begun
+
+    def __enter__(self) -> "_Served":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.terminate()
+        self.process.wait()
+
+
+def _paint(served: _Served) -> None:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(served.link)
+        page.wait_for_selector("tr[data-id]")
+        painted = page.evaluate(
+            "() => performance.getEntriesByName('first-contentful-paint')[0].startTime"
+        )
+        rows = page.evaluate(
+            "() => performance.getEntriesByType('resource')"
+            ".find(e => e.name.includes('/experiments?')).responseEnd"
+        )
+        slowest = page.evaluate(
+            """async () => {
+              const scroll = document.getElementById('scroll');
+              let slowest = 0, last = await new Promise(requestAnimationFrame);
+              for (let k = 1; k <= 100; k += 1) {
+                scroll.scrollTop = k * 6000;
+                const now = await new Promise(requestAnimationFrame);
+                slowest = Math.max(slowest, now - last);
+                last = now;
+              }
+              return slowest;
+            }"""
+        )
+        print(f"first paint {painted:.0f} ms, rows there {rows:.0f} ms after the link was opened")
+        print(f"scrolling through all of it: the slowest frame took {slowest:.0f} ms")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

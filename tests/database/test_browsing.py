@@ -1,0 +1,142 @@
+"""The table of experiments, and marks of many in one act, on both engines."""
+
+import numpy as np
+import pytest
+
+from fixel.database.browsing import Bound, View
+from fixel.errors import InvalidInput, NotStored
+from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model.records import CalibrationRecord, Member, SimulationRecord
+from fixel.workflows.browse import coverage, view_of, vocabulary
+
+ORIGIN = Provenance(version="0")
+
+
+def experiment(k, **conditions):
+    end = [0.001 * k, 0.0, 0.1 * k]
+    return Experiment(
+        dataset="push",
+        name=f"{k:02d}",
+        real=True,
+        provenance=ORIGIN,
+        trajectory=Trajectory(time=[0.0, 1.0 + k], pose=[[0.0, 0.0, 0.0], end]),
+        conditions=conditions,
+    )
+
+
+@pytest.fixture
+def pushes(store):
+    """Five of them: the third flagged, one condition now a number and now a text."""
+    surfaces = ("abs", "plywood", "abs", 3.0, "plywood")
+    for k, surface in enumerate(surfaces, 1):
+        store.add_experiment(experiment(k, surface=surface, speed_m_s=0.01 * k))
+    store.flag(3, Flag("late", "by 0.2 s"))
+    track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
+    for number, parameters, error in ((1, {}, 9.0), (1, {}, 4.0), (1, {"mu_support": 0.3}, 1.0)):
+        store.add_simulation(
+            SimulationRecord(
+                experiment_id=number,
+                parameters=Parameters(parameters),
+                provenance=ORIGIN,
+                trajectory=track,
+                error_mm2=error,
+            )
+        )
+    for error in (2.0, 0.25):
+        store.add_calibration(
+            CalibrationRecord(
+                name="fit",
+                parameters=Parameters({"mu_support": 0.3}),
+                members=(Member(1, 1.0, error), Member(2, 1.0, 16.0)),
+                provenance=ORIGIN,
+            )
+        )
+    return store
+
+
+def test_errors_are_the_newest(pushes):
+    first, second, third = pushes.browse(View(limit=3)).rows
+    assert (first.before_mm2, first.after_mm2) == (4.0, 0.25)
+    assert (second.before_mm2, second.after_mm2) == (None, 16.0)
+    assert (third.before_mm2, third.after_mm2) == (None, None)
+    assert pushes.browse_ids(view_of("error>=4")) == [2]
+    assert pushes.browse_ids(view_of("before<2.1")) == [1]
+    assert pushes.browse_columns(view_of("error>0"), ("id", "after_mm")) == [(1, 0.5), (2, 4.0)]
+
+
+def test_a_condition_may_be_a_text_here_and_a_number_there(pushes):
+    assert pushes.browse_ids(view_of("surface=abs")) == [1, 3]
+    assert pushes.browse_ids(view_of("surface!=abs")) == [2, 4, 5]
+    assert pushes.browse_ids(view_of("surface>2")) == [4]
+    assert pushes.browse_ids(view_of(sort="surface")) == [4, 1, 3, 2, 5]
+    assert pushes.browse_ids(view_of(sort="speed_m_s", descending=True)) == [5, 4, 3, 2, 1]
+    assert pushes.browse_ids(view_of(sort="nobody_has_it")) == [1, 2, 3, 4, 5]
+    assert pushes.browse_ids(view_of("speed_m_s>=0.02 speed_m_s<0.04")) == [2, 3]
+
+
+def test_words_stand_anywhere_in_either_case(pushes):
+    assert pushes.browse_ids(view_of("PLYWOOD")) == [2, 5]
+    assert pushes.browse_ids(view_of("push/03")) == [3]
+    assert pushes.browse_ids(view_of('"by 0.2"')) == [3]
+    assert pushes.browse_ids(view_of("_")) == [1, 2, 3, 4, 5]  # of speed_m_s
+    assert pushes.browse_ids(view_of("%")) == []
+    assert pushes.browse_ids(view_of("'; drop table flag; --")) == []
+
+
+def test_pages_and_counts(pushes):
+    leaf = pushes.browse(View(limit=2, offset=2, sort="moved_m", descending=True))
+    assert ([row.id for row in leaf.rows], leaf.total, leaf.faulty) == ([3, 2], 5, 1)
+    assert leaf.rows[0].flags == [("late", "by 0.2 s", True)]
+    assert pushes.browse(view_of("is:clean", limit=1)).total == 4
+    # A correction takes the place of what it corrects.
+    again = pushes.add_experiment(experiment(2, surface="abs")).id
+    assert pushes.browse_ids(view_of("push/02")) == [again]
+    assert pushes.browse_ids(view_of("push/02 is:replaced")) == [2, again]
+
+
+def test_marks_tell_what_changed(pushes):
+    assert pushes.flag_all([2, 3, 3], Flag("late")) == [2]
+    assert pushes.unflag_all([1, 2, 3], "late") == [2, 3]
+    assert pushes.delete_all([1, 2]) == [1, 2]
+    assert pushes.delete_all([2, 3]) == [3]
+    assert pushes.browse_ids(view_of("is:deleted")) == [1, 2, 3]
+    assert pushes.delete_all([1, 2, 3, 4], back=True) == [1, 2, 3]
+    made = pushes.annotate([4, 1], "slipped")
+    assert [note.text for note in pushes.notes(4)] == ["slipped"]
+    assert pushes.browse_ids(view_of("is:noted slip")) == [1, 4]
+    assert pushes.delete_notes(made) == made
+    assert pushes.notes(4) == []
+    assert pushes.delete_notes(made, back=True) == made
+
+
+def test_an_act_is_done_whole_or_not_at_all(pushes):
+    for act in (
+        lambda: pushes.flag_all([1, 99], Flag("odd")),
+        lambda: pushes.delete_all([1, 99]),
+        lambda: pushes.annotate([1, 99], "text"),
+    ):
+        with pytest.raises(NotStored, match="experiment 99"):
+            act()
+    assert pushes.browse_ids(view_of("is:flagged")) == [3]
+    assert pushes.browse_ids(view_of("is:deleted")) == []
+    assert pushes.notes(1) == []
+    with pytest.raises(InvalidInput, match="characters"):
+        pushes.annotate([1], "  ")
+
+
+def test_what_there_is_to_filter_by(pushes):
+    found = vocabulary(pushes)
+    assert found.conditions["surface"].texts == {"abs": 2, "plywood": 2}
+    assert found.conditions["surface"].total == 5
+    assert (found.conditions["speed_m_s"].low, found.conditions["speed_m_s"].high) == (0.01, 0.05)
+    seen = coverage(pushes, View(), "speed_m_s", "end_x_m")
+    assert seen.number.sum() == 5
+    assert np.array_equal(seen.number, np.eye(5))
+
+
+@pytest.mark.parametrize("name", ['a"b', "$", "a'b", "", "x" * 101, "\n"])
+def test_names_that_no_condition_has_are_refused(pushes, name):
+    with pytest.raises(InvalidInput, match="column"):
+        pushes.browse(View(sort=name))
+    with pytest.raises(InvalidInput, match="column"):
+        pushes.browse(View(bounds=(Bound(name, "=", "x"),)))

@@ -1,0 +1,340 @@
+"""The table of experiments and its marks, asked for as a program does."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from tests.web.client import Client
+
+from fixel.database.project import Project
+from fixel.exchange.video_file import VideoWriter, open_video
+from fixel.model import Experiment, Provenance, Trajectory
+from fixel.vision.frame import Frame
+from fixel.web.app import create_app
+from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.security import WORD_HEADER, Gate
+
+HERE = "http://127.0.0.1:8000"
+ADDRESS = "/api/v1/experiments"
+
+
+class Bench:
+    def __init__(self, folder):
+        self.gate = Gate()
+        self.desk = Desk(Project.open(folder))
+        self.store = self.desk.store
+        self.app = create_app(
+            project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
+        )
+        self.client = Client(self.app, HERE, cookies={self.gate.cookie: self.gate.session})
+
+    def get(self, path, status=200):
+        answer = self.client.get(path)
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def post(self, path, body, status=200):
+        headers = {WORD_HEADER: self.gate.word, "content-type": "application/json"}
+        content = json.dumps(body).encode()
+        answer = self.client.request("POST", path, headers=headers, content=content)
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def ids(self, filter, more=""):
+        return self.get(f"{ADDRESS}/ids?filter={filter}{more}")["ids"]
+
+
+def numbers(array):
+    data = base64.b64decode(array["base64"])
+    return np.frombuffer(data, array["dtype"]).reshape(array["shape"])
+
+
+@pytest.fixture(scope="module")
+def bench(project):
+    made = Bench(project)
+    yield made
+    made.desk.close()
+
+
+# --- the table --------------------------------------------------------------------------------
+
+
+def test_a_page_of_the_table(bench):
+    found = bench.get(f"{ADDRESS}?limit=3")
+    assert (len(found["experiments"]), found["total"], found["faulty"]) == (3, 30, 1)
+    row = found["experiments"][2]
+    assert row["flags"] == [
+        {"name": "misregistered", "detail": "starts 4.2 mm inside the pusher", "fault": True}
+    ]
+    assert row["before_mm"] > 0.0
+    assert row["after_mm"] is None
+    assert row["shape"] == "square"
+    assert len(row["start"]) == 3
+    assert len(bench.get(f"{ADDRESS}?offset=28")["experiments"]) == 2
+    assert bench.get(f"{ADDRESS}?offset=1000")["experiments"] == []
+
+
+@pytest.mark.parametrize(
+    ("sort", "of"),
+    [
+        ("moved", lambda row: row["moved_m"]),
+        ("turned", lambda row: row["turned_rad"]),
+        ("name", lambda row: row["name"]),
+        ("layout", lambda row: row["layout"]),
+        ("offset_y_m", lambda row: row["conditions"]["offset_y_m"]),
+        ("contacts", lambda row: row["contacts"]),
+        ("duration", lambda row: row["duration_s"]),
+        ("flags", lambda row: len(row["flags"])),
+    ],
+)
+def test_it_sorts_by_any_column(bench, sort, of):
+    for descending in (False, True):
+        rows = bench.get(f"{ADDRESS}?sort={sort}&descending={descending}")["experiments"]
+        values = [of(row) for row in rows]
+        assert values == sorted(values, reverse=descending)
+
+
+def test_what_is_not_known_stands_last_either_way(bench):
+    for descending in (False, True):
+        rows = bench.get(f"{ADDRESS}?sort=before&descending={descending}")["experiments"]
+        known = [row["before_mm"] for row in rows if row["before_mm"] is not None]
+        assert len(known) == 3
+        assert [row["before_mm"] for row in rows[:3]] == sorted(known, reverse=descending)
+
+
+def test_it_filters_by_anything(bench):
+    rows = bench.get(ADDRESS)["experiments"]
+    by = {row["id"]: row for row in rows}
+    assert bench.ids("shape=pentagon") == [k for k in by if by[k]["shape"] == "pentagon"]
+    assert bench.ids("shape!=pentagon") == [k for k in by if by[k]["shape"] == "square"]
+    assert bench.ids("flag:misregistered") == [3]
+    assert bench.ids("is:flagged") == [3, 5]
+    assert bench.ids("is:clean") == [k for k in by if k != 3]
+    assert bench.ids("is:real") == []
+    assert bench.ids("pusher misregistered") == [3]
+    assert bench.ids('"inside the pusher"') == [3]
+    assert bench.ids("dataset:other") == []
+    far = [k for k in by if by[k]["moved_m"] > 0.05]
+    assert bench.ids("moved>50") == far
+    assert bench.ids("before>0") == [1, 2, 3]
+    assert bench.ids("offset_y_m>=0.008") == [
+        k for k in by if by[k]["conditions"]["offset_y_m"] >= 0.008
+    ]
+    assert bench.ids("shape>3") == []  # a text is no number
+    assert bench.ids("%25") == []  # nothing special about it
+    assert bench.ids("contacts=010") == [k for k in by if by[k]["contacts"] == "010"]
+
+
+@pytest.mark.parametrize(
+    ("query", "where"),
+    [
+        ("filter=is:odd", "filter: is:"),
+        ("filter=moved>far", "filter: moved"),
+        ('filter="open', "filter"),
+        ("sort=no%22name", "column"),
+        ("limit=0", "query.limit"),
+        ("limit=501", "query.limit"),
+        ("offset=-1", "query.offset"),
+        ("offset=99999999999999999999", "query.offset"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_place(bench, query, where):
+    said = bench.get(f"{ADDRESS}?{query}", 422)
+    assert said["where"] == where
+    assert said["expected"]
+
+
+def test_words_to_filter_by(bench):
+    words = bench.get("/api/v1/vocabulary")
+    assert words["datasets"] == {"testbed": 30}
+    assert set(words["conditions"]["shape"]["texts"]) == {"square", "pentagon"}
+    assert words["conditions"]["offset_y_m"]["high"] > 0.0
+
+
+def test_coverage_counts_everything_once(bench):
+    found = bench.get("/api/v1/coverage")
+    assert found["x"]["name"] == "offset_x_m"
+    assert sum(map(sum, found["number"])) == 30
+    assert sum(map(sum, found["table"])) == 30
+    assert found["shapes"] == ["pentagon", "square"]
+    narrow = bench.get("/api/v1/coverage?filter=shape=square&x=start_x_m&y=start_y_m")
+    assert sum(map(sum, narrow["number"])) == len(bench.ids("shape=square"))
+    # Places are between their edges, so that a filter made of these finds them.
+    x, y = found["x"], found["y"]
+    for i, row in enumerate(found["number"]):
+        for j, count in enumerate(row):
+            bounds = (
+                f"offset_x_m>={x['edges'][i]} offset_x_m<{x['edges'][i + 1]} "
+                f"offset_y_m>={y['edges'][j]} offset_y_m<{y['edges'][j + 1]}"
+            )
+            if count:
+                assert len(bench.ids(bounds)) == count
+
+
+def test_coverage_of_a_text_is_empty(bench):
+    found = bench.get("/api/v1/coverage?x=shape&y=nothing")
+    assert found["without"] == 30
+
+
+# --- one of them ------------------------------------------------------------------------------
+
+
+def test_all_of_one(bench):
+    one = bench.get(f"{ADDRESS}/3")
+    assert one["key"].startswith("testbed/")
+    assert one["flags"][0]["name"] == "misregistered"
+    assert not one["deleted"]
+    track = bench.get(f"{ADDRESS}/3/trajectory")
+    stored = bench.store.experiment(3)
+    np.testing.assert_array_equal(numbers(track["time"]), stored.trajectory.time)
+    np.testing.assert_array_equal(numbers(track["pose"]), stored.trajectory.pose)
+    felt = bench.get(f"{ADDRESS}/3/tactile")
+    assert felt["measured"]["columns"] == ["fixel_1_bool", "fixel_2_bool", "fixel_3_bool"]
+    assert len(felt["fixels"]) == 3
+
+
+def test_its_simulations(bench):
+    found = bench.get(f"{ADDRESS}/1/simulations")
+    assert found["total"] == 1
+    assert found["simulations"][0]["error_mm"] == pytest.approx(
+        bench.get(ADDRESS)["experiments"][0]["before_mm"]
+    )
+    assert bench.get(f"{ADDRESS}/9/simulations") == {"total": 0, "simulations": []}
+
+
+@pytest.mark.parametrize(
+    "path", ["", "/trajectory", "/simulations", "/tactile", "/video", "/thumbnail.svg", "/outlines"]
+)
+def test_none_is_none(bench, path):
+    assert bench.get(f"{ADDRESS}/999{path}", 404)["where"] == "experiment 999"
+    assert bench.get(f"{ADDRESS}/0{path}", 422)["where"] == "path.number"
+    assert bench.get(f"{ADDRESS}/99999999999{path}", 422)["where"] == "path.number"
+
+
+@pytest.mark.parametrize("number", ["999", "0", "-1", "x", "9" * 30, "1e3", "٣٤٥"])
+def test_a_page_of_none_says_so(bench, number):
+    answer = bench.client.get(f"/experiments/{number}")
+    assert answer.status_code == 404
+    assert "found no experiment" in answer.text
+
+
+def test_thumbnails_are_kept_where_the_content_is_named(bench):
+    content = bench.get(ADDRESS)["experiments"][0]["content"]
+    named = bench.client.get(f"{ADDRESS}/1/thumbnail.svg?content={content}")
+    assert named.headers["content-type"] == "image/svg+xml"
+    assert "immutable" in named.headers["cache-control"]
+    assert named.text.count("<path") == 7  # three fixels, pusher, start, end, trail
+    assert "no-store" in bench.client.get(f"{ADDRESS}/1/thumbnail.svg").headers["cache-control"]
+
+
+@pytest.mark.parametrize(("ending", "codec"), [(".mp4", "h264"), (".avi", "mjpeg")])
+def test_a_video_by_ranges(bench, tmp_path, ending, codec):
+    film = tmp_path / f"film{ending}"
+    with VideoWriter(film, (32, 24), codec) as writer:
+        for k in range(5):
+            writer.write(Frame(k / 30.0, np.full((24, 32, 3), 40 * k, dtype=np.uint8)))
+    video = bench.store.add_video(film)
+    track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
+    bare = Experiment(
+        dataset="bare",
+        name=f"without a scene {ending}",
+        real=True,
+        provenance=Provenance(version="0"),
+        trajectory=track,
+        video=video,
+    )
+    number = bench.store.add_experiment(bare).id
+    try:
+        whole = bench.client.get(f"{ADDRESS}/{number}/video")
+        assert whole.status_code == 200
+        played = tmp_path / "played.mp4"
+        played.write_bytes(whole.content)
+        times = [frame.time for frame in open_video(played).frames()]
+        assert times == pytest.approx([k / 30.0 for k in range(5)], abs=1e-4)
+        assert open_video(played).codec == "h264"
+        assert whole.headers["content-type"] == "video/mp4"
+        part = bench.client.get(f"{ADDRESS}/{number}/video", headers={"range": "bytes=4-7"})
+        assert (part.status_code, part.content) == (206, b"ftyp")
+        beyond = bench.client.get(f"{ADDRESS}/{number}/video", headers={"range": "bytes=9999-"})
+        assert beyond.status_code == 416
+        assert bench.get(f"{ADDRESS}/{number}/outlines") == {"outlines": None}
+        assert "<svg" in bench.client.get(f"{ADDRESS}/{number}/thumbnail.svg").text
+        assert (
+            "What lay on the plate is not known" in bench.client.get(f"/experiments/{number}").text
+        )
+    finally:
+        bench.store.delete(number)
+
+
+def gone(bench):
+    """Ids of deleted ones that other tests have not made."""
+    return bench.ids("is:deleted dataset:testbed")
+
+
+# --- marks ------------------------------------------------------------------------------------
+
+
+def test_flags_of_many_and_back(bench):
+    body = {"ids": [1, 2, 3], "name": "misregistered", "detail": "again"}
+    assert bench.post(f"{ADDRESS}/flag", body) == {"changed": [1, 2]}
+    assert bench.ids("flag:misregistered") == [1, 2, 3]
+    assert bench.post(f"{ADDRESS}/unflag", {"ids": [1, 2], "name": "misregistered"}) == {
+        "changed": [1, 2]
+    }
+    assert bench.ids("flag:misregistered") == [3]
+
+
+def test_deletions_and_back(bench):
+    assert bench.post(f"{ADDRESS}/delete", {"ids": [4, 6]}) == {"changed": [4, 6]}
+    assert bench.post(f"{ADDRESS}/delete", {"ids": [4, 6]}) == {"changed": []}
+    assert gone(bench) == [4, 6]
+    assert 4 not in bench.ids("")
+    assert bench.get(f"{ADDRESS}/4")["deleted"]
+    assert bench.post(f"{ADDRESS}/undelete", {"ids": [4, 6]}) == {"changed": [4, 6]}
+    assert gone(bench) == []
+
+
+def test_notes_and_back(bench):
+    made = bench.post(f"{ADDRESS}/note", {"ids": [7, 8], "text": " slipped early \n"})["changed"]
+    assert [note["text"] for note in bench.get(f"{ADDRESS}/7")["notes"]] == ["slipped early"]
+    assert bench.ids("is:noted slipped") == [7, 8]
+    assert bench.post("/api/v1/notes/delete", {"ids": made}) == {"changed": made}
+    assert bench.get(f"{ADDRESS}/7")["notes"] == []
+    bench.post("/api/v1/notes/undelete", {"ids": made[:1]})
+    assert bench.ids("is:noted") == [7]
+    bench.post("/api/v1/notes/delete", {"ids": made})
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status"),
+    [
+        ("flag", {"ids": [1], "name": "Not So"}, 422),
+        ("flag", {"ids": [], "name": "late"}, 422),
+        ("flag", {"ids": [1, 999], "name": "late"}, 404),
+        ("flag", {"ids": [2**31], "name": "late"}, 422),
+        ("flag", {"ids": [1], "name": "late", "detail": "a\x00b"}, 422),
+        ("flag", {"ids": [1], "name": "late", "odd": 1}, 422),
+        ("note", {"ids": [1], "text": "   "}, 422),
+        ("note", {"ids": [1], "text": "x" * 10_001}, 422),
+        ("note", {"ids": [1], "text": "\ud800"}, 422),
+        ("delete", {"ids": "all"}, 422),
+        ("delete", None, 422),
+    ],
+)
+def test_marks_that_cannot_be_change_nothing(bench, path, body, status):
+    before = bench.get(ADDRESS)
+    bench.post(f"{ADDRESS}/{path}", body, status)
+    assert bench.get(ADDRESS) == before
+
+
+def test_marks_need_the_word_of_a_page_or_the_token(bench):
+    body = {"ids": [1]}
+    assert bench.client.post(f"{ADDRESS}/delete", json=body).status_code == 403
+    foreign = {WORD_HEADER: bench.gate.word, "origin": "http://evil.example"}
+    assert bench.client.post(f"{ADDRESS}/delete", headers=foreign, json=body).status_code == 403
+    assert gone(bench) == []
+    program = Client(bench.app, HERE)
+    token = {"authorization": f"Bearer {bench.gate.token}"}
+    assert program.post(f"{ADDRESS}/delete", headers=token, json=body).json() == {"changed": [1]}
+    assert program.post(f"{ADDRESS}/undelete", headers=token, json=body).status_code == 200

@@ -1,0 +1,257 @@
+"""The pages of experiments in a real browser: table, filter, marks, undo, keys, scrubbing."""
+
+import re
+
+import numpy as np
+import pytest
+from tests.web.conftest import SCRIPTS
+
+from fixel.model import Experiment, Flag, Provenance, Trajectory
+
+ROW = "tr[data-id]"
+
+
+def names(page):
+    return page.locator(f"{ROW} .named a").all_inner_texts()
+
+
+def total(page):
+    return int(re.match(r"[\d\u202f]+", page.inner_text("#counted"))[0].replace("\u202f", ""))
+
+
+def wait_for_total(page, wanted):
+    page.wait_for_function(
+        "wanted => document.getElementById('counted').textContent.startsWith(`${wanted} exp`)",
+        arg=wanted,
+    )
+
+
+@pytest.fixture
+def table(browser_page):
+    browser_page.wait_for_selector(ROW)
+    return browser_page
+
+
+def test_the_table_shows_runs_and_sorts(table):
+    assert table.url.endswith("/experiments")
+    assert total(table) == 30
+    assert table.locator(f"{ROW} img").first.evaluate(
+        "async image => { await image.decode(); return image.naturalWidth > 0 }"
+    )
+    table.click("th.name button")
+    table.click("th.name button")
+    table.wait_for_function("() => location.search.includes('descending')")
+    table.wait_for_selector("th[aria-sort=descending]")
+    shown = names(table)
+    assert shown == sorted(shown, reverse=True)
+
+
+def test_filtering_as_one_types(table):
+    table.keyboard.press("/")
+    table.keyboard.type("shape=pentagon")
+    table.wait_for_function("() => location.search.includes('pentagon')")
+    table.wait_for_function(
+        "() => [...document.querySelectorAll('td.shape')]"
+        ".every(cell => cell.textContent.includes('pentagon'))"
+    )
+    assert total(table) < 30
+    table.expected_problems = ["422"]
+    table.fill("#filter", "is:odd")
+    table.wait_for_selector("#filter-problem:not([hidden])")
+    assert "expected one of clean" in table.inner_text("#filter-problem")
+    table.fill("#filter", "nothing is like this")
+    table.wait_for_selector("#nothing:not([hidden])")
+    table.keyboard.press("Escape")
+    table.click("#clear")
+    wait_for_total(table, 30)
+    assert table.is_hidden("#filter-problem")
+
+
+def test_picking_and_coverage(table):
+    table.select_option("[data-pick=shape]", "square")
+    table.wait_for_function("() => document.getElementById('filter').value === 'shape=square'")
+    if table.is_hidden("#coverage"):
+        table.click("#show-coverage")
+    place = table.locator(".place").first
+    wanted = int(re.match(r"\d+", place.get_attribute("aria-label"))[0])
+    place.click()
+    table.wait_for_selector(".place.here")
+    assert "offset_x_m>=" in table.input_value("#filter")
+    # The coverage is of all shapes, for its own table chooses among them.
+    assert 0 < total(table) <= wanted
+    table.locator(".place.here").click()
+    table.wait_for_function("() => document.getElementById('filter').value === 'shape=square'")
+
+
+def test_keys_move_select_delete_and_undo(table):
+    first, second = table.locator(ROW).nth(0), table.locator(ROW).nth(1)
+    assert "active" in first.get_attribute("class")
+    table.keyboard.press("j")
+    assert "active" in second.get_attribute("class")
+    table.keyboard.press("x")
+    assert table.inner_text("#chosen") == "1 selected"
+    number = second.get_attribute("data-id")
+    table.keyboard.press("Delete")
+    wait_for_total(table, 29)
+    assert table.locator(f"tr[data-id='{number}']").count() == 0
+    table.keyboard.press("Control+z")
+    wait_for_total(table, 30)
+    table.wait_for_selector(f"tr[data-id='{number}']")
+    table.keyboard.press("k")
+    table.keyboard.press("Enter")
+    table.wait_for_url("**/experiments/1")
+
+
+def test_deleted_ones_are_shown_and_restored(table):
+    table.locator(f"{ROW} td.select").nth(2).click()
+    table.locator(f"{ROW} td.select").nth(5).click(modifiers=["Shift"])
+    assert table.inner_text("#chosen") == "4 selected"
+    table.click("#act-delete")
+    wait_for_total(table, 26)
+    table.select_option("[data-pick=is]", "deleted")
+    wait_for_total(table, 4)
+    table.check("#all")
+    table.click("#act-restore")
+    table.wait_for_selector("#nothing:not([hidden])")
+    table.click("#clear")
+    wait_for_total(table, 30)
+
+
+def test_flagging_many_with_undo_by_the_toast(table):
+    table.locator(f"{ROW} td.select").nth(0).click()
+    table.locator(f"{ROW} td.select").nth(1).click()
+    table.keyboard.press("f")
+    table.fill("#flag-name", "slipped")
+    table.fill("#flag-detail", "before the pusher came")
+    table.keyboard.press("Enter")
+    table.wait_for_selector("text=Flagged 2 experiments as slipped.")
+    table.wait_for_selector("tr[data-index='1'] .tag.fault:has-text('slipped')")
+    assert table.locator(".tag.fault", has_text="slipped").count() == 2
+    table.click(".toast button.undo")
+    table.wait_for_function(
+        "() => !document.querySelector('td.marks').textContent.includes('slipped')"
+    )
+
+
+def test_only_what_is_seen_is_drawn(table, server):
+    store = server.desk.store
+    track = Trajectory(time=np.arange(3.0), pose=np.zeros((3, 3)))
+    made = [
+        store.add_experiment(
+            Experiment(
+                dataset="many",
+                name=f"{k:04d}",
+                real=True,
+                provenance=Provenance(version="0"),
+                trajectory=track,
+                conditions={"k": float(k)},
+            )
+        ).id
+        for k in range(400)
+    ]
+    try:
+        table.goto(server.address + "experiments?filter=dataset:many")
+        wait_for_total(table, 400)
+        assert table.locator(ROW).count() < 40
+        table.keyboard.press("End")
+        table.wait_for_selector("text=0399")
+        assert table.locator(ROW).count() < 40
+        table.evaluate("document.getElementById('scroll').scrollTop = 64 * 200")
+        table.wait_for_selector("text=0203")
+    finally:
+        store.delete_all(made)
+
+
+# --- one experiment -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def one(browser_page, server):
+    browser_page.goto(server.address + "experiments/1")
+    browser_page.wait_for_selector("#experiment[data-ready=yes]")
+    browser_page.wait_for_selector("#next[data-ready]")
+    return browser_page
+
+
+def test_an_experiment_beside_its_simulation(one):
+    assert "simulation 1, nominal values" in one.inner_text("#which")
+    assert one.locator(".legend li").count() == 2
+    assert "mm" in one.inner_text("#figures")
+    assert one.locator("#charts canvas").count() == 6
+
+
+def test_scrubbing_moves_all_of_it(one):
+    charts = one.locator("#charts").bounding_box()
+    one.mouse.move(charts["x"] + charts["width"] / 2, charts["y"] + 150)
+    one.mouse.down()
+    one.mouse.move(charts["x"] + charts["width"] * 0.8, charts["y"] + 150)
+    one.mouse.up()
+    time = one.evaluate("document.getElementById('player').player.time")
+    assert 6.0 < time < 11.0
+    assert f"{time:.2f} s" in one.inner_text("#player .time")
+    one.keyboard.press("Space")
+    one.wait_for_function("t => document.getElementById('player').player.time > t", arg=time)
+    one.keyboard.press("Space")
+
+
+def test_notes_and_flags_of_one(one):
+    one.keyboard.press("n")
+    one.fill("#note-text", SCRIPTS[0] + "\nsecond line")
+    one.click("#note-form .primary")
+    one.wait_for_selector("#notes li:has-text('second line')")
+    assert SCRIPTS[0] in one.inner_text("#notes")
+    assert one.evaluate("window.hacked") is None
+    one.keyboard.press("Control+z")
+    one.wait_for_selector("#notes li:has-text('None yet')")
+    one.click("#flag")
+    one.fill("#flag-name", "odd-one")
+    one.uncheck("#flag-fault")
+    one.click("#flag-form .primary")
+    one.wait_for_selector("#flags .tag:not(.fault)")
+    one.click("#flags button")
+    one.wait_for_function("() => !document.querySelector('#flags .tag')")
+
+
+def test_neighbours_by_keys(one):
+    one.keyboard.press("j")
+    one.wait_for_url("**/experiments/2")
+    one.wait_for_selector("#previous[href]")
+    one.wait_for_selector("#previous[data-ready]")
+    one.keyboard.press("k")
+    one.wait_for_url("**/experiments/1")
+
+
+def test_names_are_never_markup(browser_page, server):
+    store = server.desk.store
+    made = store.add_experiment(
+        Experiment(
+            dataset=SCRIPTS[0],
+            name=SCRIPTS[1],
+            real=True,
+            provenance=Provenance(version="0", command=SCRIPTS[0], source=SCRIPTS[1]),
+            trajectory=Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))),
+            conditions={"shape": SCRIPTS[0], "layout": SCRIPTS[1], "x": SCRIPTS[0]},
+            flags=(Flag("late", SCRIPTS[0]),),
+        )
+    ).id
+    try:
+        for path in ("experiments?filter=late", f"experiments/{made}"):
+            browser_page.goto(server.address + path)
+            browser_page.wait_for_selector(f"{ROW} :text('onerror')" if "?" in path else "dd")
+            browser_page.wait_for_selector(":text('late')")
+            browser_page.wait_for_load_state("networkidle")
+            assert browser_page.evaluate("window.hacked") is None
+    finally:
+        store.delete(made)
+
+
+def test_on_a_phone_nothing_is_wider_than_the_screen(chromium, server):
+    context = chromium.new_context(viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    page.goto(server.link)
+    page.wait_for_selector(ROW)
+    for path in ("experiments", "experiments/1", "api"):
+        page.goto(server.address + path)
+        page.wait_for_load_state("networkidle")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, path
+    context.close()
