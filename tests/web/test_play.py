@@ -34,6 +34,10 @@ class Bench:
     def get(self, path):
         return self._client.get("/api/v1" + path)
 
+    def send(self, path, text):
+        headers = {**self._word, "content-type": "application/json"}
+        return self._client.request("POST", "/api/v1" + path, headers, content=text)
+
     def post(self, path, body):
         return self._client.post("/api/v1" + path, headers=self._word, json=body)
 
@@ -143,6 +147,30 @@ def test_problems_of_a_scene_name_their_key(bench):
     scene["fixels"][0]["pose"] = scene["bodies"][0]["pose"]
     told = bench.post("/scenes/check", {"scene": scene}).json()
     assert told["where"] == "'object' and 'fixel-1'"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '{"scene": {"bodies": [{"name": "\\ud800"}]}}',
+        '{"scene": {"\\ud800": 1}}',
+        '{"\\ud800": 1}',
+        '{"scene": {"duration": NaN}}',
+        '{"scene": {"duration": 1e999}}',
+        '{"scene": {"duration": 1' + 400 * "0" + "}}",
+        '{"scene": {"bodies": ' + 900 * "[" + 900 * "]" + "}}",
+        '{"scene": {"bodies": ' + 90_000 * "[" + 90_000 * "]" + "}}",
+        '{"scene": {"fixels": [{"name": "a", "shape": {"disk": true}}]}}',
+        '{"scene": []}',
+        "{",
+        "",
+    ],
+)
+def test_no_body_is_too_strange_for_an_answer(bench, body):
+    for path in ("/scenes/check", "/simulate", "/scenes/write", "/experiments/1/comparison"):
+        answer = bench.send(path, body)
+        assert 400 <= answer.status_code < 500
+        assert answer.json()["sentence"]
 
 
 def test_a_simulation_that_takes_too_long_is_ended(bench, monkeypatch):

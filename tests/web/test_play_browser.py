@@ -1,5 +1,6 @@
 """Playing, comparing and making scenes, in a real browser."""
 
+import json
 import os
 import signal
 import time
@@ -106,9 +107,11 @@ def test_scrubber_and_arrow_keys_and_charts_move_the_time(compare):
     assert 0.5 < player(compare, "time") / player(compare, "end") < 0.9
     moved = compare.evaluate("document.querySelector('.cursor').style.transform")
     assert moved.startswith("translateX(")
+    the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare)
 
 
-def test_the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
+def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
+    compare.locator("#player canvas").scroll_into_view_if_needed()
     scale, centre = player(compare, "stage.scale"), player(compare, "stage.centre")
     box = compare.locator("#player canvas").bounding_box()
     compare.mouse.move(box["x"] + 100, box["y"] + 100)
@@ -125,7 +128,7 @@ def test_the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare
 # --- compare ----------------------------------------------------------------------------------
 
 
-def test_a_slider_has_a_new_simulation_within_100_ms(compare):
+def test_a_slider_has_a_new_simulation_within_100_ms(compare, server):
     slider = compare.locator("#slide-mu_pusher")
     slider.focus()
     before = compare.locator("tr[data-set=adjusted] td").first.inner_text()
@@ -138,9 +141,11 @@ def test_a_slider_has_a_new_simulation_within_100_ms(compare):
     print("round trips [ms]:", trips)
     assert compare.locator("tr[data-set=adjusted] td").first.inner_text() != before
     assert median(trips) < 2 * ROUND_TRIP  # of a machine that does much else beside
+    sets_are_pinned_removed_brought_back_and_kept(compare, server)
 
 
-def test_sets_are_pinned_removed_brought_back_and_kept(compare, server):
+def sets_are_pinned_removed_brought_back_and_kept(compare, server):
+    compare.click("#reset")
     row = compare.locator("#sets tr")
     assert row.count() == 2
     compare.fill(".slider[data-name=mu_support] input[type=number]", "0.4")
@@ -175,9 +180,11 @@ def test_dragging_a_fixel_simulates_and_undo_takes_it_back(simulate):
     assert editor(simulate, "scene.fixels[0].pose") == start
     simulate.keyboard.press("Control+y")
     assert editor(simulate, "scene.fixels[0].pose") == moved
+    arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate)
 
 
-def test_arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate):
+def arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate):
+    simulate.click("#things label:nth-child(1)")
     x, y, angle = editor(simulate, "scene.bodies[0].pose")
     simulate.focus("#editor")
     simulate.keyboard.press("ArrowRight")
@@ -211,9 +218,10 @@ def test_a_wrong_value_is_told_at_its_field(simulate):
     assert "at least 0" in refusal.inner_text()
     simulate.fill(".field[data-where='pushers[0].drive.speed'] input", "20")
     refusal.wait_for(state="hidden")
+    things_are_added_removed_and_changed_in_kind(simulate)
 
 
-def test_things_are_added_removed_and_changed_in_kind(simulate):
+def things_are_added_removed_and_changed_in_kind(simulate):
     simulate.click("#add-fixel")
     assert editor(simulate, "scene.fixels.length") == 4
     assert simulate.input_value(".field[data-where='fixels[3].name'] input") == "fixel-4"
@@ -256,6 +264,23 @@ def test_what_was_made_survives_going_away(simulate, server):
     simulate.wait_for_selector("#simulate[data-ready]")
     assert editor(simulate, "scene.bodies[0].pose") == pose
     assert simulate.inner_text("#origin") == "what you made here before"
+
+
+def test_a_measured_path_goes_along_with_its_pusher(simulate, tmp_path):
+    scene = scene_desk.example("grasp")
+    path = [[0.0, 0.0, 0.006, 0.0], [5.0, 0.06, 0.006, 0.1], [11.0, 0.12, 0.0, 0.2]]
+    scene["pushers"][0]["drive"] = {"waypoints": path}
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps(scene))
+    before = simulations(simulate)
+    simulate.set_input_files("#file", file)
+    simulated_again(simulate, before)
+    simulate.click("#things label:nth-child(2)")
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowDown")
+    moved = editor(simulate, "scene.pushers[0].drive.waypoints")
+    for (t, x, y, angle), row in zip(path, moved, strict=True):
+        assert row == pytest.approx([t, x, y - 0.001, angle])
 
 
 def test_a_file_is_opened_and_one_that_is_none_is_refused(simulate, tmp_path):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from fixel.web.api._values import Number, Text
 from fixel.web.api.motion import StoryOut
@@ -20,12 +21,23 @@ NOBODY_WAITS = 499  # of HTTP, as nginx counts it
 GLANCE = 0.05  # [s] between two looks whether the browser still waits
 
 
+def _writable(scene: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what no file can hold, before a sentence is made of it."""
+    try:
+        json.dumps(scene, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise ValueError("text and levels that a scene file can hold") from None
+    return scene
+
+
 class SceneIn(BaseModel):
     """A scene, as the keys of a scene file."""
 
     model_config = ConfigDict(extra="forbid")
 
-    scene: dict[str, Any] = Field(description="as in a scene file: fixel scene files are the same")
+    scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
+        description="as in a scene file: fixel scene files are the same"
+    )
 
 
 class FileIn(BaseModel):

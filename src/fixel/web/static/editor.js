@@ -3,8 +3,8 @@
 // drive to send the pusher elsewhere. Keeps what was before, for undo.
 
 import { placed } from "./motion.js";
-import { History, KINDS, drawable, endOf, inside, place, poseOf, reachOf, tidy } from "./scene.js";
-import { Stage, colour } from "./stage.js";
+import { History, KINDS, drawable, endOf, feetOf, inside, place, poseOf, reachOf, tidy } from "./scene.js";
+import { Stage, colour, roundNumber } from "./stage.js";
 
 /** @typedef {import("./motion.js").Motion} Motion */
 /** @typedef {import("./scene.js").Kind} Kind */
@@ -199,6 +199,11 @@ export class Editor extends EventTarget {
     this.changed("nudge");
   }
 
+  /** How far an arrow key moves: a millimetre, or less where all of the view is some millimetres [m]. */
+  get stride() {
+    return Math.min(1e-3, roundNumber(this.stage.width / this.stage.scale / 100));
+  }
+
   /** The next thing, or the one before. @param {number} way */
   chooseNext(way) {
     const things = this.things;
@@ -210,7 +215,7 @@ export class Editor extends EventTarget {
   /** @param {KeyboardEvent} event */
   #key(event) {
     if (event.ctrlKey || event.metaKey) return;
-    const mm = (event.shiftKey ? 10 : 1) * 1e-3;
+    const mm = (event.shiftKey ? 10 : 1) * this.stride;
     const degree = ((event.shiftKey ? 10 : 1) * Math.PI) / 180;
     /** @type {Record<string, () => void>} */
     const actions = {
@@ -249,11 +254,10 @@ export class Editor extends EventTarget {
     this.stage.scaleBar();
   }
 
-  /** Lines 10 mm apart, or what can be told apart. @param {CanvasRenderingContext2D} context */
+  /** Lines a power of ten apart that can be told apart. @param {CanvasRenderingContext2D} context */
   #grid(context) {
     const { stage } = this;
-    let step = 0.001;
-    while (step * stage.scale < 14) step *= 10;
+    const step = 10 ** Math.ceil(Math.log10(14 / stage.scale));
     const [x0, y1] = stage.toWorld(0, 0);
     const [x1, y0] = stage.toWorld(stage.width, stage.height);
     context.strokeStyle = colour(stage.canvas, "faint", "#eef1f4");
@@ -293,25 +297,11 @@ export class Editor extends EventTarget {
     context.lineWidth = chosen ? 3 : 1.6;
     context.stroke();
     context.setLineDash([]);
-    const tripod = thing.support?.tripod;
-    if (tripod) this.#feet(context, pose, tripod, thing.centre_of_mass ?? [0, 0]);
-  }
-
-  /**
-   * The points a tripod stands on.
-   * @param {CanvasRenderingContext2D} context
-   * @param {number[]} pose
-   * @param {{radius: number, angle?: number}} tripod
-   * @param {number[]} centre
-   */
-  #feet(context, pose, tripod, centre) {
-    for (const k of [0, 1, 2]) {
-      const angle = (tripod.angle ?? 0) + (2 * Math.PI * k) / 3;
-      const point = [centre[0] + tripod.radius * Math.cos(angle), centre[1] + tripod.radius * Math.sin(angle)];
-      const [x, y] = this.stage.toScreen(placed(pose, point));
+    for (const point of feetOf(thing)) {
+      const [x, y] = stage.toScreen(placed(pose, point));
       context.beginPath();
       context.arc(x, y, 3, 0, 2 * Math.PI);
-      context.fillStyle = colour(this.stage.canvas, "soft", "#59636d");
+      context.fillStyle = colour(stage.canvas, "soft", "#59636d");
       context.fill();
     }
   }

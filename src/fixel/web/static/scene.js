@@ -115,3 +115,29 @@ export function inside(thing, world) {
   }
   return odd;
 }
+
+/** The points a body stands on, in its frame [m]; none where it is not on a few. @param {Record<string, any>} thing @returns {number[][]} */
+export function feetOf(thing) {
+  const { tripod, points } = thing.support ?? {};
+  if (points) return points.at;
+  if (!tripod) return [];
+  const [x, y] = thing.centre_of_mass ?? centroidOf(thing.shape);
+  return [0, 1, 2].map((k) => {
+    const angle = (tripod.angle ?? 0) + (2 * Math.PI * k) / 3;
+    return [x + tripod.radius * Math.cos(angle), y + tripod.radius * Math.sin(angle)];
+  });
+}
+
+/** @param {Record<string, any>} shape */
+function centroidOf(shape) {
+  let [area, x, y] = [0, 0, 0];
+  const corners = shape.polygon ?? [];
+  corners.forEach((/** @type {number[]} */ [ax, ay], /** @type {number} */ k) => {
+    const [bx, by] = corners[(k + 1) % corners.length];
+    const cross = ax * by - bx * ay;
+    area += cross / 2;
+    x += ((ax + bx) * cross) / 6;
+    y += ((ay + by) * cross) / 6;
+  });
+  return area === 0 ? [0, 0] : [x / area, y / area];
+}

@@ -236,6 +236,6 @@ export class TopView {
     context.lineWidth = 2.5;
     stage.arrow(x, y, length, 0);
     context.fillStyle = colour(this.stage.canvas, "force-text", "#a84300");
-    stage.text(forceText(newtons), x + length / 2, y - 8, "center");
+    stage.text(forceText(newtons), x + length, y - 8, "right");
   }
 }

@@ -1,0 +1,119 @@
+"""How fast the Compare and Simulate pages answer: ``python -m benchmarks.web_play``.
+
+A project of two simulated runs, its server, and a Chromium without a window that draws in software.
+A round trip is from the key press on a slider until its new simulation is in the picture, the
+charts and the table; frames are pictures of a whole run of 11 s at speed 1.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.sampling import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.web.project import Desk, project_server
+from fixel.workflows.compare import CompareDesk
+
+MOVES = 60
+PLAY = """async () => {
+  const { player } = document.querySelector("#player");
+  const gaps = [];
+  let [drawn, last] = [player.stage.drawn, performance.now()];
+  const began = last;
+  player.seek(player.start);
+  player.play();
+  await new Promise((done) => {
+    const look = (now) => {
+      if (player.stage.drawn !== drawn) {
+        gaps.push(now - last);
+        [last, drawn] = [now, player.stage.drawn];
+      }
+      if (player.playing) requestAnimationFrame(look);
+      else done();
+    };
+    requestAnimationFrame(look);
+  });
+  return [gaps, performance.now() - began];
+}"""
+
+
+def main() -> None:
+    """Measure and print."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        project = Project.create(Path(folder) / "lab")
+        with project.store() as store:
+            for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
+                store.add_experiment(experiment)
+        desk = Desk(project)
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(120_000)
+        try:
+            with project_server(desk) as server:
+                _without_browser(desk)
+                page.goto(server.link)
+                _compare(page, server.address)
+                _simulate(page, server.address)
+        finally:
+            browser.close()
+            desk.close()
+
+
+def _without_browser(desk: Desk) -> None:
+    at_hand, spent = CompareDesk(desk.store), []
+    for k in range(MOVES):
+        begun = time.process_time()
+        at_hand.compared(1, {"mu_pusher": 0.1 + 0.01 * k})
+        spent.append(1e3 * (time.process_time() - begun))
+    _row("a comparison, processor time of the server", spent[1:])
+
+
+def _compare(page: Any, address: str) -> None:
+    page.goto(address + "compare?experiment=1")
+    page.wait_for_selector("#compare[data-ready]")
+    page.focus("#slide-mu_pusher")
+    trips = []
+    for k in range(MOVES):
+        page.evaluate("delete document.getElementById('compare').dataset.roundTrip")
+        page.keyboard.press("ArrowRight" if k % 10 < 5 else "ArrowLeft")
+        page.wait_for_selector("#compare[data-round-trip]")
+        trips.append(float(page.get_attribute("#compare", "data-round-trip")))
+    _row("slider to new simulation on the screen", trips)
+    gaps, took = page.evaluate(PLAY)
+    print(f"{'frames of a run of 11 s':46} {1e3 * len(gaps) / took:6.1f} frames/s")
+    _row("between two of them", gaps)
+
+
+def _simulate(page: Any, address: str) -> None:
+    page.goto(address + "simulate")
+    page.wait_for_selector("#simulate[data-simulated]")
+    page.focus("#editor")
+    trips = []
+    for k in range(MOVES):
+        before = page.get_attribute("#simulate", "data-simulated")
+        page.keyboard.press("ArrowUp" if k % 10 < 5 else "ArrowDown")
+        page.wait_for_function(
+            "n => document.getElementById('simulate').dataset.simulated !== n", arg=before
+        )
+        trips.append(float(page.get_attribute("#simulate", "data-round-trip")))
+    _row("part moved to new simulation", trips)
+
+
+def _row(what: str, values: list[float]) -> None:
+    middle, most = np.quantile(values, (0.5, 0.95))
+    print(f"{what:46} {middle:6.1f} ms, 95 % under {most:.1f} ms")
+
+
+if __name__ == "__main__":
+    main()
