@@ -4,38 +4,23 @@ import sqlite3
 import time
 
 import pytest
-from tests.web.client import Client
+from tests.web.bench import Bench
 
-from fixel.database.project import Project
 from fixel.jobs import folder as files
 from fixel.jobs.folder import Status
 from fixel.testing.toy_work import MAKER
-from fixel.web.app import create_app
 from fixel.web.pages.system import bytes_text
-from fixel.web.project import Desk, project_api, project_pages
-from fixel.web.security import Gate
 from fixel.workflows import jobs, system
 
-HERE = "http://127.0.0.1:8000"
 
-
-class Bench:
-    def __init__(self, folder):
-        self.folder = folder
-        self.gate = Gate()
-        self.desk = Desk(Project.open(folder))
-        self.app = create_app(
-            project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
-        )
-        self.client = Client(self.app, HERE, cookies={self.gate.cookie: self.gate.session})
-
+class JobsBench(Bench):
     def get(self, path):
         answer = self.client.get(f"/api/v1{path}")
         assert answer.status_code < 500
         return answer
 
     def post(self, path):
-        return self.client.post(f"/api/v1{path}", headers={"x-fixel-word": self.gate.word})
+        return super().post(f"/api/v1{path}")
 
     def job(self, name, **options):
         folder = self.folder / "jobs" / name
@@ -44,9 +29,9 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def bench(project):
-    made = Bench(project)
+    made = JobsBench(project)
     yield made
-    made.desk.close()
+    made.close()
 
 
 def until(condition, patience=30.0):
@@ -200,7 +185,13 @@ def test_the_self_test_itself():
 
 @pytest.mark.parametrize(
     ("size", "text"),
-    [(0, "0 byte"), (999, "999 byte"), (1000, "1 kB"), (2_345_678, "2.35 MB"), (None, "on a server")],
+    [
+        (0, "0 byte"),
+        (999, "999 byte"),
+        (1000, "1 kB"),
+        (2_345_678, "2.35 MB"),
+        (None, "on a server"),
+    ],
 )
 def test_sizes_for_people(size, text):
     assert bytes_text(size) == text
