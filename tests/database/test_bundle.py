@@ -230,6 +230,23 @@ def test_what_is_newer_here_stays_on_top(store, tmp_path):
     assert [s.id for s in store.experiments().summaries] == [here]
 
 
+def test_notes_come_along_once_and_stay_deleted(store, tmp_path):
+    number = store.add_experiment(experiment()).id
+    store.annotate([number], "slipped early")
+    store.delete_notes(store.annotate([number], "wrong"))
+    file = tmp_path / "with-notes.zip"
+    export_bundle(store, file)
+    with Store(f"sqlite:///{tmp_path / 'other.db'}", tmp_path / "other-media") as other:
+        other.upgrade()
+        for _ in range(2):
+            import_bundle(file, other)
+            assert [note.text for note in other.notes(1)] == ["slipped early"]
+        assert other.notes(1)[0].created == store.notes(number)[0].created
+        other.delete_notes([1])
+        import_bundle(file, other)
+        assert other.notes(1) == []
+
+
 def test_a_flag_found_elsewhere_comes_along_once(store, tmp_path):
     with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
         other.upgrade()

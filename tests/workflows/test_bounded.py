@@ -2,6 +2,8 @@
 
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -67,3 +69,28 @@ def test_others_wait_for_their_turn_only_so_long():
         with pytest.raises(Cancelled):
             sleep.call(0.0, lambda: True)
         sleep._turn.release()
+
+
+def test_it_ends_with_the_program_that_started_it_also_in_the_middle_of_a_call(tmp_path):
+    script = tmp_path / "program.py"
+    script.write_text(
+        "import os, threading, time\n"
+        "from fixel.workflows.bounded import Bounded\n"
+        "if __name__ == '__main__':\n"
+        "    sleep = Bounded(time.sleep, limit=60.0)\n"
+        "    sleep.start()\n"
+        "    threading.Thread(target=sleep.call, args=(60.0,), daemon=True).start()\n"
+        "    time.sleep(0.2)\n"
+        "    print(sleep._process.pid, flush=True)\n"
+        "    os._exit(0)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    process = int(done.stdout)
+    until = time.monotonic() + 10.0
+    while time.monotonic() < until:
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("it still computes")

@@ -44,6 +44,7 @@ from fixel.database.bundle_lines import (
     FilterParametersLine,
     FilterRunLine,
     FlagLine,
+    NoteLine,
     ParametersLine,
     SimulationLine,
 )
@@ -179,11 +180,17 @@ class _Writer:
         row = rows.experiment_row(experiment)
         if experiment.video:
             self._video(experiment.video)
-        plain = ExperimentLine.model_fields.keys() - {"flags", "series", "video_sha256"}
+        own = {"flags", "series", "video_sha256", "notes"}
+        plain = ExperimentLine.model_fields.keys() - own
+        notes = [
+            {"text": note.text, "created_at_utc": note.created}
+            for note in self._store.notes(number)
+        ]
         return {name: row[name] for name in sorted(plain)} | {
             "video_sha256": experiment.video or None,
             "flags": self._flags(number),
             "series": self._series(rows.series_of(experiment)),
+            **({"notes": notes} if notes else {}),
         }
 
     def _flags(self, number: int) -> list[dict[str, Any]]:
@@ -488,9 +495,11 @@ class _Reader:
             if number is not None:
                 self._new["known"] += 1
                 self._new["flags"] += _add_missing(connection, number, line.flags)
+                _add_notes(connection, number, line.notes)
                 return number
             number = self._store._insert(connection, bare, row, series)
             _insert_flags(connection, number, line.flags)
+            _add_notes(connection, number, line.notes)
             if outdated:
                 table = tables.experiment
                 connection.execute(
@@ -612,3 +621,16 @@ def _add_missing(connection: sa.Connection, number: int, lines: list[FlagLine]) 
     ]
     _insert_flags(connection, number, missing)
     return len(missing)
+
+
+def _add_notes(connection: sa.Connection, number: int, lines: list[NoteLine]) -> None:
+    """Notes written elsewhere, unless they have ever been here: deleted, they stay so."""
+    note = tables.note
+    wanted = sa.select(note.c.text, note.c.created_at_utc).where(note.c.experiment_id == number)
+    here = {(row.text, row.created_at_utc) for row in connection.execute(wanted)}
+    missing = [line for line in lines if (line.text, line.created_at_utc) not in here]
+    if missing:
+        connection.execute(
+            sa.insert(tables.note),
+            [line.model_dump() | {"experiment_id": number} for line in missing],
+        )

@@ -58,6 +58,13 @@ class FlagLine(Line):
         return Flag(self.name, self.detail, self.is_fault)
 
 
+class NoteLine(Line):
+    """What somebody wrote beside an experiment."""
+
+    text: str = Field(min_length=1, max_length=10_000)
+    created_at_utc: str = Field(max_length=40)
+
+
 class Recorded(Line):
     """Where a record comes from."""
 
@@ -88,6 +95,7 @@ class ExperimentLine(Recorded):
     video_sha256: Sha256 | None
     flags: list[FlagLine]
     series: list[SeriesLine]
+    notes: list[NoteLine] = []  # left out where there are none: older programs know no notes
 
     def record(self, measured: list[Measured]) -> Experiment:
         """The experiment as it was when it was first stored."""

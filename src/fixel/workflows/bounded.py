@@ -7,12 +7,13 @@ server, so it runs beside it.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any, Final, final
 
 from fixel.errors import JobRefused
@@ -173,6 +174,7 @@ def _serve(
 ) -> None:
     """What the process does: answer until nobody asks."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if ready is not None:
         ready()
     with suppress(EOFError, OSError):
@@ -184,3 +186,11 @@ def _serve(
             except Exception as problem:
                 answer = (False, problem)
             pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    """Nobody hears the end of a computation whose server is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Request
@@ -113,18 +114,19 @@ def router(desk: Desk) -> APIRouter:
         f"and {scene_desk.MOST_DURATION:g} s of simulated time. Ends when the connection does.",
     )
     async def simulate(wanted: SceneIn, request: Request) -> SimulatedOut:
-        gone = asyncio.Event()
+        gone = threading.Event()
         watch = asyncio.create_task(_watch(request, gone))
         try:
             answer = await asyncio.to_thread(_simulated, wanted.scene, gone)
-        finally:
+        finally:  # also when the server ends
+            gone.set()
             watch.cancel()
         return answer
 
     return found
 
 
-def _simulated(scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
+def _simulated(scene: dict[str, Any], gone: threading.Event) -> SimulatedOut:
     scene_desk.check_scene(scene)  # what cannot be needs no other process
     try:
         answer: scene_desk.Simulated = scene_desk.beside().call(scene, gone.is_set)
@@ -133,7 +135,7 @@ def _simulated(scene: dict[str, Any], gone: asyncio.Event) -> SimulatedOut:
     return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)
 
 
-async def _watch(request: Request, gone: asyncio.Event) -> None:
+async def _watch(request: Request, gone: threading.Event) -> None:
     while not await request.is_disconnected():
         await asyncio.sleep(GLANCE)
     gone.set()

@@ -148,7 +148,12 @@ def provenance(experiment: Experiment) -> list[Fact]:
         ("seed", "" if origin.seed is None else str(origin.seed)),
         ("video SHA-256", experiment.video),
     )
-    return [Fact(name, value) for name, value in given if value]
+    return [Fact(name, _short(name, value)) for name, value in given if value]
+
+
+def _short(name: str, value: str) -> str:
+    """Checksums by their beginning: enough to tell them apart, and the JSON has all of it."""
+    return f"{value[:16]}\u2026" if name.endswith("SHA-256") else value
 
 
 def _instant(iso: str) -> str:

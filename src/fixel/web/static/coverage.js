@@ -20,8 +20,10 @@ export class Coverage {
   /**
    * @param {HTMLElement} host
    * @param {(filter: string) => void} choose is told the filter that a press asks for
+   * @param {() => void} close
    */
-  constructor(host, choose) {
+  constructor(host, choose, close) {
+    this.close = close;
     this.host = host;
     this.choose = choose;
     this.filter = "";
@@ -53,7 +55,8 @@ export class Coverage {
     if (!covered) return;
     const total = covered.number.flat().reduce((a, b) => a + b, 0);
     this.host.replaceChildren(
-      make("h2", {}, "Coverage"),
+      make("div", { class: "coverage-head" }, make("h2", {}, "Coverage"),
+        make("button", { type: "button", class: "quiet", "aria-label": "Close the coverage", onclick: this.close }, "\u2715")),
       make("div", { class: "axes" },
         this.#axis("across", "x", covered), this.#axis("up", "y", covered)),
       this.#plane(covered),

@@ -46,8 +46,8 @@ async function simulate(player) {
     at("figures").replaceChildren(...(complete ? [
       figure("error (root of E)", fixed(Math.sqrt(answer.error_mm2), 2), "mm"),
       figure("distance, rms", mm(answer.position_rms_m, 2), "mm"),
-      figure("at the end", mm(answer.final_position_m, 2), "mm"),
-      figure("at the end", deg(answer.final_angle_rad, 2), "deg"),
+      figure("distance, end", mm(answer.final_position_m, 2), "mm"),
+      figure("angle, end", deg(answer.final_angle_rad, 2), "deg"),
       answer.measured_contact_mode
         ? figure("contacts", `${answer.contact_mode} ${same ? "\u2713" : `\u2260 ${answer.measured_contact_mode}`}`, "", same ? "good" : "bad")
         : figure("contacts", answer.contact_mode || "\u2013", ""),
@@ -75,7 +75,7 @@ async function film(player) {
     shown.shown = box.checked;
     shown.draw();
   });
-  at("video-remark").textContent = "Getting the video ready: one that no browser plays is written anew, once.";
+  if (video.readyState < HTMLMediaElement.HAVE_CURRENT_DATA) at("video-remark").textContent = "Getting the video ready: one that no browser plays is written anew, once.";
   video.addEventListener("loadeddata", () => {
     if (at("video-remark").textContent?.startsWith("Getting")) at("video-remark").textContent = "";
   });

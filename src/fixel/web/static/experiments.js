@@ -26,7 +26,7 @@ const shown = new Window(at("scroll"), at("rows"), (index) => {
   if (!row) return awaited(index);
   return drawnRow(row, index, { selected: selected.has(row.id), active: index === active });
 });
-const coverage = new Coverage(at("coverage"), (filter) => search(filter));
+const coverage = new Coverage(at("coverage"), (filter) => search(filter), () => at("show-coverage").click());
 
 // --- asking -------------------------------------------------------------------------------------
 
