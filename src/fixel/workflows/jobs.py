@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -38,6 +39,7 @@ START_S: Final = 30.0  # [s] for a detached coordinator to begin
 END_S: Final = 60.0  # [s] for a coordinator to end when asked to
 LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` goes on
 JOBS: Final = "jobs"  # folder of a project
+COORDINATOR: Final = "fixel.jobs.coordinator"
 # What travels with a packed job: nothing that is of one machine or secret.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MOST_BYTES: Final = 50_000_000_000
@@ -135,11 +137,18 @@ def run_here(folder: Path, progress: Show | None = None, say: Say | None = None)
     return status_of(folder)
 
 
-def run_detached(folder: Path) -> JobStatus:
-    """Run or continue a job in a process of its own, which outlives this one."""
+def run_detached(folder: Path, module: str = COORDINATOR) -> JobStatus:
+    """Run or continue a job in a process of its own, which outlives this one.
+
+    Parameters
+    ----------
+    folder : Path
+    module : str
+        Run with the folder as its argument, in place of the coordinator that it has to call.
+    """
     with (folder / files.LOG).open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())],
+            [sys.executable, "-m", module, str(folder.resolve())],
             stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
         )  # fmt: skip
     deadline = time.monotonic() + START_S
@@ -148,9 +157,15 @@ def run_detached(folder: Path) -> JobStatus:
         if owner is not None and owner.pid == process.pid:
             break
         time.sleep(0.05)
-    # The process goes on without us; nobody needs to wait for it.
+    # The process goes on without us; should it end before us, the system wants somebody to ask.
+    threading.Thread(target=_see_off, args=(process.pid,), daemon=True).start()
     process.returncode = process.returncode or 0
     return status_of(folder)
+
+
+def _see_off(pid: int) -> None:
+    with suppress(ChildProcessError):
+        os.waitpid(pid, 0)
 
 
 def run_on_slurm(folder: Path) -> str:

@@ -20,6 +20,7 @@ from fixel.database.query import Query
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
+from fixel.exchange.lock import FileLock
 from fixel.jobs import folder as files
 from fixel.jobs.site import Site
 from fixel.jobs.work import Progress
@@ -245,13 +246,24 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
     return collect(project, folder, record.provenance.command, {})
 
 
+def stored_ids(folder: Path) -> list[int]:
+    """Of the stored calibrations that came of a job so far."""
+    path = folder / STORED
+    known: list[int] = json.loads(path.read_text()) if path.is_file() else []
+    return known
+
+
 def _stored(
     project: Project, folder: Path, request: Request, outcome: Outcome, command: str
 ) -> list[int]:
     path = folder / STORED
-    known: list[int] = json.loads(path.read_text()) if path.is_file() else []
     experiments = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
-    with project.store() as store:
+    known = stored_ids(folder)
+    if len(known) == len(outcome.found):
+        return known
+    # A page and a command may see the end of a job at the same moment.
+    with FileLock(folder / f"{STORED}.lock", f"the result of {folder}"), project.store() as store:
+        known = stored_ids(folder)
         # One after the other, each noted at once: a crash between costs one doubled record at most.
         for one in outcome.found[len(known) :]:
             known.append(

@@ -1,0 +1,53 @@
+"""What to type and what to write for a calibration."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from fixel.workflows.calibration.request import Request
+
+
+def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
+    """What to type for the same calibration.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the project.
+    request : Request
+        Without unknowns that are restricted to some conditions: those take a file.
+    keys : sequence of str
+        Ids or names of the experiments.
+    """
+    usual = Request(unknowns=request.unknowns)
+    words = ["fixel", "calibrate", *keys, "--project", str(folder), "--mode", request.mode]
+    for unknown in request.unknowns:
+        if unknown.frozen:
+            words += ["--set", f"{unknown.name}={unknown.nominal:.9g}"]
+        else:
+            ends = f"{unknown.low:.9g}:{unknown.high:.9g}:{unknown.nominal:.9g}"
+            words += ["--fit", f"{unknown.name}={ends}"]
+    for name in ("motion", "combine", "starts", "seed", "level", "name"):
+        value = getattr(request, name)
+        if value != getattr(usual, name):
+            words += [f"--{name}", str(value)]
+    if request.error.name != usual.error.name:
+        words += ["--error", request.error.name]
+    words += ["--optimiser", request.optimiser.name]
+    for name, value in request.optimiser.options.items():
+        words += ["--option", f"{name}={value}"]
+    return shlex.join(words if request.verdicts else [*words, "--no-verdicts"])
+
+
+def python_of(folder: Path, number: int) -> str:
+    """What to write to have a stored calibration in a script."""
+    return (
+        "from pathlib import Path\n\n"
+        "from fixel.database.project import Project\n\n"
+        f"with Project.open(Path({str(folder)!r})).store() as store:\n"
+        f"    calibration = store.calibration({number})\n"
+        "for name, value in calibration.parameters.items():\n"
+        "    print(name, value)  # SI\n"
+    )

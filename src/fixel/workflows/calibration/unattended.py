@@ -1,0 +1,66 @@
+"""A calibration nobody waits for: `python -m fixel.workflows.calibration.unattended FOLDER`.
+
+What the coordinator does for any job; in the end, what was found is stored in the project. It may
+die at any moment: whoever goes on with the job, or looks at it, does the rest.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Final
+
+from fixel.database.project import Project
+from fixel.errors import FixelError
+from fixel.jobs import coordinator
+from fixel.jobs import folder as files
+from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.run import EXPERIMENTS, collect
+from fixel.workflows.calibration.work import REQUEST
+
+MODULE: Final = "fixel.workflows.calibration.unattended"
+
+
+def collected(project: Project, folder: Path) -> list[int]:
+    """Ids of the stored calibrations of a job that is done; they are stored where they are not.
+
+    Raises
+    ------
+    JobRefused
+        Another process is about to store them.
+    """
+    request, ids = request_of(folder), experiments_of(folder)
+    command = command_of(project.folder, request, [str(number) for number in ids])
+    return collect(project, folder, command, {}).ids
+
+
+def request_of(folder: Path) -> Request:
+    """What a calibration's job is to find."""
+    return Request.model_validate_json((folder / "inputs" / REQUEST).read_bytes())
+
+
+def experiments_of(folder: Path) -> list[int]:
+    """Ids of the experiments of a calibration's job."""
+    ids: list[int] = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
+    return ids
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the job, then store what it found."""
+    given = sys.argv[1:] if arguments is None else arguments
+    folder = Path(given[0])
+    status = coordinator.main(given)
+    if status or files.read_status(folder).state != "done":
+        return status
+    try:
+        collected(Project.open(folder.resolve().parents[1]), folder)
+    except FixelError as problem:
+        files.log(folder, str(problem))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
