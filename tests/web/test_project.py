@@ -1,5 +1,6 @@
 """The gate and the conventions of the interface for programs."""
 
+import http.client
 import json
 import socket
 import subprocess
@@ -12,7 +13,7 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.web.app import create_app
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
-from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.project import Desk, project_api, project_pages, project_server
 from fixel.web.security import MOST_BODY, WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
@@ -163,6 +164,21 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
         out, err = process.communicate(timeout=5)
     assert process.returncode == 0
     assert token not in out + err
+
+
+def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
+    server = project_server(bench.desk, host="0.0.0.0")
+    with server:
+        assert socket.gethostname() in server.link
+        for name, status in ((socket.gethostname(), 200), ("evil.example", 400)):
+            line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+            line.request(
+                "GET",
+                "/api/v1/project",
+                headers={"host": name, "authorization": f"Bearer {server.gate.token}"},
+            )
+            assert line.getresponse().status == status
+            line.close()
 
 
 def test_a_port_that_is_taken(project):

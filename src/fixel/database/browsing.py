@@ -24,7 +24,6 @@ from fixel.database.tables import (
 from fixel.errors import InvalidInput
 
 Relation = Literal["=", "!=", "<", "<=", ">", ">="]
-Mark = Literal["clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced"]
 MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
 
 

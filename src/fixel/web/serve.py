@@ -161,9 +161,11 @@ def _names(host: str) -> tuple[str, ...]:
     """By which a browser may call the server."""
     if host in EVERYWHERE:
         name = socket.gethostname()
-        found = socket.getaddrinfo(name, None, proto=socket.IPPROTO_TCP)
-        addresses = {str(entry[4][0]) for entry in found}
-        return (*LOOPBACK, name, *sorted(a for a in addresses if ":" not in a))
+        try:
+            found = socket.getaddrinfo(name, None, family=socket.AF_INET)
+        except OSError:  # a machine that does not know its own name
+            found = []
+        return (*LOOPBACK, name, *sorted({str(entry[4][0]) for entry in found}))
     return LOOPBACK if host == HERE_ONLY else (*LOOPBACK, f"[{host}]" if ":" in host else host)
 
 

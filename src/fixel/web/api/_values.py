@@ -10,8 +10,6 @@ from fastapi import Path
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, Field
 
-from fixel.errors import InvalidInput
-
 LARGEST = 2**31 - 1  # what a database counts with
 
 # Ids, as they stand in addresses and in bodies.
@@ -42,10 +40,3 @@ class Array(BaseModel):
         array = np.ascontiguousarray(values, dtype=dtype)
         data = base64.b64encode(array.tobytes()).decode("ascii")
         return cls(dtype=dtype, shape=list(array.shape), base64=data)
-
-
-def one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
-    """The value, or a refusal."""
-    if value not in allowed:
-        raise InvalidInput(name, found=repr(value), expected="one of " + ", ".join(allowed))
-    return value

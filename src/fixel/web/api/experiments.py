@@ -1,22 +1,41 @@
-"""Experiments: the table, its marks, and all of one."""
+"""Experiments: the table and all of one."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
 from threading import Lock
-from typing import TYPE_CHECKING, Annotated, Any, Final, final
+from typing import TYPE_CHECKING, Annotated, Final, final
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
 
 from fixel.database.browsing import Row
 from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.exchange.trajectory_file import plain_numbers
-from fixel.model import Experiment, Flag, Trajectory
-from fixel.web.api._values import LARGEST, Array, Id, Number, Text
+from fixel.model import Experiment, Trajectory
+from fixel.web.api._experiments import (
+    AxisOut,
+    CoverageOut,
+    ExperimentOut,
+    FlagOut,
+    IdsOut,
+    NoteOut,
+    OutlinesOut,
+    RowOut,
+    SeenOut,
+    SignalOut,
+    SimulationOut,
+    SimulationsOut,
+    TableOut,
+    TactileOut,
+    TrackOut,
+    TrajectoryOut,
+    ValuesOut,
+    VocabularyOut,
+)
+from fixel.web.api._values import LARGEST, Array, Number
 from fixel.workflows.browse import coverage, view_of, vocabulary
 from fixel.workflows.experiments import summary
 from fixel.workflows.seen import seen_in_video
@@ -26,7 +45,6 @@ if TYPE_CHECKING:
     from fixel.web.project import Desk
 
 MOST_ROWS: Final = 500  # on one page
-MOST_MARKED: Final = 20_000  # in one act
 MOST_THUMBNAILS: Final = 5000  # kept; about 2 kB each
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
 
@@ -39,229 +57,10 @@ Filter = Annotated[
 ]
 
 
-# --- what is asked for and answered -----------------------------------------------------------
-
-
-class FlagOut(BaseModel):
-    """Something one should know before using an experiment."""
-
-    name: str
-    detail: str
-    fault: bool = Field(description="whether analyses leave the experiment out")
-
-
-class NoteOut(BaseModel):
-    """What somebody wrote."""
-
-    id: int
-    text: str
-    created_utc: str
-
-
-class RowOut(BaseModel):
-    """A line of the table."""
-
-    id: int
-    dataset: str
-    name: str
-    real: bool
-    shape: str | None
-    layout: str | None
-    frames: int
-    duration_s: float
-    start: list[float] = Field(description="x [m], y [m], angle [rad]")
-    end: list[float] = Field(description="x [m], y [m], angle [rad]")
-    moved_m: float
-    turned_rad: float
-    contacts: str = Field(description="measured at the end, a digit a fixel")
-    conditions: dict[str, str | float]
-    created_utc: str
-    content: str = Field(description="beginning of the checksum of its content")
-    before_mm: float | None = Field(
-        description="root of the thesis's E, of the newest stored simulation with nominal values"
-    )
-    after_mm: float | None = Field(description="the same, of the newest calibration it is part of")
-    flags: list[FlagOut]
-    notes: int
-    deleted: bool
-
-
-class TableOut(BaseModel):
-    """One page of the table."""
-
-    experiments: list[RowOut]
-    total: int = Field(description="that match, on this page or not")
-    faulty: int = Field(description="of these, with a fault in their data")
-
-
-class IdsOut(BaseModel):
-    """Ids of experiments."""
-
-    ids: list[int]
-
-
-class ValuesOut(BaseModel):
-    """What a condition was."""
-
-    texts: dict[str, int]
-    low: float | None
-    high: float | None
-    total: int
-
-
-class VocabularyOut(BaseModel):
-    """What experiments can be told apart by."""
-
-    datasets: dict[str, int]
-    flags: dict[str, int]
-    conditions: dict[str, ValuesOut]
-
-
-class AxisOut(BaseModel):
-    """An axis of the coverage."""
-
-    name: str
-    edges: list[float]
-    centres: list[float]
-
-
-class CoverageOut(BaseModel):
-    """How many experiments there are at each place of a plane of configurations."""
-
-    x: AxisOut
-    y: AxisOut
-    number: list[list[int]] = Field(description="a row for each place along x")
-    shapes: list[str]
-    layouts: list[str]
-    table: list[list[int]] = Field(description="a row a shape, a column a layout")
-    axes: list[str] = Field(description="names that an axis may have")
-    without: int = Field(description="experiments that have no such value")
-
-
-class _Asked(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
-
-
-class Marked(_Asked):
-    """Which experiments."""
-
-
-class FlagIn(_Asked):
-    """A flag for experiments."""
-
-    name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
-    detail: Text = Field(default="", max_length=2000)
-    fault: bool = Field(default=True, description="whether analyses leave them out")
-
-
-class UnflagIn(_Asked):
-    """A flag to take off."""
-
-    name: Text = Field(max_length=100)
-
-
-class NoteIn(_Asked):
-    """A note beside experiments."""
-
-    text: Text = Field(min_length=1, max_length=10_000)
-
-
-class ChangedOut(BaseModel):
-    """What an act changed: taking it back means these and no others."""
-
-    changed: list[int]
-
-
-class TrackOut(BaseModel):
-    """Poses against time."""
-
-    time: Array = Field(description="(n,) [s]")
-    pose: Array = Field(description="(n, 3) x [m], y [m], angle [rad]")
-
-
-class TrajectoryOut(TrackOut):
-    """What was measured."""
-
-    object: str
-    pusher: TrackOut | None
-    effective_s: list[float] | None = Field(description="first and last instant of useful data")
-
-
-class SimulationOut(BaseModel):
-    """A stored simulation of an experiment."""
-
-    id: int
-    parameters: dict[str, float]
-    status: str
-    contacts: str
-    error_mm: float | None = Field(description="root of the thesis's E")
-    created_utc: str
-    command: str
-    method: dict[str, Any]
-    track: TrackOut
-    pusher: TrackOut | None
-
-
-class SimulationsOut(BaseModel):
-    """The newest simulations of an experiment, the newest first."""
-
-    total: int
-    simulations: list[SimulationOut]
-
-
-class SignalOut(BaseModel):
-    """A channel."""
-
-    name: str
-    columns: list[str]
-    time: Array = Field(description="(n,) [s]")
-    values: Array = Field(description="(n, n_column); NaN where there was no reading")
-
-
-class TactileOut(BaseModel):
-    """Which fixel was touched when."""
-
-    measured: SignalOut | None
-    fixels: list[str]
-
-
-class SeenOut(BaseModel):
-    """Where the object appears in pictures of this size."""
-
-    size_px: list[int] = Field(description="width, height")
-    time_s: Array = Field(description="(n,)")
-    outline_px: Array = Field(description="(n, m, 2) closed lines; the first pixel's middle is 0")
-
-
-class OutlinesOut(BaseModel):
-    """Outlines over a video."""
-
-    outlines: SeenOut | None = Field(description="none where the rig is not known")
-
-
-class ExperimentOut(BaseModel):
-    """All that is known of an experiment but for what is long."""
-
-    model_config = ConfigDict(extra="allow")
-
-    id: int
-    key: str
-    notes: list[NoteOut]
-    deleted: bool
-    content: str
-    has_video: bool
-
-
-# --- routes -----------------------------------------------------------------------------------
-
-
 def router(desk: Desk) -> APIRouter:
     """`/experiments`, `/coverage` and `/vocabulary`."""
     found = APIRouter(tags=["experiments"])
     _add_table(found, desk)
-    _add_marks(found, desk)
     _add_one(found, desk)
     return found
 
@@ -318,40 +117,6 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
             axes=list(found.axes),
             without=found.without,
         )
-
-
-def _add_marks(router: APIRouter, desk: Desk) -> None:
-    store = desk.store
-
-    @router.post("/experiments/flag", summary="Add a flag to experiments")
-    def flag(asked: FlagIn) -> ChangedOut:
-        made = Flag(asked.name, asked.detail, asked.fault)
-        return ChangedOut(changed=store.flag_all(asked.ids, made))
-
-    @router.post("/experiments/unflag", summary="Take a flag off experiments")
-    def unflag(asked: UnflagIn) -> ChangedOut:
-        return ChangedOut(changed=store.unflag_all(asked.ids, asked.name))
-
-    @router.post("/experiments/delete", summary="Leave experiments out of everything")
-    def delete(asked: Marked) -> ChangedOut:
-        return ChangedOut(changed=store.delete_all(asked.ids))
-
-    @router.post("/experiments/undelete", summary="Take deletions of experiments back")
-    def undelete(asked: Marked) -> ChangedOut:
-        return ChangedOut(changed=store.delete_all(asked.ids, back=True))
-
-    @router.post("/experiments/note", summary="Write a note beside experiments")
-    def note(asked: NoteIn) -> ChangedOut:
-        """`changed` are the ids of the notes."""
-        return ChangedOut(changed=store.annotate(asked.ids, asked.text))
-
-    @router.post("/notes/delete", summary="Delete notes, by their ids")
-    def delete_notes(asked: Marked) -> ChangedOut:
-        return ChangedOut(changed=store.delete_notes(asked.ids))
-
-    @router.post("/notes/undelete", summary="Take deletions of notes back, by their ids")
-    def undelete_notes(asked: Marked) -> ChangedOut:
-        return ChangedOut(changed=store.delete_notes(asked.ids, back=True))
 
 
 def _add_one(router: APIRouter, desk: Desk) -> None:

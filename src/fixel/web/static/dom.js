@@ -1,5 +1,5 @@
 // @ts-check
-// Small helpers for pages that are put together here. Texts go in as text, never as markup.
+// Small functions for pages that are put together here. Texts go in as text, never as markup.
 
 /**
  * The element of an id; it is there, or the page is wrong.

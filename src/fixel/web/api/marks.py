@@ -1,0 +1,90 @@
+"""Flags, notes and deletions of many experiments at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from fixel.model import Flag
+from fixel.web.api._values import Id, Text
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+MOST_MARKED: Final = 20_000  # in one act
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
+
+
+class Marked(_Asked):
+    """Which experiments."""
+
+
+class FlagIn(_Asked):
+    """A flag for experiments."""
+
+    name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
+    detail: Text = Field(default="", max_length=2000)
+    fault: bool = Field(default=True, description="whether analyses leave them out")
+
+
+class UnflagIn(_Asked):
+    """A flag to take off."""
+
+    name: Text = Field(max_length=100)
+
+
+class NoteIn(_Asked):
+    """A note beside experiments."""
+
+    text: Text = Field(min_length=1, max_length=10_000)
+
+
+class ChangedOut(BaseModel):
+    """What an act changed: taking it back means these and no others."""
+
+    changed: list[int]
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/experiments/flag` and so on; `changed` says what taking it back means."""
+    found = APIRouter(tags=["marks"])
+    store = desk.store
+
+    @found.post("/experiments/flag", summary="Add a flag to experiments")
+    def flag(asked: FlagIn) -> ChangedOut:
+        made = Flag(asked.name, asked.detail, asked.fault)
+        return ChangedOut(changed=store.flag_all(asked.ids, made))
+
+    @found.post("/experiments/unflag", summary="Take a flag off experiments")
+    def unflag(asked: UnflagIn) -> ChangedOut:
+        return ChangedOut(changed=store.unflag_all(asked.ids, asked.name))
+
+    @found.post("/experiments/delete", summary="Leave experiments out of everything")
+    def delete(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_all(asked.ids))
+
+    @found.post("/experiments/undelete", summary="Take deletions of experiments back")
+    def undelete(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_all(asked.ids, back=True))
+
+    @found.post("/experiments/note", summary="Write a note beside experiments")
+    def note(asked: NoteIn) -> ChangedOut:
+        """`changed` are the ids of the notes."""
+        return ChangedOut(changed=store.annotate(asked.ids, asked.text))
+
+    @found.post("/notes/delete", summary="Delete notes, by their ids")
+    def delete_notes(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_notes(asked.ids))
+
+    @found.post("/notes/undelete", summary="Take deletions of notes back, by their ids")
+    def undelete_notes(asked: Marked) -> ChangedOut:
+        return ChangedOut(changed=store.delete_notes(asked.ids, back=True))
+
+    return found
