@@ -1,6 +1,8 @@
 """Every page for everybody: axe-core's rules, light and dark, wide and narrow; and the keyboard.
 
-Two looks of each page here; all four with: make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
+Two looks of each page here; all four with
+
+    make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
 """
 
 from importlib.resources import files
@@ -26,28 +28,28 @@ REACHABLE = """() => {
   const wanted = "a[href], button, input, select, textarea, summary, [tabindex]";
   const rect = (node) => node.getBoundingClientRect();
   const groups = new Set();
-  return [...document.querySelectorAll(wanted)].filter((node) => {
-    if (node.disabled || node.tabIndex < 0 || !node.checkVisibility({ visibilityProperty: true }))
-      return false;
+  const seen = [...document.querySelectorAll(wanted)].filter((node) => {
+    if (node.disabled || node.tabIndex < 0) return false;
+    if (!node.checkVisibility({ visibilityProperty: true })) return false;
     if (node.matches("input[type=radio]")) {
       if (groups.has(node.name)) return false;
       groups.add(node.name);
     }
     return rect(node).width > 0 && rect(node).height > 0;
-  }).map((node, k) => { node.dataset.wanted = k; return describe(node); });
-  function describe(node) {
-    return `${k_of(node)} ${node.tagName}#${node.id}.${node.className} ${(node.textContent || "").trim().slice(0, 30)}`;
-  }
-  function k_of(node) { return node.dataset.wanted; }
+  });
+  return seen.map((node, k) => {
+    node.dataset.wanted = k;
+    return `${k} ${node.tagName}#${node.id}.${node.className} ${node.textContent.slice(0, 30)}`;
+  });
 }"""
 FOCUSED = """() => {
   const node = document.activeElement;
   if (!node || node === document.body) return null;
   const style = getComputedStyle(node);
   const ring = style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0;
-  const group = node.matches("input[type=radio]") && node.name
-    ? document.querySelector(`input[type=radio][name="${CSS.escape(node.name)}"][data-wanted]`) : null;
-  return { place: (group ?? node).dataset.wanted ?? "", ring: ring || style.boxShadow !== "none",
+  const name = node.matches("input[type=radio]") ? CSS.escape(node.name) : "";
+  const group = name && document.querySelector(`input[name="${name}"][data-wanted]`);
+  return { place: (group || node).dataset.wanted ?? "", ring: ring || style.boxShadow !== "none",
            what: `${node.tagName}#${node.id}` };
 }"""
 
@@ -65,10 +67,8 @@ def places(project, server):
     folder = project / "jobs" / "toy"
     jobs.prepare_job(folder, maker=MAKER, options={"rounds": 1, "chunks": 2})
     assert jobs.run_here(folder).state == "done"
-    found = {
-        page.path.replace("{number}", "1"): None for page in server._pages
-    }  # what has no number of its own opens with what there is
-    return [server.address.rstrip("/") + path for path in (*found, "/nowhere")]
+    found = {page.path.replace("{number}", "1").replace("{name}", "toy") for page in server._pages}
+    return [server.address.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
 
 
 def opened(chromium, link, look, size):

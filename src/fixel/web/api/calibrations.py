@@ -25,9 +25,7 @@ MOST_LISTED: Final = 500
 MOST_KEPT: Final = 64  # calibrations at hand; what is stored never changes
 
 Filter = Annotated[Text, Field(max_length=1000)]
-Name = Annotated[
-    str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)
-]
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Mode = Literal["each", "joint", "campaign"]
 Optimiser = Literal["pattern-search", "nelder-mead", "cma-es", "least-squares"]

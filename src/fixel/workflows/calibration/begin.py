@@ -158,9 +158,7 @@ def _matching(store: Store, filter: str, ids: Sequence[int]) -> tuple[list[int],
     return sorted(clean), len(every) - len(clean)
 
 
-def _targets(
-    store: Store, ids: Sequence[int]
-) -> tuple[list[Target], list[int], dict[str, str]]:
+def _targets(store: Store, ids: Sequence[int]) -> tuple[list[Target], list[int], dict[str, str]]:
     targets, kept, left_out = [], [], {}
     for number in ids:
         experiment = store.experiment(number)

@@ -12,10 +12,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
 from fixel.exchange.array_bytes import arrays_of
 from fixel.exchange.journal import read_journal
-from fixel.database.project import Project
 from fixel.jobs import folder as files
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows import jobs
@@ -183,9 +183,7 @@ def _read(journal: Path, progress: Progress, request: Request, n: int) -> None:
     progress.rate.append((time.monotonic(), len(progress.objective)))
 
 
-def _take(
-    name: str, arrays: dict[str, Any], progress: Progress, request: Request, n: int
-) -> None:
+def _take(name: str, arrays: dict[str, Any], progress: Progress, request: Request, n: int) -> None:
     stage, _, rest = name.rpartition(" ")[0].rpartition("/")
     first = rest == "0"
     progress.stage = stage
