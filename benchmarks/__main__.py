@@ -29,9 +29,10 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "memory": ("processes", "run_memory", "memory of a batch"),
     "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
+    "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "coverage", "domain", "sbc")
+ONLY_WHEN_ASKED = ("peers", "coverage", "domain", "sbc", "web")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 import tempfile
@@ -77,6 +78,7 @@ def versions() -> dict[str, str]:
     return found | {name: _version(name) for name in PACKAGES}
 
 
+@functools.cache  # they do not change while this process runs
 def _version(name: str) -> str:
     try:
         return version(name)
