@@ -10,9 +10,10 @@ import itertools
 import logging
 import re
 import sqlite3
+from pathlib import Path
 
 import pytest
-from tests.web.bench import Bench
+from tests.web.bench import Bench, filled
 
 from fixel.errors import InvalidInput
 from fixel.web import security
@@ -242,3 +243,84 @@ def test_there_is_always_a_token():
         assert server.gate.token in server.link
     finally:
         server.stop()
+
+
+# --- what is sent -----------------------------------------------------------------------------
+
+ESCAPES = (
+    "..%2f..%2f..%2f..%2fetc%2fpasswd",
+    "%2e%2e%2f%2e%2e%2ffixel.yaml",
+    "%2e%2e",
+    "%2fetc%2fpasswd",
+    "..%5c..%5cfixel.yaml",
+    "....//....//fixel.yaml",
+    "%252e%252e%252ffixel.yaml",
+    "fixel.yaml%00.db",
+    "%c0%ae%c0%ae%2ffixel.yaml",
+    "file:%2f%2f%2fetc%2fpasswd",
+    "%00",
+    "-1",
+    "1e3",
+    "0x1",
+    "9" * 5000,
+)
+
+
+def test_no_parameter_is_a_path(bench):
+    """Every parameter of every address, of pages, too: refused, and nothing of a file told."""
+    templates = [page.path for page in bench.pages]
+    templates += [f"/api/v1{path}" for path in bench.api.openapi()["paths"]]
+    templates += ["/static/{file}", "/static/{folder}/style.css"]
+    asked = 0
+    for template in templates:
+        for parameter in re.findall(r"\{\w+\}", template):
+            for escape in ESCAPES:
+                address = filled(template.replace(parameter, escape))
+                for method in ("GET", "POST"):
+                    headers = {"x-fixel-word": bench.gate.word}
+                    answer = bench.client.request(method, address, headers=headers)
+                    known = {303, 404, 405, 422}
+                    assert answer.status_code in known, (method, address, answer.status_code)
+                    assert "root:" not in answer.text
+                    assert "database:" not in answer.text
+                    asked += 1
+    assert asked > 500
+
+
+@pytest.mark.parametrize("told", [None, "10", "nonsense", "-1"])
+def test_long_bodies_are_cut_off_whatever_they_say(bench, told):
+    """Also one whose length is not told beforehand, or told wrong: it is not read to its end."""
+    scope = request(bench.gate, "/api/v1/scenes/read", "bearer", HOSTS[0], "absent", "POST")
+    scope["headers"].append((b"content-type", b"application/json"))
+    if told is not None:
+        scope["headers"].append((b"content-length", told.encode()))
+    read, sent = 0, []
+
+    async def receive():
+        nonlocal read
+        read += 65536
+        return {"type": "http.request", "body": b" " * 65536, "more_body": read < 2**28}
+
+    async def send(message):
+        sent.append(message)
+
+    asyncio.run(bench.app(scope, receive, send))
+    assert read <= security.MOST_BODY + 2 * 65536
+    assert 400 <= sent[0]["status"] < 500
+
+
+def test_nothing_is_uploaded(bench):
+    """No address takes a file: scene files are read by the browser, and sent as text."""
+    for path, entries in bench.api.openapi()["paths"].items():
+        for method, entry in entries.items():
+            kinds = set(entry.get("requestBody", {}).get("content", {}))
+            assert kinds <= {"application/json"}, (method, path)
+
+
+def test_nothing_is_unpickled_from_outside():
+    """No module of the server knows how."""
+    import fixel.web
+
+    folder = Path(fixel.web.__file__).parent
+    for path in folder.rglob("*.py"):
+        assert not re.search(r"\b(pickle|marshal|shelve|allow_pickle)\b", path.read_text()), path

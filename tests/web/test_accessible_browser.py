@@ -1,6 +1,6 @@
 """Every page for everybody: axe-core's rules, light and dark, wide and narrow; and the keyboard.
 
-Two looks of each page here; all four with
+One look of each page here; all four with
 
     make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
 """
@@ -120,7 +120,10 @@ def judged(chromium, link, addresses, axe, looks, tmp_path):
 
 
 def test_no_serious_violation(chromium, server, places, axe, tmp_path):
-    assert judged(chromium, server.link, places, axe, LOOKS, tmp_path) == []
+    bad = []
+    for look, some in zip(LOOKS, (places[::2], places[1::2]), strict=True):
+        bad += judged(chromium, server.link, some, axe, [look], tmp_path)
+    assert bad == []
 
 
 @pytest.mark.slow
