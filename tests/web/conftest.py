@@ -50,6 +50,33 @@ def _simulate(store, numbers):
         store.add_simulation(answer.record(number, "fixel compare --save"))
 
 
+@pytest.fixture(scope="session")
+def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
+    """The same with a calibration of six experiments and a map of all; not to be changed."""
+    from fixel.workflows.calibration import begin, run
+    from fixel.workflows.calibration.request import entry_of
+    from fixel.workflows.calibration.unknowns import fitted
+    from fixel.workflows.domain.mapped import map_domain
+    from fixel.workflows.domain.request import Asked
+
+    folder = tmp_path_factory.mktemp("trusted") / "my_lab"
+    shutil.copytree(laboratory, folder)
+    project = Project.open(folder)
+    with project.store() as store:
+        chosen = begin.chosen_from(store, "", range(6, 12))
+    scenes = [target.case.scene for target in chosen.targets]
+    unknowns = fitted(["mu_pusher", "tripod_radius"], scenes)
+    request = begin.request_from(
+        "first", "joint", [entry_of(u) for u in unknowns], "nelder-mead", 60, starts=2
+    )
+    job = run.prepare(project, chosen, request)
+    run.run(job)
+    run.collect(project, job, "fixel calibrate --name first", {})
+    asked = Asked(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
+    map_domain(project, asked, command="fixel domain")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def project(laboratory, tmp_path_factory) -> Path:
     """A copy of the laboratory for the tests of one module, which may change it."""

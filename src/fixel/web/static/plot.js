@@ -52,6 +52,7 @@ export class Plot {
     this.frame = make("div", { class: "plot-frame" });
     host.replaceChildren(make("div", { class: "plot-head" }, this.key, this.readout), this.frame);
     this.width = 0;
+    this.clip = `clip-${Math.random().toString(36).slice(2)}`;
     new ResizeObserver(() => {
       if (host.clientWidth !== this.width) this.#draw();
     }).observe(host);
@@ -78,7 +79,7 @@ export class Plot {
     this.across = placed(low, high, LEFT, width - RIGHT, content.x.log);
     this.up = placed(bottom, top, height - BOTTOM, TOP, content.y.log);
     const { across, up } = this;
-    const inside = svg("g", { "clip-path": `url(#${this.#clip()})` });
+    const inside = svg("g", { "clip-path": `url(#${this.clip})` });
     for (const band of content.bands ?? []) {
       const [from, to] = [across(band.from), across(band.to)];
       inside.append(svg("rect", { class: band.name, x: from, y: TOP, width: Math.max(1, to - from), height: height - BOTTOM - TOP }));
@@ -92,17 +93,12 @@ export class Plot {
     for (const one of content.series) inside.append(drawn(one, across, up));
     this.frame.replaceChildren(svg(
       "svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": content.title },
-      svg("clipPath", { id: this.#clip() }, svg("rect", { x: LEFT - 5, y: 0, width: width - LEFT - RIGHT + 10, height: height - BOTTOM + 5 })),
+      svg("clipPath", { id: this.clip }, svg("rect", { x: LEFT - 5, y: 0, width: width - LEFT - RIGHT + 10, height: height - BOTTOM + 5 })),
       ...axes(content, [low, high], [bottom, top], across, up, width, height),
       inside,
     ));
     const named = [...content.series, ...(content.marks ?? [])].filter((one) => one.label);
     this.key.replaceChildren(...named.map((one) => make("li", {}, sample(one), one.label)));
-  }
-
-  #clip() {
-    this.id ??= `clip-${Math.random().toString(36).slice(2)}`;
-    return this.id;
   }
 
   /** @param {PointerEvent} event */

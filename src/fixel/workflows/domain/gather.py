@@ -58,6 +58,7 @@ class Gathered(NamedTuple):
     scale_mm: float  # what a radian counts as
     left_out: dict[str, str]
     is_real: bool
+    mark: str = ""  # of the file it is kept in
 
 
 def gather(project: Project, asked: Asked, progress: Progress | None = None) -> Gathered:
@@ -71,7 +72,7 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
             raise InvalidInput(
                 "experiments", found="none", expected="some", hint="see what there is: fixel list"
             )
-        mark = _mark(store, asked, [summary.id for summary in summaries])
+        mark = _mark(asked, [summary.id for summary in summaries], _newest(store, asked))
         folder = project.folder / ANALYSES / FOLDER / mark
         content = _read(folder / WHOLE)
         if content is None:
@@ -82,15 +83,37 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
         if asked.measure == "relative":
             gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in summaries)
-    return gathered._replace(is_real=real)
+    return gathered._replace(is_real=real, mark=mark)
 
 
-def _mark(store: Store, asked: Asked, ids: Sequence[int]) -> str:
+def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> Gathered | None:
+    """Evidence out of a file that `gather` has kept; nothing is computed, none where it is gone."""
+    content = _read(project.folder / ANALYSES / FOLDER / mark / WHOLE) if mark else None
+    if content is None:
+        return None
+    gathered = _gathered(content, asked)
+    if asked.measure == "relative":
+        gathered = _with_own(project, store, asked, gathered)
+    real = all(summary.is_real for summary in store.experiments(asked.query).summaries)
+    return gathered._replace(is_real=real, mark=mark)
+
+
+def mark_of(store: Store, asked: Asked, calibration: int | None) -> str:
+    """Of the file in which the evidence was kept when a calibration was the newest."""
+    ids = [one.id for one in store.experiments(asked.query).summaries]
+    return _mark(asked, ids, calibration)
+
+
+def _newest(store: Store, asked: Asked) -> int | None:
+    return None if asked.calibration is not None or asked.fit else newest(store)
+
+
+def _mark(asked: Asked, ids: Sequence[int], latest: int | None) -> str:
     """Of everything the numbers depend on; stored records never change."""
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
     if asked.calibration is None and not asked.fit:
-        kept["newest"] = newest(store)
+        kept["newest"] = latest
     of = [VERSION, kept, list(ids), repr(SQUARES), MOST_TRAINING]
     return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
 

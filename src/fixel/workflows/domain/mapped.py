@@ -96,13 +96,9 @@ def map_domain(
     if plot is not None:
         make_folder(plot)
     gathered = gather(project, asked, progress)
-    axes = list(asked.axes) or usual_axes(gathered.evidence, asked.by)
-    evidence, aside = _at_nominal(gathered.evidence, axes)
-    cells = cells_of(evidence, axes, asked.nominal, asked.steps)
+    evidence, cells, aside = _cut(gathered, asked)
     claim = _claim(asked, gathered, evidence)
-    promised = _promised(evidence, cells, asked)
-    domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
-    _refuse_empty_nominal(domain)
+    domain = _spread(evidence, cells, asked)
     verdicts = domain.verdicts(claim)
     found = proposals(domain, claim, verdicts=verdicts)
     warnings = warnings_of(gathered, domain, claim, aside, verdicts)
@@ -116,7 +112,7 @@ def map_domain(
         tables=tables(domain, claim, verdicts, found),
         methods=methods_of(gathered, domain, claim),
         references=("vovk2005", "barber2021"),
-        numbers=numbers(domain, claim, verdicts, found),
+        numbers=numbers(domain, claim, verdicts, found) | {"evidence": gathered.mark},
         calibrations=() if gathered.calibration is None else (gathered.calibration,),
         experiments=tuple(evidence.ids),
         command=command,
@@ -136,6 +132,25 @@ def map_domain(
         kept=kept,
         files=tuple(files),
     )
+
+
+def spread_out(gathered: Gathered, asked: Asked) -> tuple[DomainMap, int]:
+    """The map for every threshold at once, and how many experiments are left out of it."""
+    evidence, cells, aside = _cut(gathered, asked)
+    return _spread(evidence, cells, asked), aside
+
+
+def _cut(gathered: Gathered, asked: Asked) -> tuple[Evidence, Cells, int]:
+    axes = list(asked.axes) or usual_axes(gathered.evidence, asked.by)
+    evidence, aside = _at_nominal(gathered.evidence, axes)
+    return evidence, cells_of(evidence, axes, asked.nominal, asked.steps), aside
+
+
+def _spread(evidence: Evidence, cells: Cells, asked: Asked) -> DomainMap:
+    promised = _promised(evidence, cells, asked)
+    domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
+    _refuse_empty_nominal(domain)
+    return domain
 
 
 def _promised(evidence: Evidence, cells: Cells, asked: Asked) -> FloatArray | None:

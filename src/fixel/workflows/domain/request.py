@@ -94,6 +94,15 @@ class Asked:
         }
 
 
+def asked_again(question: Mapping[str, Any]) -> Asked:
+    """The other way round: what a kept answer was asked for."""
+    known = dict(question)
+    query = Query(
+        dataset=known.pop("dataset"), conditions=known.pop("where"), flagged=known.pop("flagged")
+    )
+    return Asked(query=query, **known)
+
+
 class Started(NamedTuple):
     """What fits start from."""
 

@@ -1,0 +1,446 @@
+"""Where the simulator can be believed: kept maps at any threshold, and other kept analyses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query
+from fastapi.responses import FileResponse
+from pydantic import BaseModel, ConfigDict, Field
+
+from fixel.applicability.domain import COLOURS
+from fixel.errors import InvalidInput, NotStored
+from fixel.web.api._values import Text
+from fixel.workflows import jobs
+from fixel.workflows.analysis import kept
+from fixel.workflows.domain import work
+from fixel.workflows.domain.desk import (
+    MOST_GROUPS,
+    DomainDesk,
+    View,
+    axes_offered,
+    command_of,
+    held_out_mm,
+    place_of,
+    shown,
+    suggested,
+)
+from fixel.workflows.domain.request import Asked
+
+if TYPE_CHECKING:
+    from fixel.applicability.cells import CellAxis
+    from fixel.web.project import Desk
+    from fixel.workflows.analysis import Kept
+
+Measure = Literal["absolute", "relative"]
+Threshold = Annotated[
+    float | None, Query(gt=0.0, le=1e6, description="[mm], or a share above the own best")
+]
+Level = Annotated[float, Query(gt=0.0, lt=1.0)]
+Confidence = Annotated[float, Query(gt=0.5, lt=1.0)]
+AxisNames = Annotated[
+    list[Text] | None, Query(alias="axis", max_length=3, description="those it was made for, else")
+]
+ENDINGS: Final = ("png", "pdf", "csv")
+TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
+
+
+class MapOut(BaseModel):
+    """A kept map."""
+
+    name: str
+    title: str
+    created_utc: str
+    headline: list[str]
+    warnings: list[str]
+    command: str
+
+
+class DomainJobOut(BaseModel):
+    """A map that is being made."""
+
+    name: str
+    state: str
+    ended: bool
+    reason: str
+    fits: int
+    total: int = Field(description="0 where nobody knows yet")
+
+
+class MapsOut(BaseModel):
+    """All kept maps, the newest first."""
+
+    maps: list[MapOut]
+    jobs: list[DomainJobOut]
+    command: str = Field(description="what to type for the first")
+
+
+class StripOut(BaseModel):
+    """An axis of the map."""
+
+    name: str
+    unit: str = Field(description="of the texts")
+    ticks: list[str]
+
+
+class PanelOut(BaseModel):
+    """A strip along one axis, or a grid over two."""
+
+    across: StripOut
+    up: StripOut | None
+    cells: list[list[int]] = Field(description="numbers of the cells, rows from below")
+
+
+class PointOut(BaseModel):
+    """An experiment that was held out."""
+
+    id: int
+    key: str
+    group: int
+    cell: int
+    error: float | None = Field(description="in the unit of the threshold; none where it failed")
+    fold: int
+
+
+class AxisOut(BaseModel):
+    """A coordinate the map may go over."""
+
+    name: str
+    distinct: int
+
+
+class ViewOut(BaseModel):
+    """A map for every threshold: its cells and what lies in them."""
+
+    name: str
+    title: str
+    measure: Measure
+    unit: str = Field(description="of thresholds and errors: mm, or empty for shares")
+    low: float = Field(description="least threshold of use: below, noise")
+    high: float
+    threshold: float = Field(description="where one looks first")
+    level: float
+    confidence: float
+    floor_mm: float | None = Field(description="what the measurement alone makes")
+    floor_from: str
+    calibration: int | None
+    groups: list[str] = Field(description="a map each")
+    omitted: int = Field(description="maps beyond these")
+    panels: list[PanelOut]
+    texts: list[str] = Field(description="of every cell")
+    nominal: int = Field(description="number of a cell")
+    counts: list[list[int]] = Field(description="experiments, by group and cell")
+    points: list[PointOut]
+    axes: list[AxisOut]
+    chosen: list[str] = Field(description="axes of this map")
+    aside: int = Field(description="experiments left out: offset along something that is no axis")
+    simulated: bool
+
+
+class ShownOut(BaseModel):
+    """A map at one threshold."""
+
+    threshold: float
+    words: str
+    level: float
+    confidence: float
+    colours: list[str]
+    colour: list[list[int]] = Field(description="places in `colours`, by group and cell")
+    chance: list[list[float | None]] = Field(
+        description="probability that at least a share `level` of new experiments stays within"
+    )
+    inside: list[list[int]] = Field(description="1 in the domain D(tau)")
+    count: dict[str, int]
+    sizes: list[int] = Field(description="cells in D(tau), by group")
+    command: str
+
+
+class ProposalOut(BaseModel):
+    """An experiment that would teach much."""
+
+    group: str
+    cell: int
+    where: str
+    place: dict[str, str | float] = Field(description="SI units")
+    bits: float = Field(description="expected to settle")
+    reason: str
+
+
+class NextOut(BaseModel):
+    """What to try next."""
+
+    proposals: list[ProposalOut]
+    command: str
+
+
+class PictureOut(BaseModel):
+    """A picture of an analysis."""
+
+    name: str
+    caption: str
+
+
+class TableOut(BaseModel):
+    """A table as people read it."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+
+class AnalysisOut(BaseModel):
+    """A kept analysis."""
+
+    name: str
+    kind: str
+    title: str
+    created_utc: str
+    warnings: list[str]
+    headline: list[str]
+    pictures: list[PictureOut]
+    tables: list[TableOut]
+    methods: list[str]
+    command: str
+    calibrations: list[int]
+
+
+class AnalysesOut(BaseModel):
+    """All of them, the newest first."""
+
+    analyses: list[AnalysisOut]
+
+
+class BeginIn(BaseModel):
+    """A map to make."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: list[Annotated[Text, Field(min_length=1, max_length=80)]] = Field(
+        default_factory=list, max_length=3, description="conditions with a map of their own each"
+    )
+
+
+def router(desk: Desk) -> APIRouter:
+    """`/domain` and `/analyses`."""
+    found = APIRouter(tags=["domain"])
+    at_hand = DomainDesk(desk.project, desk.store)
+
+    @found.get("/domain", summary="Kept maps")
+    def maps() -> MapsOut:
+        return MapsOut(
+            maps=[_listed(one) for one in at_hand.maps()],
+            jobs=[_job(one) for one in work.jobs_of(desk.project)],
+            command=_first_command(desk, ()),
+        )
+
+    @found.post("/domain", summary="Make a map, in a process of its own")
+    def begin(wanted: BeginIn) -> DomainJobOut:
+        asked = Asked(by=tuple(wanted.by))
+        folder = work.begin(desk.project, asked, _first_command(desk, wanted.by))
+        return _job(jobs.status_of(folder))
+
+    @found.post("/domain/jobs/{name}/stop", summary="Stop making a map; its fits are kept")
+    def stop(name: str) -> DomainJobOut:
+        own = next((one for one in work.jobs_of(desk.project)
+                    if FilePath(one.folder).name == name), None)  # fmt: skip
+        if own is None:
+            raise NotStored(f"job {name!r}", hint="see the page Domain")
+        return _job(jobs.cancel(FilePath(own.folder)))
+
+    @found.get("/domain/{name}", summary="A map for every threshold")
+    def view(name: str, axis: AxisNames = None, measure: Measure | None = None) -> ViewOut:
+        return _view(at_hand.view(name, tuple(axis or ()), measure))
+
+    @found.get("/domain/{name}/map", summary="The map at a threshold")
+    def at_threshold(
+        name: str,
+        axis: AxisNames = None,
+        measure: Measure | None = None,
+        threshold: Threshold = None,
+        level: Level = 0.9,
+        confidence: Confidence = 0.95,
+    ) -> ShownOut:
+        seen = at_hand.view(name, tuple(axis or ()), measure)
+        answer = shown(seen, threshold, level, confidence)
+        own = slice(0, MOST_GROUPS)
+        return ShownOut(
+            threshold=answer.claim.threshold,
+            words=answer.claim.text(),
+            level=level,
+            confidence=confidence,
+            colours=list(COLOURS),
+            colour=answer.colour[own].tolist(),
+            chance=[[_finite(round(c, 4)) for c in row] for row in answer.chance[own].tolist()],
+            inside=answer.inside[own].tolist(),
+            count=answer.counts,
+            sizes=answer.inside[own].sum(axis=1).tolist(),
+            command=command_of(desk.project.folder, seen, answer.claim),
+        )
+
+    @found.get("/domain/{name}/next", summary="What to try next")
+    def following(
+        name: str,
+        axis: AxisNames = None,
+        measure: Measure | None = None,
+        threshold: Threshold = None,
+        level: Level = 0.9,
+        confidence: Confidence = 0.95,
+    ) -> NextOut:
+        seen = at_hand.view(name, tuple(axis or ()), measure)
+        claim = shown(seen, threshold, level, confidence).claim
+        return NextOut(
+            proposals=[
+                ProposalOut(
+                    group=one.group,
+                    cell=one.cell,
+                    where=one.where,
+                    place=place_of(seen.cells, one.cell),
+                    bits=one.bits,
+                    reason=one.reason,
+                )
+                for one in suggested(seen, claim)
+            ],
+            command=command_of(desk.project.folder, seen, claim),
+        )
+
+    @found.get("/analyses", summary="Kept analyses", tags=["analyses"])
+    def analyses(
+        kind: Literal["growth", "domain", "sensitivity", "uncertainty"] | None = None,
+    ) -> AnalysesOut:
+        return AnalysesOut(analyses=[_analysis(one) for one in kept(desk.project, kind)])
+
+    @found.get(
+        "/analyses/{name}/{picture}.{ending}",
+        summary="A picture of an analysis, or the numbers behind it",
+        tags=["analyses"],
+        response_class=FileResponse,
+    )
+    def picture(name: str, picture: str, ending: str) -> FileResponse:
+        one = next((one for one in kept(desk.project) if one.folder.name == name), None)
+        # Only what an analysis names itself: no part of an address becomes a path.
+        own = None if one is None else next(
+            (p.name for p in one.analysis.pictures if p.name == picture), None
+        )  # fmt: skip
+        if one is None or own is None or ending not in ENDINGS:
+            raise NotStored(f"picture {picture}.{ending} of {name}", hint="see /analyses")
+        path = one.picture(own, ending)
+        if not path.is_file():
+            raise NotStored(f"picture {picture}.{ending} of {name}", hint="make the analysis again")
+        return FileResponse(path, media_type=TYPES[ending])
+
+    return found
+
+
+def _first_command(desk: Desk, by: Any) -> str:
+    import shlex
+
+    words = ["fixel", "domain", "--project", str(desk.project.folder)]
+    return shlex.join([*words, "--by", ",".join(by)] if by else words)
+
+
+def _listed(one: Kept) -> MapOut:
+    analysis = one.analysis
+    return MapOut(
+        name=one.folder.name,
+        title=analysis.title,
+        created_utc=analysis.created,
+        headline=list(analysis.headline),
+        warnings=list(analysis.warnings),
+        command=analysis.command,
+    )
+
+
+def _job(one: jobs.JobStatus) -> DomainJobOut:
+    folder = FilePath(one.folder)
+    done, total = work.fits_done(folder)
+    return DomainJobOut(
+        name=folder.name,
+        state=one.state,
+        ended=one.ended,
+        reason=one.status.reason,
+        fits=done,
+        total=total,
+    )
+
+
+def _view(one: View) -> ViewOut:
+    domain, question = one.domain, one.kept.analysis.question
+    if len(domain.cells) * min(len(domain.groups), MOST_GROUPS) > 40_000:
+        raise InvalidInput("axis", found="more cells than a page can show", expected="fewer")
+    low, high = one.thresholds
+    number = {group: g for g, group in enumerate(domain.groups)}
+    errors = held_out_mm(one)
+    points = [
+        PointOut(
+            id=one.evidence.ids[k],
+            key=one.evidence.keys[k],
+            group=number[one.evidence.group[k]],
+            cell=int(domain.place[k]),
+            error=_finite(float(errors[k])),
+            fold=int(one.evidence.fold[k]),
+        )
+        for k in np.flatnonzero((domain.place >= 0) & ~np.isnan(errors)).tolist()
+    ]
+    return ViewOut(
+        name=one.kept.folder.name,
+        title=one.kept.analysis.title,
+        measure=domain.measure,
+        unit="mm" if domain.measure == "absolute" else "",
+        low=low,
+        high=high,
+        threshold=min(max(one.usual_threshold, low), high),
+        level=float(question["level"]),
+        confidence=float(question["confidence"]),
+        floor_mm=one.gathered.floor_mm,
+        floor_from=one.gathered.floor_from,
+        calibration=one.gathered.calibration,
+        groups=list(domain.groups[:MOST_GROUPS]),
+        omitted=max(0, len(domain.groups) - MOST_GROUPS),
+        panels=[_panel(one, k) for k in range(len(one.table))],
+        texts=[domain.cells.text(c) for c in range(len(domain.cells))],
+        nominal=domain.cells.nominal,
+        counts=domain.counts[:MOST_GROUPS].tolist(),
+        points=points,
+        axes=[AxisOut(**axis._asdict()) for axis in axes_offered(one)],
+        chosen=[axis.name for axis in domain.cells.axes],
+        aside=one.aside,
+        simulated=not one.gathered.is_real,
+    )
+
+
+def _panel(one: View, k: int) -> PanelOut:
+    across, up = one.axes_of(k)
+    return PanelOut(
+        across=_strip(across), up=None if up is None else _strip(up), cells=one.table[k]
+    )
+
+
+def _strip(axis: CellAxis) -> StripOut:
+    return StripOut(name=axis.name, unit=axis.unit, ticks=[axis.text(k) for k in range(len(axis))])
+
+
+def _analysis(one: Kept) -> AnalysisOut:
+    analysis = one.analysis
+    return AnalysisOut(
+        name=one.folder.name,
+        kind=analysis.kind,
+        title=analysis.title,
+        created_utc=analysis.created,
+        warnings=list(analysis.warnings),
+        headline=list(analysis.headline),
+        pictures=[PictureOut(name=p.name, caption=p.caption) for p in analysis.pictures],
+        tables=[
+            TableOut(title=t.title, head=list(t.head), rows=[list(row) for row in t.rows])
+            for t in analysis.tables
+        ],
+        methods=list(analysis.methods),
+        command=analysis.command,
+        calibrations=list(analysis.calibrations),
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,33 @@
+"""Where the simulator can be believed, and what else was found out about it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fastapi import Request
+
+from fixel.web.app import Page
+from fixel.workflows.analysis import kept
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/domain?map=NAME`; the newest map where left out."""
+
+    def fill(request: Request) -> dict[str, Any]:
+        every = kept(desk.project)
+        maps = [one for one in every if one.analysis.kind == "domain"]
+        wanted = request.query_params.get("map", "")
+        chosen = next((one for one in maps if one.folder.name == wanted), None)
+        chosen = chosen or (maps[0] if maps else None)
+        return {
+            "name": "" if chosen is None else chosen.folder.name,
+            "chosen": None if chosen is None else chosen.analysis,
+            "maps": [(one.folder.name, one.analysis) for one in maps],
+            "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
+            "folder": str(desk.project.folder),
+        }
+
+    return [Page(path="/domain", title="Domain", template="domain.html", fill=fill, place=40)]

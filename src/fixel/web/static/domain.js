@@ -1,0 +1,447 @@
+// @ts-check
+// The domain: where held-out errors stay below a threshold, cell by cell, and what lies in a cell.
+
+import { complain, copy, get, send, toast } from "./api.js";
+import { at, input, make } from "./dom.js";
+import { digits } from "./quantity.js";
+import { several } from "./units.js";
+
+/** @typedef {{name: string, unit: string, ticks: string[]}} Strip */
+/** @typedef {{across: Strip, up: Strip | null, cells: number[][]}} Panel */
+/** @typedef {{id: number, key: string, group: number, cell: number, error: number | null, fold: number}} Held */
+/** @typedef {{name: string, title: string, measure: "absolute" | "relative", unit: string, low: number, high: number, threshold: number, level: number, confidence: number, floor_mm: number | null, floor_from: string, calibration: number | null, groups: string[], omitted: number, panels: Panel[], texts: string[], nominal: number, counts: number[][], points: Held[], axes: {name: string, distinct: number}[], chosen: string[], aside: number, simulated: boolean}} View */
+/** @typedef {{threshold: number, words: string, level: number, confidence: number, colours: string[], colour: number[][], chance: (number | null)[][], inside: number[][], count: Record<string, number>, sizes: number[], command: string}} Shown */
+/** @typedef {{proposals: {group: string, cell: number, where: string, bits: number, reason: string}[], command: string}} Next */
+
+/** Signs tell what colours tell. @type {Record<string, [string, string]>} */
+const SIGNS = {
+  trusted: ["\u2713", "trusted: it stays within"],
+  doubtful: ["?", "not decided: too little evidence"],
+  "not trusted": ["\u2715", "not trusted: it does not"],
+  "no data": ["", "no experiment"],
+  predicted: ["\u25cc", "no experiment; promised by others"],
+};
+const BROWN = [140, 45, 4];
+const PALE = [245, 240, 230];
+const BLUE = [0, 95, 160];
+const MOST_MARKS = 4; // experiments drawn one by one in a cell
+const SETTLED = 350; // [ms] after which the next experiment is looked for
+const AGAIN = 1500;
+const STEPS = 1000;
+
+const root = at("domain");
+const name = root.dataset.map ?? "";
+const address = `/domain/${encodeURIComponent(name)}`;
+/** @type {View} */
+let view;
+/** @type {Shown | null} */
+let shown = null;
+/** @type {Next | null} */
+let next = null;
+/** @type {{group: number, cell: number} | null} */
+let picked = null;
+/** @type {string[]} */
+let axes = [];
+/** @type {"absolute" | "relative" | ""} */
+let measure = "";
+
+// --- asking ----------------------------------------------------------------------------------
+
+/** @param {Record<string, string | number>} [more] */
+function asking(more = {}) {
+  const search = new URLSearchParams();
+  for (const axis of axes) search.append("axis", axis);
+  if (measure) search.set("measure", measure);
+  for (const [key, value] of Object.entries(more)) search.set(key, String(value));
+  return search.size ? `?${search}` : "";
+}
+
+async function load() {
+  const answer = /** @type {View} */ (await get(address + asking()));
+  view = answer;
+  picked = null;
+  at("trouble").hidden = true;
+  at("board").hidden = false;
+  at("simulated").hidden = !view.simulated;
+  controls();
+  build();
+  await refresh();
+  root.dataset.ready = "yes";
+}
+
+let wanted = 0; // [ms] when the newest threshold was set
+let busy = false;
+let timer = 0;
+
+const claim = () => ({
+  threshold: +input("threshold").value,
+  level: /** @type {HTMLSelectElement} */ (at("level")).value,
+  confidence: /** @type {HTMLSelectElement} */ (at("confidence")).value,
+});
+
+/** One request at a time, the newest threshold next. */
+async function refresh() {
+  wanted ||= performance.now();
+  if (busy) return;
+  busy = true;
+  try {
+    while (wanted) {
+      const since = wanted;
+      wanted = 0;
+      if (!(claim().threshold > 0)) break;
+      shown = /** @type {Shown} */ (await get(`${address}/map${asking(claim())}`));
+      paint();
+      root.dataset.roundTrip = (performance.now() - since).toFixed(1);
+    }
+  } catch (problem) {
+    complain(problem);
+  } finally {
+    busy = false;
+  }
+  clearTimeout(timer);
+  timer = window.setTimeout(suggest, SETTLED);
+}
+
+async function suggest() {
+  try {
+    next = /** @type {Next} */ (await get(`${address}/next${asking(claim())}`));
+  } catch (problem) {
+    complain(problem);
+    return;
+  }
+  at("next").replaceChildren(...next.proposals.map((one) => make(
+    "li", {},
+    make("button", { type: "button", class: "quiet where", onclick: () => pick(view.groups.indexOf(one.group), one.cell, true) },
+      one.group ? `${one.group}: ` : "", one.where),
+    make("small", {}, `${one.reason}; expected to settle ${digits(+one.bits.toFixed(2))} bit`),
+  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After it has been recorded, map again: " : "Nothing would settle more. Map again with: "), make("code", {}, next.command)));
+}
+
+// --- controls --------------------------------------------------------------------------------
+
+/** @param {number} threshold */
+const onSlider = (threshold) => (STEPS * Math.log(threshold / view.low)) / Math.log(view.high / view.low);
+/** @param {number} place */
+const offSlider = (place) => +(view.low * (view.high / view.low) ** (place / STEPS)).toPrecision(3);
+
+function controls() {
+  const relative = view.measure === "relative";
+  at("absolute").setAttribute("aria-pressed", String(!relative));
+  at("relative").setAttribute("aria-pressed", String(relative));
+  at("unit").textContent = relative ? "times the own best E, above it" : "mm";
+  input("threshold").value = String(+view.threshold.toPrecision(3));
+  input("slider").value = String(onSlider(view.threshold));
+  at("low").textContent = `${digits(+view.low.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
+  at("high").textContent = `${digits(+view.high.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
+  const made = view.chosen.length > 2 ? "offsets, one at a time" : "";
+  /** @param {string} id @param {string} value @param {string} none */
+  const options = (id, value, none) => at(id).replaceChildren(
+    ...(none ? [make("option", { value: "", selected: !value }, none)] : []),
+    ...view.axes.map(({ name: axis }) => make("option", { value: axis, selected: axis === value }, axis)),
+  );
+  options("across", made ? "" : view.chosen[0], made || (axes.length ? "as it was made" : ""));
+  options("up", made ? "" : view.chosen[1] ?? "", "\u2013");
+}
+
+async function changeAxes() {
+  const [across, up] = ["across", "up"].map((id) => /** @type {HTMLSelectElement} */ (at(id)).value);
+  const before = axes;
+  axes = across ? [across, ...(up && up !== across ? [up] : [])] : [];
+  try {
+    await load();
+  } catch (problem) {
+    axes = before;
+    controls();
+    complain(problem);
+  }
+}
+
+/** @param {"absolute" | "relative"} to */
+async function changeMeasure(to) {
+  if (view.measure === to) return;
+  const before = measure;
+  measure = to;
+  try {
+    await load();
+  } catch (problem) {
+    measure = before;
+    complain(problem);
+  }
+}
+
+// --- the map ---------------------------------------------------------------------------------
+
+/** @param {Strip} strip */
+function named(strip) {
+  const bare = strip.unit ? strip.name.replace(/_(m_s|rad_s|rad|m|s)$/, "") : strip.name;
+  return bare.replaceAll("_", " ") + (strip.unit ? ` [${strip.unit}]` : "");
+}
+
+/** @type {Map<string, HTMLElement>} */
+const cells = new Map();
+
+function build() {
+  cells.clear();
+  const nodes = view.panels[0].up
+    ? view.groups.map((group, g) => grid(group, view.panels[0], g))
+    : view.panels.map((panel) => strips(panel));
+  at("panels").replaceChildren(...nodes);
+  at("panels").classList.toggle("strips", !view.panels[0].up);
+  at("map-key").replaceChildren(
+    ...Object.entries(SIGNS).map(([verdict, [sign, words]]) => make("li", {}, make("span", { class: `sample ${verdict.replaceAll(" ", "-")}`, "aria-hidden": "true" }, sign), words)),
+    make("li", {}, make("span", { class: "ramp", "aria-hidden": "true" }), "probability 0 to 100 %"),
+    make("li", {}, make("span", { class: "sample inside-sample", "aria-hidden": "true" }), "D(\u03c4), the domain around the nominal \u25ce"),
+    make("li", {}, make("span", { class: "dots", "aria-hidden": "true" }, "\u2022 \u00d7"), "experiment within, above"),
+  );
+  for (const table of at("panels").querySelectorAll("table")) table.addEventListener("keydown", step);
+}
+
+/** All groups along one axis, a row each. @param {Panel} panel */
+function strips(panel) {
+  return make(
+    "table", { class: `map${panel.across.ticks.length > 14 ? " small" : ""}`, role: "grid", "aria-label": `along ${named(panel.across)}` },
+    make("caption", {}, named(panel.across)),
+    make("thead", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, tick.replace("-", "\u2212"))))),
+    make("tbody", {}, ...view.groups.map((group, g) => make(
+      "tr", {}, make("th", { scope: "row" }, group || "all"), ...panel.cells[0].map((cell) => square(g, cell)),
+    ))),
+  );
+}
+
+/** One group over two axes. @param {string} group @param {Panel} panel @param {number} g */
+function grid(group, panel, g) {
+  const up = /** @type {Strip} */ (panel.up);
+  return make(
+    "table", { class: `map${panel.across.ticks.length > 10 ? " small" : ""}`, role: "grid", "aria-label": `${group || "all experiments"}: ${named(panel.across)} and ${named(up)}` },
+    make("caption", {}, group || "all experiments", make("small", {}, ` ${named(up)} against ${named(panel.across)}`)),
+    make("tbody", {}, ...panel.cells.map((row, k) => make(
+      "tr", {}, make("th", { scope: "row" }, up.ticks[k].replace("-", "\u2212")), ...row.map((cell) => square(g, cell)),
+    )).reverse()),
+    make("tfoot", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, tick.replace("-", "\u2212"))))),
+  );
+}
+
+/** @param {number} g @param {number} cell */
+function square(g, cell) {
+  const node = make("td", { role: "gridcell", tabindex: -1, "data-group": g, "data-cell": cell, onclick: () => pick(g, cell) });
+  node.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") {
+      event.preventDefault();
+      pick(g, cell);
+    }
+  });
+  // The nominal is on every strip.
+  const key = `${g} ${cell}`;
+  const same = cells.get(key);
+  if (same) twins.set(node, same);
+  else cells.set(key, node);
+  return node;
+}
+
+/** @type {WeakMap<HTMLElement, HTMLElement>} */
+const twins = new WeakMap();
+
+/** Arrow keys go from cell to cell. @param {KeyboardEvent} event */
+function step(event) {
+  const way = /** @type {Record<string, [number, number]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] })[event.key];
+  const here = event.target;
+  if (!way || !(here instanceof HTMLTableCellElement)) return;
+  event.preventDefault();
+  const row = /** @type {HTMLTableRowElement} */ (here.parentElement);
+  const to = way[1] ? /** @type {HTMLTableSectionElement} */ (row.parentElement).rows[row.sectionRowIndex + way[1]] : row;
+  const node = to?.cells[here.cellIndex + way[0]];
+  if (node?.dataset.cell === undefined) return;
+  here.tabIndex = -1;
+  node.tabIndex = 0;
+  node.focus();
+}
+
+/** From brown over pale to blue; pale where little is known, so that what is decided stands out. @param {number} p */
+function ramp(p) {
+  const to = p < 0.5 ? BROWN : BLUE;
+  const share = Math.abs(2 * p - 1) ** 2.5;
+  return PALE.map((c, k) => Math.round(c + (to[k] - c) * share));
+}
+
+function paint() {
+  if (!shown) return;
+  const answer = shown;
+  const drawn = input("points").checked;
+  /** @type {Map<string, Held[]>} */
+  const lying = new Map();
+  for (const point of view.points) {
+    const key = `${point.group} ${point.cell}`;
+    lying.set(key, [...(lying.get(key) ?? []), point]);
+  }
+  for (const node of at("panels").querySelectorAll("td[data-cell]")) {
+    if (!(node instanceof HTMLElement)) continue;
+    const [g, c] = [Number(node.dataset.group), Number(node.dataset.cell)];
+    const verdict = answer.colours[answer.colour[g][c]];
+    const chance = answer.chance[g][c];
+    const own = lying.get(`${g} ${c}`) ?? [];
+    const within = own.filter((point) => point.error !== null && point.error <= answer.threshold).length;
+    node.className = verdict.replaceAll(" ", "-") + (answer.inside[g][c] ? " inside" : "") + (c === view.nominal ? " nominal" : "");
+    node.classList.toggle("picked", picked?.group === g && picked.cell === c);
+    const fill = chance === null ? null : ramp(chance);
+    node.style.background = fill ? `rgb(${fill.join(" ")})` : "";
+    node.style.color = fill ? ink(fill) : "";
+    const percent = chance === null ? "" : `${Math.round(100 * chance)}`;
+    node.replaceChildren(
+      make("span", { class: "sign" }, SIGNS[verdict][0]),
+      make("span", { class: "percent" }, percent),
+      make("span", { class: "dots" }, drawn ? marks(within, own.length - within) : ""),
+    );
+    const words = `${view.groups[g] ? `${view.groups[g]}, ` : ""}${view.texts[c]}: ${verdict}`
+      + `${chance === null ? "" : `, ${percent} % probable`}, ${several(own.length, "experiment")}${own.length ? `, ${within} within` : ""}`
+      + `${c === view.nominal ? ", the nominal" : ""}`;
+    node.setAttribute("aria-label", words);
+    node.title = words;
+  }
+  for (const table of at("panels").querySelectorAll("table")) {
+    if (table.querySelector("td[tabindex='0']")) continue;
+    const first = /** @type {HTMLElement | null} */ (table.querySelector("td.nominal") ?? table.querySelector("td[data-cell]"));
+    if (first) first.tabIndex = 0;
+  }
+  counts(answer);
+  if (picked) cellOf(picked.group, picked.cell);
+  root.dataset.threshold = String(answer.threshold);
+}
+
+/** Black or white, whichever can be read. @param {number[]} fill */
+function ink(fill) {
+  const [r, g, b] = fill.map((c) => {
+    const share = c / 255;
+    return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
+  });
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.18 ? "#101418" : "#ffffff";
+}
+
+/** @param {number} within @param {number} above */
+function marks(within, above) {
+  if (within + above <= MOST_MARKS) return "\u2022".repeat(within) + "\u00d7".repeat(above);
+  return [within ? `${within}\u2022` : "", above ? `${above}\u00d7` : ""].filter(Boolean).join(" ");
+}
+
+/** @param {Shown} answer */
+function counts(answer) {
+  const sizes = answer.sizes;
+  const [low, high] = [Math.min(...sizes), Math.max(...sizes)];
+  const size = low === high ? `${low}` : `${low} to ${high}`;
+  /** @type {[string, string][]} */
+  const figures = [
+    ["\u2713 trusted", String(answer.count.trusted)], ["? not decided", String(answer.count.doubtful)],
+    ["\u2715 not trusted", String(answer.count["not trusted"])],
+    ["no experiment", String(answer.count["no data"] + answer.count.predicted)],
+    ["cells in D(\u03c4)", `${size} of ${view.texts.length}`],
+  ];
+  at("counts").replaceChildren(...figures.map(([title, value]) => make("div", {}, make("dt", {}, title), make("dd", {}, value))));
+}
+
+// --- a cell ----------------------------------------------------------------------------------
+
+/** @param {number} g @param {number} cell @param {boolean} [focus] */
+function pick(g, cell, focus = false) {
+  picked = { group: Math.max(0, g), cell };
+  paint();
+  const node = cells.get(`${picked.group} ${cell}`);
+  if (focus && node) {
+    node.scrollIntoView({ block: "nearest" });
+    node.focus();
+  }
+}
+
+/** @param {number} g @param {number} c */
+function cellOf(g, c) {
+  if (!shown) return;
+  const { threshold } = shown;
+  const verdict = shown.colours[shown.colour[g][c]];
+  const chance = shown.chance[g][c];
+  const own = view.points.filter((point) => point.group === g && point.cell === c)
+    .sort((a, b) => (b.error ?? Infinity) - (a.error ?? Infinity));
+  const unit = view.unit ? ` ${view.unit}` : "";
+  const where = c === view.nominal && view.chosen.length > 2 ? "the nominal" : view.texts[c];
+  at("cell-title").textContent = `${view.groups[g] ? `${view.groups[g]}: ` : ""}${where}`;
+  at("cell").replaceChildren(
+    make("p", {}, make("strong", {}, `${SIGNS[verdict][0]} ${verdict}`),
+      chance === null ? "" : `, ${Math.round(100 * chance)} % probable`),
+    own.length
+      ? make("ul", { class: "members" }, ...own.map((point) => make(
+        "li", {},
+        make("a", { href: `/experiments/${point.id}` }, point.key),
+        make("span", { class: "number" }, point.error === null ? "failed" : `${digits(+point.error.toPrecision(3))}${unit}`,
+          " ", make("span", { class: `tag ${point.error !== null && point.error <= threshold ? "good" : "fault"}` },
+            point.error !== null && point.error <= threshold ? "\u2713 within" : "\u2715 above")),
+      )))
+      : make("p", { class: "remark" }, "No experiment here, so nothing is claimed."),
+  );
+}
+
+// --- making one ------------------------------------------------------------------------------
+
+async function follow() {
+  /** @type {{maps: {name: string, created_utc: string}[], jobs: {name: string, state: string, ended: boolean, reason: string, fits: number, total: number}[]}} */
+  const all = await get("/domain");
+  const job = all.jobs[0];
+  const making = at("making");
+  making.hidden = !job || job.state === "done";
+  if (!job || job.state === "done") return job?.state;
+  const fits = job.total ? ` ${job.fits} of ${job.total} fits.` : "";
+  making.replaceChildren(
+    job.ended ? `The last map was not finished: ${job.state}${job.reason ? `, ${job.reason}` : ""}.` : `A map is being made:${fits || ` ${job.state}.`}`,
+    job.ended ? "" : make("button", { type: "button", onclick: () => send(`/domain/jobs/${encodeURIComponent(job.name)}/stop`).then(follow, complain) }, "Stop"),
+  );
+  at("make").hidden = !job.ended;
+  return job.state;
+}
+
+async function watch() {
+  const state = await follow().catch(() => "unknown");
+  if (state === "done") location.assign("/domain");
+  else if (state && !["failed", "stopped", "cancelled", "lost"].includes(state)) setTimeout(watch, AGAIN);
+}
+
+at("make").addEventListener("click", async () => {
+  const button = /** @type {HTMLButtonElement} */ (at("make"));
+  button.disabled = true;
+  try {
+    await send("/domain", {});
+    toast("It is being made, in a process of its own.");
+    await watch();
+  } catch (problem) {
+    complain(problem);
+  } finally {
+    button.disabled = false;
+  }
+});
+for (const button of document.querySelectorAll("button.copy")) {
+  button.addEventListener("click", () => copy(/** @type {HTMLElement} */ (button).dataset.text ?? "", "the command"));
+}
+if (name) {
+  input("slider").addEventListener("input", () => {
+    input("threshold").value = String(offSlider(Number(input("slider").value)));
+    void refresh();
+  });
+  input("threshold").addEventListener("input", () => {
+    const value = Number(input("threshold").value);
+    if (value > 0) input("slider").value = String(onSlider(value));
+    void refresh();
+  });
+  for (const id of ["level", "confidence"]) at(id).addEventListener("change", () => refresh());
+  for (const id of ["across", "up"]) at(id).addEventListener("change", changeAxes);
+  at("absolute").addEventListener("click", () => changeMeasure("absolute"));
+  at("relative").addEventListener("click", () => changeMeasure("relative"));
+  input("points").addEventListener("change", paint);
+  at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
+  document.getElementById("which")?.addEventListener("change", (event) => {
+    location.assign(`/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
+  });
+  load().catch((problem) => {
+    at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);
+    at("trouble").hidden = false;
+    at("make").hidden = false;
+    root.dataset.ready = "yes";
+  });
+}
+void follow().then((state) => {
+  if (state && !["done", "failed", "stopped", "cancelled", "lost"].includes(state)) setTimeout(watch, AGAIN);
+}).catch(complain);

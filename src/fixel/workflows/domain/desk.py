@@ -1,0 +1,278 @@
+"""A kept map, looked at under other thresholds and along other axes, at once.
+
+The fits are not made again: what was held out is read from where the analysis has kept it.
+"""
+
+from __future__ import annotations
+
+import shlex
+import threading
+from collections import OrderedDict
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.applicability.cells import CellAxis, Cells
+from fixel.applicability.domain import COLOURS, TRUSTED, Claim, DomainMap, usual_threshold
+from fixel.applicability.evidence import Evidence, Measure, value_of
+from fixel.applicability.next_experiment import Proposal, proposals
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import JobRefused, NotStored
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.workflows.analysis import Kept, kept
+from fixel.workflows.domain.gather import Gathered, gathered_before, mark_of
+from fixel.workflows.domain.mapped import spread_out
+from fixel.workflows.domain.request import Asked, asked_again
+
+MOST_MAPS: Final = 12  # at hand; a new one takes a second or so
+MOST_GROUPS: Final = 40
+MOST_ON_AXIS: Final = 60  # values of a text that may be an axis
+
+
+class Axis(NamedTuple):
+    """A coordinate the map may go over."""
+
+    name: str
+    distinct: int
+
+
+class View(NamedTuple):
+    """A map for every threshold.
+
+    Attributes
+    ----------
+    kept : Kept
+    asked : Asked
+    gathered : Gathered
+    domain : DomainMap
+    aside : int
+        Experiments left out, since they were offset along something else.
+    table : list of list of list of int
+        Cells of every strip or grid: panels, rows from below, columns.
+    """
+
+    kept: Kept
+    asked: Asked
+    gathered: Gathered
+    domain: DomainMap
+    aside: int
+    table: list[list[list[int]]]
+
+    @property
+    def cells(self) -> Cells:
+        """Of the map."""
+        return self.domain.cells
+
+    @property
+    def evidence(self) -> Evidence:
+        """What the map rests on."""
+        return self.domain.evidence
+
+    @property
+    def is_strips(self) -> bool:
+        """Whether each axis is shown by itself."""
+        return self.cells.arms or len(self.cells.axes) == 1
+
+    def axes_of(self, panel: int) -> tuple[CellAxis, CellAxis | None]:
+        """Across and up, of one panel."""
+        axes = self.cells.axes
+        return (axes[panel], None) if self.is_strips else (axes[0], axes[1])
+
+    @property
+    def thresholds(self) -> tuple[float, float]:
+        """Between which a slider is of use."""
+        usual = self.domain.usual_thresholds
+        low, high = float(usual[0]), float(usual[-1])
+        floor = self.gathered.floor_mm
+        if self.domain.measure == "absolute" and floor is not None:
+            low = max(low, floor)
+        return low, max(high, 1.1 * low)
+
+    @property
+    def usual_threshold(self) -> float:
+        """Where one looks first."""
+        asked = self.asked.threshold
+        if asked is not None and self.asked.measure == self.kept.analysis.question["measure"]:
+            return asked
+        return usual_threshold(self.evidence, self.domain.measure)
+
+
+class Shown(NamedTuple):
+    """A map at one threshold.
+
+    Attributes
+    ----------
+    claim : Claim
+    chance : (n_group, n_cell) float64
+        That the claim holds; nan without data.
+    colour : (n_group, n_cell) int
+        Places in `COLOURS`.
+    inside : (n_group, n_cell) bool
+        Whether a cell belongs to D(tau).
+    counts : dict from colour to int
+    """
+
+    claim: Claim
+    chance: FloatArray
+    colour: IntArray
+    inside: IntArray
+    counts: dict[str, int]
+
+
+@final
+class DomainDesk:
+    """Kept maps of a project.
+
+    Parameters
+    ----------
+    project : Project
+    store : Store
+    """
+
+    def __init__(self, project: Project, store: Store) -> None:
+        self._project = project
+        self._store = store
+        self._views: OrderedDict[tuple[str, ...], View] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def maps(self) -> list[Kept]:
+        """The newest first."""
+        return kept(self._project, "domain")
+
+    def view(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> View:
+        """A map along some axes, those it was made for where left out.
+
+        Raises
+        ------
+        NotStored
+            No such analysis.
+        JobRefused
+            Its held-out errors are not there any more.
+        InvalidInput
+            Axes or a measure that the experiments do not allow.
+        """
+        one = next((one for one in self.maps() if one.folder.name == name), None)
+        if one is None:
+            raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
+        key = (name, one.analysis.created, *axes, measure or "")
+        with self._lock:  # two who ask for the same wait for one answer
+            if key not in self._views:
+                self._views[key] = self._made(one, axes, measure)
+            self._views.move_to_end(key)
+            if len(self._views) > MOST_MAPS:
+                self._views.popitem(last=False)
+            return self._views[key]
+
+    def _made(self, one: Kept, axes: tuple[str, ...], measure: Measure | None) -> View:
+        asked = asked_again(one.analysis.question)
+        own = asked.measure
+        if axes:
+            asked = replace(asked, axes=axes, nominal={k: v for k, v in asked.nominal.items()
+                                                       if k in axes})  # fmt: skip
+        if measure is not None and measure != own:
+            asked = replace(asked, measure=measure, threshold=None)
+        newest = next(iter(one.analysis.calibrations), None)
+        mark = str(one.analysis.numbers.get("evidence", "")) or mark_of(self._store, asked, newest)
+        gathered = gathered_before(self._project, self._store, asked, mark)
+        if gathered is None:
+            raise JobRefused(
+                "the errors this map rests on are not kept any more, or the project has changed",
+                hint=f"make it again with: {one.analysis.command or 'fixel domain'}",
+            )
+        domain, aside = spread_out(gathered, asked)
+        return View(one, asked, gathered, domain, aside, _table(domain.cells))
+
+
+def shown(view: View, threshold: float | None, level: float, confidence: float) -> Shown:
+    """A map at a threshold; its usual one where left out."""
+    domain = view.domain
+    claim = Claim(
+        threshold=view.usual_threshold if threshold is None else threshold,
+        measure=domain.measure,
+        level=level,
+        confidence=confidence,
+    )
+    verdicts = domain.verdicts(claim)
+    colours = [[COLOURS.index(verdict.colour) for verdict in own] for own in verdicts]
+    chance = [[verdict.confidence for verdict in own] for own in verdicts]
+    inside = np.zeros(domain.counts.shape, np.int64)
+    for g, own in enumerate(verdicts):
+        inside[g, domain.cells.component([v.colour == TRUSTED for v in own])] = 1
+    every = np.array(colours)
+    counts = {name: int((every == k).sum()) for k, name in enumerate(COLOURS)}
+    return Shown(claim, np.array(chance), every, inside, counts)
+
+
+def suggested(view: View, claim: Claim, most: int = 3) -> list[Proposal]:
+    """Experiments that would teach most."""
+    return proposals(view.domain, claim, most)
+
+
+def axes_offered(view: View) -> list[Axis]:
+    """Coordinates that differ among the experiments, and may be an axis."""
+    found = []
+    for name, column in sorted(view.gathered.evidence.coordinates.items()):
+        values = {value for value in column if value is not None}
+        text = any(isinstance(value, str) for value in values)
+        if len(values) > 1 and not (text and len(values) > MOST_ON_AXIS):
+            found.append(Axis(name, len(values)))
+    return found
+
+
+def held_out_mm(view: View) -> FloatArray:
+    """(n,) held-out errors in the unit of the threshold: mm, or a share above the own best."""
+    scores = view.domain.scores
+    return np.array([value_of(s, view.domain.measure) if np.isfinite(s) else s for s in scores])
+
+
+def command_of(folder: Path, view: View, claim: Claim) -> str:
+    """What to type for the same map."""
+    asked = view.asked
+    words = ["fixel", "domain", "--project", str(folder)]
+    if asked.query.dataset:
+        words += ["--dataset", asked.query.dataset]
+    for name, value in asked.query.conditions.items():
+        words += ["--where", f"{name}={value}"]
+    words += ["--flagged"] * asked.query.flagged
+    if asked.calibration is not None:
+        words += ["--calibration", str(asked.calibration)]
+    for setting in asked.fit:
+        words += ["--fit", setting]
+    for option, names in (("--axes", asked.axes), ("--by", asked.by), ("--apart", asked.apart)):
+        words += [option, ",".join(names)] if names else []
+    words += ["--leave-out", asked.leave_out] if asked.leave_out else []
+    if asked.nominal:
+        words += ["--nominal", ",".join(f"{k}={v}" for k, v in asked.nominal.items())]
+    for name, width in asked.steps.items():
+        words += ["--step", f"{name}={width}"]
+    option = "--threshold-mm" if claim.measure == "absolute" else "--relative"
+    words += [option, f"{claim.threshold:.4g}"]
+    words += ["--level", f"{claim.level:g}", "--confidence", f"{claim.confidence:g}"]
+    words += ["--folds", str(asked.folds)] if asked.folds else []
+    words += ["--seed", str(asked.seed)] if asked.seed else []
+    return shlex.join(words)
+
+
+def place_of(cells: Cells, c: int) -> dict[str, str | float]:
+    """Values of a cell [SI]."""
+    return {
+        axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
+        for axis, k in zip(cells.axes, cells.index[c], strict=True)
+    }
+
+
+def _table(cells: Cells) -> list[list[list[int]]]:
+    """A strip an axis through the nominal where experiments differ along one at a time; else one
+    grid, its rows from below."""
+    number = {index: c for c, index in enumerate(cells.index)}
+    if not (cells.arms or len(cells.axes) == 1):
+        across, up = cells.axes
+        return [[[number[i, j] for i in range(len(across))] for j in range(len(up))]]
+    centre = cells.index[cells.nominal]
+    return [
+        [[number[(*centre[:a], k, *centre[a + 1 :])] for k in range(len(axis))]]
+        for a, axis in enumerate(cells.axes)
+    ]

@@ -1,0 +1,342 @@
+"""Calibrations and the domain, asked for by a program."""
+
+import json
+import math
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+from tests.web.client import Client
+from tests.web.conftest import unpacked
+
+from fixel.database.project import Project
+from fixel.web.app import create_app
+from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.security import WORD_HEADER, Gate
+from fixel.workflows import jobs
+from fixel.workflows.calibration.unattended import collected
+from fixel.workflows.calibration.watch import Watch
+
+HERE = "http://127.0.0.1:8000"
+ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
+UNKNOWNS = [{"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2}]
+
+
+@pytest.fixture(scope="module")
+def project(trusted_laboratory, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("copy") / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    return folder
+
+
+class Bench:
+    def __init__(self, folder):
+        self.desk = Desk(Project.open(folder))
+        gate = Gate()
+        pages, api = project_pages(self.desk), project_api(self.desk)
+        app = create_app(pages, gate, api=api, name="my_lab")
+        self.client = Client(app, HERE, cookies={gate.cookie: gate.session})
+        self.word = {WORD_HEADER: gate.word}
+
+    def get(self, path, status=200):
+        answer = self.client.get(f"/api/v1{path}")
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def post(self, path, body=None, status=200):
+        answer = self.client.post(f"/api/v1{path}", headers=self.word, json=body)
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+
+@pytest.fixture(scope="module")
+def bench(project):
+    made = Bench(project)
+    yield made
+    made.desk.close()
+
+
+# --- calibrations -------------------------------------------------------------------------------
+
+
+def test_the_list_says_what_came_of_each(bench):
+    answer = bench.get("/calibrations")
+    (one,) = answer["calibrations"]
+    assert (one["name"], one["experiments"], one["mode"]) == ("first", 6, "joint")
+    assert one["after"] < one["before"]
+    assert sum(one["verdicts"].values()) == 2
+    assert answer["running"] == []
+
+
+def test_one_has_parameters_starts_profiles_and_residuals(bench):
+    one = bench.get("/calibrations/1")
+    assert [row["label"] for row in one["parameters"]] == ["mu_pusher", "tripod_radius"]
+    for row in one["parameters"]:
+        assert row["bounds"][0] <= row["found"] <= row["bounds"][1]
+        assert row["verdict"]
+        assert row["unit"] in ("-", "m")
+    assert [curve["label"] for curve in one["curves"]] == ["mu_pusher", "tripod_radius"]
+    assert len(one["starts"]) == 2
+    ends = [start["error"] for start in one["starts"]]
+    assert ends == sorted(ends)
+    after = [residual["after"] for residual in one["residuals"]]
+    assert after == sorted(after, reverse=True)
+    assert one["worst"] == one["residuals"][:3]
+    objective = unpacked(one["objective"])
+    # The mean error of an experiment, as in the list and in the waterfall.
+    assert objective.min() == pytest.approx(float(np.mean(after)))
+    assert objective.min() == pytest.approx(ends[0])
+    assert one["complete"]
+    assert one["command"].startswith("fixel calibrate")
+    compile(one["python"], "page", "exec")
+
+
+def test_one_whose_job_is_gone_still_says_what_is_stored(trusted_laboratory, tmp_path):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    shutil.rmtree(folder / "jobs")
+    alone = Bench(folder)
+    one = alone.get("/calibrations/1")
+    assert not one["complete"]
+    assert (one["starts"], one["curves"]) == ([], [])
+    assert len(one["residuals"]) == 6
+    assert one["objective"] is not None
+    alone.desk.close()
+
+
+def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, project):
+    watch = Watch(Project.open(project))
+    (folder,) = (p.parent for p in (project / "jobs").glob("first-*/job.json"))
+    seen = watch.look(folder)
+    assert seen.stored == [1]
+    stored = unpacked(bench.get("/calibrations/1")["objective"])
+    # A point that is asked for again is answered from the journal, and stands there once.
+    assert set(np.round(seen.objective, 9)) == set(np.round(stored, 9))
+    assert seen.best == pytest.approx(stored.min())
+    later = watch.look(folder, since=seen.evaluations - 5)
+    assert later.objective == seen.objective[-5:]
+    assert seen.start == pytest.approx(np.mean(seen.nominal))
+
+
+def test_an_offer_names_what_can_be_found(bench):
+    offer = bench.get("/calibrations/offer?filter=shape%3Dsquare")
+    assert 0 < offer["experiments"] < 30
+    usual = [one["name"] for one in offer["unknowns"] if one["usual"]]
+    assert usual == ["mu_pusher", "mu_fixel", "mu_support", "tripod_radius"]
+    everything = bench.get("/calibrations/offer")
+    assert everything["faulty"] == 1
+    assert bench.get("/calibrations/offer?filter=shape%3Dnone")["unknowns"] == []
+
+
+def begun(bench, **changes):
+    body = {"experiments": [6, 7], "unknowns": UNKNOWNS, "verdicts": False} | changes
+    return bench.post("/calibrations", body)
+
+
+def awaited(bench, name, good, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        seen = bench.get(f"/calibrations/jobs/{name}")
+        if good(seen):
+            return seen
+        time.sleep(0.1)
+    raise AssertionError(f"still {seen['state']}: {seen['reason']}")
+
+
+def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
+    job = begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)
+    assert job["left_out"] == {}
+    seen = awaited(bench, job["name"], lambda seen: seen["stored"])
+    assert seen["evaluations"] >= 12
+    one = bench.get(f"/calibrations/{seen['stored'][0]}")
+    assert one["name"].startswith("mine: 2 experiments")
+    assert one["command"].split()[:4] == ["fixel", "calibrate", "6", "7"]
+    assert "--fit mu_pusher=0:1:0.2" in one["command"]
+    # Asked for again, it is there already.
+    assert begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)["stored"] == (
+        seen["stored"]
+    )
+
+
+def test_one_is_stopped_and_goes_on(bench, project):
+    job = begun(bench, name="long", most_evaluations=1_000_000, starts=3)
+    name = job["name"]
+    folder = project / "jobs" / name
+    seen = awaited(bench, name, lambda seen: seen["evaluations"] >= 5)
+    assert seen["state"] == "running"
+    assert (seen["most"], seen["at_most"]) == (3_000_000, True)
+    pid = json.loads((folder / "state.json").read_text())["pid"]
+    # Ctrl-C in the server's terminal goes to the server's session.
+    assert os.getsid(pid) != os.getsid(0)
+    assert bench.post("/calibrations", {"experiments": [6, 7], "name": "long", "unknowns": UNKNOWNS,
+                                        "verdicts": False, "most_evaluations": 1_000_000,
+                                        "starts": 3}, 409)  # fmt: skip
+    assert bench.post(f"/calibrations/jobs/{name}/stop")["state"] == "cancelled"
+    kept = bench.get(f"/calibrations/jobs/{name}")
+    assert kept["ended"]
+    assert kept["evaluations"] >= seen["evaluations"]
+    assert name in [one["name"] for one in bench.get("/calibrations")["running"]]
+    bench.post(f"/calibrations/jobs/{name}/resume")
+    awaited(bench, name, lambda seen: seen["evaluations"] > kept["evaluations"])
+    bench.post(f"/calibrations/jobs/{name}/stop")
+    assert jobs.status_of(folder).state == "cancelled"
+
+
+def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory, tmp_path):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
+    (job / "stored.json").unlink()
+    alone = Bench(folder)
+    (one,) = alone.get("/calibrations")["calibrations"]
+    assert one["sets"] == 2  # and the one that was stored before
+    assert collected(Project.open(folder), job) == [2]
+    alone.desk.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"unknowns": [{"name": "nonsense", "low": 0, "high": 1, "start": 0.5}]}, "nonsense"),
+        ({"unknowns": [{"name": "mu_pusher", "low": 1, "high": 0, "start": 0.5}]}, "mu_pusher"),
+        ({"unknowns": []}, "unknowns"),
+        ({"unknowns": UNKNOWNS * 2}, "mu_pusher"),
+        ({"name": "../../x"}, "name"),
+        ({"experiments": [], "filter": '"'}, "filter"),
+        ({"experiments": [], "filter": "shape=none"}, "experiments"),
+        ({"optimiser": "cma-es", "most_evaluations": 5}, "most_evaluations"),
+        ({"optimiser": "least-squares", "mode": "each"}, "least-squares"),
+        ({"experiments": [0]}, "experiments"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_what_cannot_be_is_refused(bench, project, changes, where):
+    before = sorted((project / "jobs").iterdir())
+    body = {"experiments": [6, 7], "unknowns": UNKNOWNS} | changes
+    assert where in bench.post("/calibrations", body, 422)["sentence"]
+    assert sorted((project / "jobs").iterdir()) == before
+
+
+@pytest.mark.parametrize("name", ["%2e%2e", "..%2f..", "nothing", "first-", "*"])
+def test_no_part_of_an_address_becomes_a_path(bench, name):
+    assert bench.client.get(f"/api/v1/calibrations/jobs/{name}").status_code in (404, 405)
+    assert bench.client.get(f"/calibrations/running/{name}").status_code == 404
+    assert bench.client.get(f"/api/v1/analyses/{name}/{name}.png").status_code in (404, 405)
+    assert bench.client.get(f"/api/v1/domain/{name}/map").status_code in (404, 405)
+
+
+def test_pages_are_there(bench):
+    for path in ("/calibrations", "/calibrations/new", "/calibrations/1", "/domain"):
+        assert bench.client.get(path).status_code == 200, path
+    assert bench.client.get("/calibrations/999").status_code == 404
+    asked = bench.client.get('/calibrations/new?filter="><script>alert(1)</script>')
+    assert "<script>alert" not in asked.text
+
+
+# --- the domain ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def name(bench):
+    (one,) = bench.get("/domain")["maps"]
+    return one["name"]
+
+
+def test_a_map_for_every_threshold(bench, name):
+    view = bench.get(f"/domain/{name}")
+    assert view["chosen"] == ["offset_y_m", "shape"]
+    assert (view["threshold"], view["unit"], view["simulated"]) == (6.0, "mm", True)
+    (panel,) = view["panels"]
+    assert len(panel["cells"]) == len(panel["up"]["ticks"]) == 2
+    assert len(panel["cells"][0]) == len(panel["across"]["ticks"])
+    assert len(view["points"]) == sum(map(sum, view["counts"]))
+    assert view["low"] >= view["floor_mm"]
+
+
+def test_more_is_within_a_larger_threshold(bench, name):
+    chances = []
+    for threshold in (1.0, 3.0, 10.0, 30.0):
+        shown = bench.get(f"/domain/{name}/map?threshold={threshold}")
+        values = [p for row in shown["chance"] for p in row if p is not None]
+        assert all(0.0 <= p <= 1.0 for p in values)
+        chances.append(np.array(values))
+        assert sum(shown["count"].values()) == sum(map(len, shown["colour"]))
+        assert f"--threshold-mm {threshold:.4g}" in shown["command"]
+    assert all((b >= a - 1e-3).all() for a, b in zip(chances, chances[1:], strict=False))
+
+
+def test_it_is_the_map_that_was_kept(bench, name, project):
+    kept = json.loads((project / "analyses" / name / "analysis.json").read_text())
+    shown = bench.get(f"/domain/{name}/map")
+    colours = [shown["colours"][k] for row in shown["colour"] for k in row]
+    assert colours == [cell["colour"] for cell in kept["numbers"]["cells"]]
+    for p, cell in zip(sum(shown["chance"], []), kept["numbers"]["cells"], strict=True):
+        assert p == (None if cell["confidence"] is None else pytest.approx(cell["confidence"], abs=1e-4))
+    inside = [bool(k) for row in shown["inside"] for k in row]
+    assert inside == [cell["in_domain"] for cell in kept["numbers"]["cells"]]
+    suggested = bench.get(f"/domain/{name}/next")["proposals"]
+    assert [one["where"] for one in suggested] == [
+        one["cell"] for one in kept["numbers"]["next"][:3]
+    ]
+
+
+def test_another_threshold_answers_at_once(bench, name):
+    bench.get(f"/domain/{name}/map")
+    begun = time.process_time()
+    for k in range(5):
+        bench.get(f"/domain/{name}/map?threshold={3 + k}")
+    each = (time.process_time() - begun) / 5
+    print(f"{1e3 * each:.0f} ms")
+    assert each < ANSWERS_WITHIN
+
+
+def test_other_axes_and_measures(bench, name):
+    strip = bench.get(f"/domain/{name}?axis=shape")
+    assert strip["panels"][0]["up"] is None
+    assert "layout" in [axis["name"] for axis in strip["axes"]]
+    refused = bench.get(f"/domain/{name}?measure=relative", 422)
+    assert "--mode each" in refused["hint"]
+    assert bench.get(f"/domain/{name}?axis=nonsense", 422)["where"] == "axis nonsense"
+    assert bench.get(f"/domain/{name}/map?threshold=0", 422)
+    assert bench.get(f"/domain/{name}/map?threshold=nan", 422)
+
+
+def test_pictures_of_analyses(bench, name):
+    (one,) = bench.get("/analyses")["analyses"]
+    assert one["name"] == name
+    assert one["warnings"]
+    for picture in one["pictures"]:
+        for ending, start in (("png", b"\x89PNG"), ("pdf", b"%PDF")):
+            path = f"/api/v1/analyses/{name}/{picture['name']}.{ending}"
+            assert bench.client.get(path).content.startswith(start)
+    bench.get(f"/analyses/{name}/analysis.json", 404)
+    bench.get(f"/analyses/{name}/nothing.png", 404)
+
+
+def test_a_map_whose_evidence_is_gone_says_so(trusted_laboratory, tmp_path):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    shutil.rmtree(folder / "analyses" / "held-out")
+    alone = Bench(folder)
+    (one,) = alone.get("/domain")["maps"]
+    assert "fixel domain" in alone.get(f"/domain/{one['name']}", 409)["hint"]
+    assert alone.client.get("/domain").status_code == 200
+    alone.desk.close()
+
+
+def test_a_map_is_made_as_a_job(bench, project):
+    job = bench.post("/domain", {"by": ["nonsense"]})
+    deadline = time.monotonic() + 60.0
+    while not job["ended"] and time.monotonic() < deadline:
+        time.sleep(0.2)
+        (job,) = bench.get("/domain")["jobs"]
+        if job["state"] == "running" and job["fits"] >= 1:
+            break
+    assert job["state"] in ("running", "done", "failed"), job
+    if not job["ended"]:
+        stopped = bench.post(f"/domain/jobs/{job['name']}/stop")
+        assert stopped["state"] in ("cancelled", "done")
+    bench.post("/domain/jobs/nothing/stop", status=404)
+    assert not math.isnan(job["fits"])

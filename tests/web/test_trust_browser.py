@@ -1,0 +1,213 @@
+"""Calibrations and the domain, in a real browser."""
+
+import shutil
+from statistics import median
+
+import pytest
+
+ROUND_TRIP = 200.0  # [ms]
+
+
+@pytest.fixture(scope="module")
+def project(trusted_laboratory, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("copy") / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    return folder
+
+
+@pytest.fixture
+def domain(browser_page, server):
+    browser_page.goto(server.address + "domain")
+    browser_page.wait_for_selector("#domain[data-ready]", state="attached", timeout=30_000)
+    return browser_page
+
+
+@pytest.fixture
+def one(browser_page, server):
+    browser_page.goto(server.address + "calibrations/1")
+    browser_page.wait_for_selector("#calibration[data-ready]", state="attached", timeout=30_000)
+    return browser_page
+
+
+def evaluations(page):
+    return int(page.get_attribute("#calibrating", "data-evaluations"))
+
+
+def until_more(page, than):
+    page.wait_for_function(
+        "n => Number(document.getElementById('calibrating').dataset.evaluations) > n",
+        arg=than,
+        timeout=60_000,
+    )
+
+
+# --- calibrations -------------------------------------------------------------------------------
+
+
+def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server):
+    page = browser_page
+    page.click("nav >> text=Calibrations")
+    page.wait_for_selector("#rows tr")
+    page.click("text=Calibrate…")
+    page.wait_for_selector("#form[data-ready]", timeout=30_000)
+    page.fill("#filter", "shape=square")
+    page.wait_for_function(
+        "() => /^1\\d experiments/.test(document.getElementById('matching').textContent)"
+    )
+    page.uncheck("#fit-mu_support")
+    page.fill("input[name='tripod_radius.high']", "60")
+    page.fill("#name", "seen")
+    page.fill("#starts", "9")
+    page.uncheck("#verdicts")
+    page.click("#begin")
+    page.wait_for_selector("#calibrating", timeout=30_000)
+    until_more(page, 10)
+    assert page.locator("#objective path.best").count() >= 1
+    assert "best so far" in page.inner_text("#figures")
+    assert "evaluations/s" in page.inner_text("#figures")
+    page.click("#stop")
+    page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
+    assert "resume goes on from there" in page.inner_text("#reason")
+    before = evaluations(page)
+    page.click("nav >> text=Calibrations")
+    page.wait_for_selector("#running >> text=seen")
+    page.click("#running a")
+    page.wait_for_selector("#resume:visible")
+    page.click("#resume")
+    until_more(page, before)
+    page.click("#stop")
+    page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
+
+
+def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
+    page = browser_page
+    page.expected_problems.append("422")
+    page.goto(server.address + "calibrations/new?experiments=6,7")
+    page.wait_for_selector("#form[data-ready]", timeout=30_000)
+    assert page.inner_text("#matching").startswith("2 experiments")
+    page.fill("input[name='mu_pusher.high']", "-1")
+    page.click("#begin")
+    page.wait_for_selector(".toast.bad >> text=mu_pusher")
+    assert page.is_enabled("#begin")
+
+
+def test_reasons_on_demand_and_the_worst_lead_to_their_experiments(one):
+    assert one.locator("#rows tr").count() == 2
+    button = one.locator(".verdict-button").first
+    assert one.is_hidden("#reason-0")
+    button.focus()
+    one.keyboard.press("Enter")
+    assert one.inner_text("#reason-0")
+    assert button.get_attribute("aria-expanded") == "true"
+    assert one.locator("#profile-plots svg[role=img]").count() == 2
+    assert one.locator("#starts-plot svg[role=img]").count() == 1
+    assert one.locator("#bars tr").count() == 6
+    link = one.locator("#worst a").first
+    key = link.inner_text()
+    link.click()
+    one.wait_for_selector("#experiment")
+    assert one.inner_text("h1") == key
+
+
+def test_pointing_into_a_chart_reads_it(one):
+    one.locator("#search-plot svg[role=img]").hover(position={"x": 150, "y": 60})
+    assert "mm" in one.inner_text("#search-plot .readout")
+
+
+# --- the domain ---------------------------------------------------------------------------------
+
+
+def test_the_threshold_slider_paints_the_map_anew(domain):
+    domain.focus("#slider")
+    trips = []
+    for _ in range(6):
+        domain.evaluate("delete document.getElementById('domain').dataset.roundTrip")
+        domain.keyboard.press("PageDown")
+        domain.wait_for_selector("#domain[data-round-trip]", state="attached")
+        trips.append(float(domain.get_attribute("#domain", "data-round-trip")))
+    print("round trips [ms]:", trips)
+    assert median(trips) < 2 * ROUND_TRIP  # of a machine that does much else beside
+    low = domain.inner_text("#counts")
+    domain.keyboard.press("End")
+    domain.wait_for_function(
+        "before => document.getElementById('counts').innerText !== before", arg=low
+    )
+    box = domain.locator("#slider").bounding_box()
+    domain.mouse.move(box["x"] + box["width"] - 8, box["y"] + box["height"] / 2)
+    domain.mouse.down()
+    domain.mouse.move(box["x"] + 10, box["y"] + box["height"] / 2, steps=10)
+    domain.mouse.up()
+    domain.wait_for_function(
+        "() => document.getElementById('domain').dataset.threshold"
+        " === document.getElementById('threshold').value"
+    )
+    assert domain.locator("td.trusted").count() == 0
+
+
+def test_verdicts_are_told_by_signs_too(domain):
+    signs = {"trusted": "✓", "doubtful": "?", "not-trusted": "✕"}
+    cells = domain.locator("td[data-cell]")
+    assert cells.count() >= 6
+    for k in range(cells.count()):
+        kind = cells.nth(k).get_attribute("class").split()[0]
+        assert cells.nth(k).locator(".sign").inner_text() == signs.get(kind, "")
+        assert cells.nth(k).get_attribute("aria-label")
+
+
+def test_a_cell_shows_its_experiments(domain):
+    cell = domain.locator("td[data-cell]:has(.dots:not(:empty))").first
+    cell.click()
+    link = domain.locator("#cell .members a").first
+    assert domain.locator("#cell .members .number").first.inner_text().split()[1] == "mm"
+    key = link.inner_text()
+    link.click()
+    domain.wait_for_selector("#experiment")
+    assert domain.inner_text("h1") == key
+
+
+def test_arrow_keys_go_through_the_map(domain):
+    domain.locator("td[tabindex='0']").first.focus()
+    start = domain.evaluate("document.activeElement.cellIndex")
+    domain.keyboard.press("ArrowRight" if start == 1 else "ArrowLeft")
+    assert abs(domain.evaluate("document.activeElement.cellIndex") - start) == 1
+    domain.keyboard.press("Enter")
+    assert domain.locator("td.picked").count() == 1
+
+
+def test_the_next_experiment_is_suggested_with_a_command(domain):
+    domain.wait_for_selector("#next .after")
+    assert "fixel domain" in domain.inner_text("#next code")
+
+
+def test_what_relative_lacks_is_told(domain):
+    domain.expected_problems.append("422")
+    domain.click("#relative")
+    domain.wait_for_selector(".toast.bad >> text=calibrated")
+    assert domain.get_attribute("#absolute", "aria-pressed") == "true"
+
+
+def test_other_axes(domain):
+    domain.select_option("#up", "")
+    domain.wait_for_selector("table[aria-label='along offset y [mm]']")
+    domain.select_option("#across", "shape")
+    domain.wait_for_selector("table[aria-label='along shape']")
+    domain.select_option("#across", "")
+    domain.wait_for_selector("table[aria-label*='shape and'], table[aria-label*='and shape']")
+
+
+def test_no_map_yet(browser_page, server, project):
+    (project / "analyses").rename(project / "aside")
+    try:
+        browser_page.goto(server.address + "domain")
+        assert "fixel domain" in browser_page.inner_text("#nothing")
+        assert browser_page.is_visible("#make")
+    finally:
+        (project / "aside").rename(project / "analyses")
+
+
+@pytest.mark.parametrize("path", ["calibrations", "calibrations/new", "calibrations/1", "domain"])
+def test_nothing_is_wider_than_a_phone(browser_page, server, path):
+    browser_page.set_viewport_size({"width": 390, "height": 800})
+    browser_page.goto(server.address + path)
+    browser_page.wait_for_selector("[data-ready]", state="attached", timeout=30_000)
+    assert browser_page.evaluate("document.documentElement.scrollWidth") <= 390
