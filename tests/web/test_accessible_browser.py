@@ -5,6 +5,7 @@ One look of each page here; all four with
     make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
 """
 
+import shutil
 from importlib.resources import files
 
 import pytest
@@ -62,12 +63,22 @@ def axe():
 
 
 @pytest.fixture(scope="module")
+def project(trusted_laboratory, tmp_path_factory):
+    """With calibrations and a map."""
+    folder = tmp_path_factory.mktemp("copy") / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
 def places(project, server):
     """Every page, with something on it."""
     folder = project / "jobs" / "toy"
     jobs.prepare_job(folder, maker=MAKER, options={"rounds": 1, "chunks": 2})
     assert jobs.run_here(folder).state == "done"
-    found = {page.path.replace("{number}", "1").replace("{name}", "toy") for page in server._pages}
+    found = {
+        page.path.replace("{number}", "1").replace("{name}", "first") for page in server._pages
+    }
     return [server.address.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
 
 

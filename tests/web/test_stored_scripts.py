@@ -6,6 +6,7 @@ import shutil
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from urllib.parse import quote
 
 import pytest
@@ -64,6 +65,9 @@ def poisoned(folder):
             store.flag(stored, Flag(f"evil-{number}", evil))
             store.annotate([stored], ALL)
             _keep_simulation(store, stored, evil)
+            made = store.calibration(1)
+            origin = replace(made.provenance, command=f"fixel {evil}")
+            store.add_calibration(replace(made, name=f"fit {evil}", provenance=origin))
     # What is a file name cannot hold a slash.
     for number, evil in enumerate(EVIL):
         name = f"job {number} {evil}".replace("/", "\u2215")
@@ -85,11 +89,11 @@ def _keep_simulation(store, number, evil):
 
 
 @pytest.fixture(scope="module")
-def project(laboratory, tmp_path_factory):
+def project(trusted_laboratory, tmp_path_factory):
     """The laboratory in a folder with an evil name, and evil inside."""
     evil = EVIL[1].replace("/", "")
     folder = tmp_path_factory.mktemp("evil") / f"lab {evil}"
-    shutil.copytree(laboratory, folder)
+    shutil.copytree(trusted_laboratory, folder)
     return poisoned(folder)
 
 
@@ -132,7 +136,9 @@ def addresses_of_pages(bench):
     store = bench.desk.store
     last = max(store.browse_ids(view_of("")))
     keys = [store.experiment(number).key for number in range(last - 2, last + 1)]
-    yield from ("/experiments", "/jobs", "/system", "/api", "/simulate", f"/nowhere/{quote(ALL)}")
+    listed = (page.path for page in bench.pages if "{" not in page.path)
+    yield from (*listed, f"/nowhere/{quote(ALL)}", f"/calibrations/running/{quote(ALL)}")
+    yield from (f"/calibrations/{number}" for number in list(store.calibration_summaries())[-3:])
     for number in range(last - len(EVIL) + 1, last + 1):
         yield f"/experiments/{number}"
     for key in (*keys, ALL):
@@ -167,6 +173,17 @@ def test_no_other_answer_is_taken_for_a_page(bench):
         picture = bench.client.get(f"/api/v1/experiments/{number}/thumbnail.svg")
         if picture.status_code == 200:
             assert not re.search(r"<(script|foreignObject|image|a)\b|on\w+=", picture.text)
+
+
+def test_scripts_know_no_way_to_write_markup():
+    import fixel.web
+
+    ways = r"(inner|outer)HTML|insertAdjacentHTML|document\.write|\beval\(|new Function|DOMParser"
+    for path in (Path(fixel.web.__file__).parent / "static").glob("*.js"):
+        assert not re.search(ways, path.read_text(encoding="utf-8")), path
+    for path in (Path(fixel.web.__file__).parent / "templates").glob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"\|\s*safe|autoescape|\son\w+=", text), path
 
 
 def test_nothing_unpickles(bench):

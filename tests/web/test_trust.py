@@ -155,8 +155,9 @@ def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
     assert one["command"].split()[:4] == ["fixel", "calibrate", "6", "7"]
     assert "--fit mu_pusher=0:1:0.2" in one["command"]
     # Asked for again, it is there already.
-    assert begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)["stored"] == (
-        seen["stored"]
+    assert (
+        begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)["stored"]
+        == (seen["stored"])
     )
 
 
@@ -273,7 +274,9 @@ def test_it_is_the_map_that_was_kept(bench, name, project):
     colours = [shown["colours"][k] for row in shown["colour"] for k in row]
     assert colours == [cell["colour"] for cell in kept["numbers"]["cells"]]
     for p, cell in zip(sum(shown["chance"], []), kept["numbers"]["cells"], strict=True):
-        assert p == (None if cell["confidence"] is None else pytest.approx(cell["confidence"], abs=1e-4))
+        assert p == (
+            None if cell["confidence"] is None else pytest.approx(cell["confidence"], abs=1e-4)
+        )
     inside = [bool(k) for row in shown["inside"] for k in row]
     assert inside == [cell["in_domain"] for cell in kept["numbers"]["cells"]]
     suggested = bench.get(f"/domain/{name}/next")["proposals"]
