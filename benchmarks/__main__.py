@@ -31,9 +31,10 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "memory": ("processes", "run_memory", "memory of a batch"),
     "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
+    "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc", "camera")
+ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc", "camera", "web")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -28,6 +28,8 @@ QUESTIONS = {
     "the last page": "limit=100&offset=9900",
 }
 
+FIRST_PAINT = "() => performance.getEntriesByName('first-contentful-paint')[0].startTime"
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -35,9 +37,9 @@ def main() -> None:
     parser.add_argument("--project", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        project = given.project or _filled(Path(folder) / "many", given.n)
+        project = given.project or filled(Path(folder) / "many", given.n)
         for name, query in QUESTIONS.items():
-            with _Served(project) as served:
+            with Served(project) as served:
                 before = served.cpu
                 cold = served.ask(f"/api/v1/experiments?{query}")
                 cpu = served.cpu - before
@@ -46,11 +48,12 @@ def main() -> None:
                 f"{name:24s} {1e3 * cold:6.0f} ms cold, {1e3 * cpu:4.0f} ms of them computing; "
                 f"{1e3 * warm:6.0f} ms warm"
             )
-        with _Served(project) as served:
+        with Served(project) as served:
             _paint(served)
 
 
-def _filled(folder: Path, n: int) -> Path:
+def filled(folder: Path, n: int) -> Path:
+    """A project with so many experiments."""
     project = Project.create(folder)
     with project.store() as store:
         for experiment in experiments(n):
@@ -58,7 +61,7 @@ def _filled(folder: Path, n: int) -> Path:
     return folder
 
 
-class _Served:
+class Served:
     """`fixel serve`, started anew."""
 
     def __init__(self, project: Path) -> None:
@@ -85,7 +88,7 @@ class _Served:
         fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
-    def __enter__(self) -> "_Served":
+    def __enter__(self) -> "Served":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -93,7 +96,7 @@ class _Served:
         self.process.wait()
 
 
-def _paint(served: _Served) -> None:
+def _paint(served: Served) -> None:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
@@ -103,9 +106,7 @@ def _paint(served: _Served) -> None:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(served.link)
         page.wait_for_selector("tr[data-id]")
-        painted = page.evaluate(
-            "() => performance.getEntriesByName('first-contentful-paint')[0].startTime"
-        )
+        painted = page.evaluate(FIRST_PAINT)
         rows = page.evaluate(
             "() => performance.getEntriesByType('resource')"
             ".find(e => e.name.includes('/experiments?')).responseEnd"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Final
 
@@ -25,11 +26,10 @@ def _config(connection: sa.Connection | None = None) -> Config:
 
 def newest() -> str:
     """Version of the schema this program knows."""
-    head = ScriptDirectory.from_config(_config()).get_current_head()
-    assert head is not None
-    return head
+    return versions()[-1]
 
 
+@functools.cache
 def versions() -> tuple[str, ...]:
     """All versions this program knows, the oldest first."""
     scripts = ScriptDirectory.from_config(_config()).walk_revisions()

@@ -172,12 +172,13 @@ class _Clerk:
         self._progress = progress
         self._say = say
         self._written = 0.0
+        self._before = files.read_status(folder)
         self.engine: AbstractEngine | None = None
         self.status = Status(
             host=socket.gethostname(),
             pid=os.getpid(),
             started_utc=files.utc(),
-            **files.read_status(folder).model_dump(include={"done", "total", "failed"}),
+            **self._before.model_dump(include={"done", "total", "failed", "deaths", "again"}),
         )
 
     def enter(self, state: files.State, reason: str = "") -> None:
@@ -201,6 +202,9 @@ class _Clerk:
             self._write(reason=waiting, **progress._asdict())
 
     def _write(self, **changes: Any) -> None:
+        if self.engine is not None:
+            changes["deaths"] = self._before.deaths + self.engine.deaths
+            changes["again"] = self._before.again + self.engine.again
         self.status = self.status.model_copy(update=changes)
         self._written = time.monotonic()
         files.write_status(self._folder, self.status)

@@ -105,7 +105,7 @@ class DaskEngine(AbstractEngine):
                 batch = self._turn(desk)
             except ClusterLost as lost:
                 batch = []
-                desk.forget_flights()
+                self.again += desk.forget_flights()
                 self._bury(lost)
             batch += self._late(desk)
             if batch:
@@ -143,17 +143,22 @@ class DaskEngine(AbstractEngine):
                 raise _other_version(f"a worker has fixel {outcome.found}, expected {stamp()}")
         elif outcome is not None:
             return outcome
-        desk.again(name)
+        self._again(desk, name)
         return None
 
     def _survived(self, desk: _Desk, name: str, killed: Killed) -> Answer | None:
         desk.deaths[name] += 1
+        self.deaths += 1
         deaths = desk.deaths[name]
         self._say(f"{killed.worker} died with {name} (death {deaths} of it)")
         if deaths >= self._max_deaths:
             return Failure(f"it was running when its worker died, {deaths} times")
-        desk.again(name)
+        self._again(desk, name)
         return None
+
+    def _again(self, desk: _Desk, name: str) -> None:
+        desk.again(name)
+        self.again += 1
 
     def _tick(self, cluster: Cluster) -> None:
         """Look after workers, at most so often."""
@@ -245,10 +250,12 @@ class _Desk:
         self._flying.pop(name, None)
         return self.open.pop(name, None) is not None
 
-    def forget_flights(self) -> None:
-        """All that was with workers is to be tried again."""
+    def forget_flights(self) -> int:
+        """All that was with workers is to be tried again; how many these are."""
+        flying = len(self._flying)
         self._waiting = deque(self.open)
         self._flying.clear()
+        return flying
 
 
 def _other_version(reason: str) -> JobRefused:

@@ -18,6 +18,8 @@ class AbstractEngine(abc.ABC):
     """Answers chunks, in any order; a context manager, so that processes end with it."""
 
     workers: int = 0  # processes that compute now
+    deaths: int = 0  # of workers while they computed
+    again: int = 0  # chunks that were given out once more
 
     @abc.abstractmethod
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:

@@ -120,6 +120,8 @@ class Status(_Record):
     note : str
         What the work says of itself.
     workers : int
+    deaths, again : int
+        Workers that died while they computed; chunks that were given out once more.
     host, pid : str, int
         Of the coordinator.
     started_utc, updated_utc : str
@@ -134,6 +136,8 @@ class Status(_Record):
     left_s: float | None = None
     note: str = ""
     workers: int = 0
+    deaths: int = 0
+    again: int = 0
     host: str = ""
     pid: int = 0
     started_utc: str = ""

@@ -132,7 +132,8 @@ class Guard:
             return None if self.gate.knows(headers) else _refusal(scope, 401, WRONG_TOKEN)
         if not self.gate.opens(headers):
             return _refusal(scope, 403, NO_COOKIE)
-        if not safe and not self.gate.admits(headers):
+        # A page of another port of this machine is of the same site: the cookie comes with it.
+        if not at_home(headers) or (not safe and not self.gate.admits(headers)):
             return _refusal(scope, 403, NOT_OURS)
         return None
 

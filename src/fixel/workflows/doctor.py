@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 import tempfile
@@ -69,14 +70,16 @@ def examine(say: Say | None = None) -> Diagnosis:
     get_ready(scenes.grasp(support_directions=8), say, Lemke())
     checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
-    return Diagnosis(_versions(), _machine(), cache, checks, time.perf_counter() - start)
+    return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of fixel, Python and the packages it stands on."""
     found = {"fixel": _version("fixel"), "python": platform.python_version()}
     return found | {name: _version(name) for name in PACKAGES}
 
 
+@functools.cache  # they do not change while this process runs
 def _version(name: str) -> str:
     try:
         return version(name)
@@ -84,7 +87,8 @@ def _version(name: str) -> str:
         return "missing"
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
+    """Platform, cores that this process may use, threads that a batch takes."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
     return {"platform": platform.platform(terse=True), "cores": usable, "threads": threads}

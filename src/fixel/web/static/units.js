@@ -29,6 +29,16 @@ export const count = (n) => Math.round(n).toString().replace(/\B(?=(\d{3})+(?!\d
 /** "1 experiment", "2 experiments". @param {number} n @param {string} what */
 export const several = (n, what) => `${count(n)} ${what}${n === 1 ? "" : "s"}`;
 
+/** A size in decimal units. @param {number} size */
+export function bytes(size) {
+  let value = size;
+  for (const unit of ["byte", "kB", "MB", "GB"]) {
+    if (value < 1000) return `${unit === "byte" ? value : Number(value.toPrecision(3))} ${unit}`;
+    value /= 1000;
+  }
+  return `${value.toPrecision(3)} TB`;
+}
+
 /**
  * A condition as it is written down: numbers short, with the unit its name ends with.
  * @param {string} name

@@ -1,0 +1,17 @@
+"""Work that takes long: the queue, who computes, what was lost, the log."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from fixel.web.app import Page
+
+if TYPE_CHECKING:
+    from fixel.web.project import Desk
+
+
+def pages(desk: Desk) -> list[Page]:
+    """`/jobs`; the name of the chosen job stands behind `#`."""
+    context = {"folder": shlex.quote(str(desk.project.folder.resolve()))}
+    return [Page(path="/jobs", title="Jobs", template="jobs.html", context=context, place=60)]

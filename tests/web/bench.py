@@ -1,0 +1,56 @@
+"""A whole application over a project folder, in this process."""
+
+import re
+
+from tests.web.client import Client
+
+from fixel.database.project import Project
+from fixel.web.app import create_app
+from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.security import WORD_HEADER, Gate
+
+HERE = "http://127.0.0.1:8000"
+# Values for what stands in braces in addresses.
+EXAMPLES = {"number": "1", "name": "grasp"}
+
+
+class Bench:
+    """Pages and interface of a project, with their gate."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.gate = Gate()
+        self.desk = Desk(Project.open(folder))
+        self.api = project_api(self.desk)
+        self.pages = project_pages(self.desk)
+        self.app = create_app(self.pages, self.gate, api=self.api, name=self.desk.name)
+        self.client = self.opened()
+
+    def opened(self, **options):
+        """A browser that has opened the link."""
+        return Client(self.app, HERE, cookies={self.gate.cookie: self.gate.session}, **options)
+
+    def stranger(self, **options):
+        """A browser that has not."""
+        return Client(self.app, HERE, **options)
+
+    def post(self, path, json=None):
+        """As a page of ours does."""
+        return self.client.post(path, headers={WORD_HEADER: self.gate.word}, json=json)
+
+    def addresses(self):
+        """Every address with the methods it knows, braces filled in."""
+        found = {"/": {"GET"}, "/palette.css": {"GET"}, "/static/style.css": {"GET", "HEAD"}}
+        found |= {filled(page.path): {"GET"} for page in self.pages}
+        found["/api/v1/openapi.json"] = {"GET"}
+        for path, entries in self.api.openapi()["paths"].items():
+            found[f"/api/v1{filled(path)}"] = {method.upper() for method in entries}
+        return found
+
+    def close(self):
+        self.desk.close()
+
+
+def filled(path):
+    """An address with examples in place of what stands in braces."""
+    return re.sub(r"\{(\w+)\}", lambda found: EXAMPLES.get(found[1], "1"), path)

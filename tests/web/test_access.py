@@ -1,0 +1,326 @@
+"""Who gets in: every route, credential, name of the server, origin and method, at once.
+
+What should happen is computed here from the rules as they are written in docs/how-to/web-safety.md,
+and not by asking the gate.
+"""
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import re
+import sqlite3
+from pathlib import Path
+
+import pytest
+from tests.web.bench import Bench, filled
+
+from fixel.errors import InvalidInput
+from fixel.web import security
+from fixel.web.live import LiveView
+from fixel.web.overlay_page import overlay_page
+from fixel.web.serve import WebServer
+
+METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")
+SAFE = ("GET", "HEAD", "OPTIONS")
+HOSTS = ("127.0.0.1:8000", "localhost:8000", "[::1]:8000", "evil.example", None)
+ORIGINS = ("absent", "same", "http://evil.example", "null")
+CREDENTIALS = (
+    "nothing",
+    "token in query",
+    "wrong token in query",
+    "token twice in query",
+    "bearer",
+    "wrong bearer",
+    "cookie",
+    "wrong cookie",
+    "cookie and word",
+    "cookie and wrong word",
+    "word",
+    "cookie and wrong bearer",
+)
+ADMITTED = 299  # no handler answers so
+
+
+@pytest.fixture(scope="module")
+def bench(project):
+    made = Bench(project)
+    yield made
+    made.close()
+
+
+def expected(credential, host, origin, method):
+    """The rules."""
+    ours = host in HOSTS[:3]
+    at_home = origin in ("absent", "same")
+    if not ours:
+        return 400
+    if credential == "token in query" and method in SAFE:
+        return 303
+    if "bearer" in credential:
+        return ADMITTED if credential == "bearer" and at_home else 401
+    if "wrong cookie" in credential or "cookie" not in credential or not at_home:
+        return 403
+    if method in SAFE or credential == "cookie and word":
+        return ADMITTED
+    return 403
+
+
+def request(gate, path, credential, host, origin, method):
+    """The same, as a server hands it on."""
+    headers, query = {}, ""
+    if host is None:
+        headers |= {"x-forwarded-host": "127.0.0.1", "forwarded": "host=127.0.0.1"}
+    else:
+        headers["host"] = host
+    if origin != "absent":
+        headers["origin"] = f"http://{host}" if origin == "same" else origin
+    wrong = "x" * len(gate.token)
+    if "query" in credential:
+        query = f"token={wrong if 'wrong' in credential else gate.token}"
+        query += f"&{query}" if "twice" in credential else ""
+    if "bearer" in credential:
+        headers["authorization"] = f"Bearer {wrong if 'wrong' in credential else gate.token}"
+    if "cookie" in credential:
+        value = gate.token if credential == "wrong cookie" else gate.session
+        headers["cookie"] = f"{gate.cookie}={value}"
+    if "word" in credential:
+        headers["x-fixel-word"] = wrong if "wrong" in credential else gate.word
+    return {
+        "type": "http",
+        "asgi": {"version": "3.0"},
+        "http_version": "1.1",
+        "method": method,
+        "scheme": "http",
+        "path": path,
+        "raw_path": path.encode(),
+        "root_path": "",
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode("latin-1")) for name, value in headers.items()],
+        "client": ("127.0.0.1", 50000),
+        "server": ("127.0.0.1", 8000),
+        "state": {},
+    }
+
+
+async def status_of(app, scope):
+    """Status and headers of an answer."""
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    async def receive():
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    await app(scope, receive, send)
+    start = sent[0]
+    return start["status"], {n.decode().lower(): v.decode() for n, v in start["headers"]}
+
+
+async def _bell(scope, receive, send):
+    """In place of everything behind the gate: says that somebody got in."""
+    await send({"type": "http.response.start", "status": ADMITTED, "headers": []})
+    await send({"type": "http.response.body", "body": b""})
+
+
+def test_the_full_matrix(bench, monkeypatch):
+    """Zero surprises, and the policy on every answer."""
+    monkeypatch.setattr(bench.app.router, "middleware_stack", _bell)
+    paths = [*bench.addresses(), "/nowhere", "/api/v1/nowhere", "//evil.example/", "/../x"]
+    cases = list(itertools.product(paths, CREDENTIALS, HOSTS, ORIGINS, METHODS))
+    surprises, counts = [], {}
+
+    async def all_of_them():
+        for path, *case in cases:
+            found, headers = await status_of(bench.app, request(bench.gate, path, *case))
+            wanted = expected(*case)
+            counts[found] = counts.get(found, 0) + 1
+            strict = all(headers.get(name) == value for name, value in security.HEADERS.items())
+            opened = "set-cookie" in headers
+            if found != wanted or not strict or opened != (wanted == 303):
+                surprises.append((path, *case, wanted, found))
+
+    asyncio.run(all_of_them())
+    print(f"{len(cases)} requests: {counts}")
+    assert surprises == []
+    assert set(counts) == {ADMITTED, 303, 400, 401, 403}
+
+
+def test_what_is_behind_answers_those_who_may(bench):
+    """Every address that only looks: 200 with the cookie and with the token, as documented."""
+    client, sent = bench.opened(), {"authorization": f"Bearer {bench.gate.token}"}
+    for path, methods in bench.addresses().items():
+        if "GET" not in methods or "/system/backups/" in path or "/jobs/" in path:
+            continue
+        known = {200, 303, 404, 409, 422}  # what there is none of in this project
+        assert client.get(path).status_code in known, path
+        answer = bench.stranger().get(path, headers=sent)
+        assert answer.status_code in known, path
+        assert "set-cookie" not in answer.headers
+
+
+def test_nothing_that_looks_changes_anything(bench):
+    """So that a link on another site, which a browser follows with the cookie, does nothing."""
+    with contextlib.closing(sqlite3.connect(bench.folder / "experiments.db")) as watch:
+
+        def version():
+            return watch.execute("PRAGMA data_version").fetchone()
+
+        before = version()
+        for path, methods in bench.addresses().items():
+            if "GET" in methods:
+                bench.client.get(path)
+        assert version() == before
+        bench.post("/api/v1/experiments/delete", {"ids": [30]})
+        assert version() != before  # it would have been noticed
+
+
+def test_secrets_are_compared_in_constant_time(bench, monkeypatch):
+    compared = []
+    honest = security.secrets.compare_digest
+
+    def watched(one, other):
+        compared.append(other)
+        return honest(one, other)
+
+    monkeypatch.setattr(security.secrets, "compare_digest", watched)
+    gate = bench.gate
+    for credential in CREDENTIALS:
+        for method in ("GET", "POST"):
+            scope = request(gate, "/nowhere", credential, HOSTS[0], "absent", method)
+            asyncio.run(status_of(bench.app, scope))
+    assert set(compared) == {gate.token.encode(), gate.session.encode(), gate.word.encode()}
+    # And nowhere else: no other line of the server compares one of them.
+    source = (security.__file__, __import__("fixel.web.app").web.app.__file__)
+    for path in source:
+        with open(path) as stream:
+            assert not re.search(
+                r"(==|!=)\s*(self\.)?(gate\.)?(token|session|word)\b", stream.read()
+            )
+
+
+def test_secrets_are_long_and_never_twice():
+    gates = [security.Gate() for _ in range(50)]
+    secrets = {s for gate in gates for s in (gate.token, gate.session, gate.word)}
+    assert len(secrets) == 150
+    assert min(map(len, secrets)) >= 43  # 256 bit
+
+
+def test_the_token_is_in_no_log(caplog):
+    """Of a real server, whatever is asked of it, with every logger wide open."""
+    import http.client
+
+    with caplog.at_level(logging.DEBUG), WebServer([overlay_page(LiveView(), "x")]) as server:
+        token = server.gate.token
+        for method, path, headers in (
+            ("GET", f"/?token={token}", {}),
+            ("GET", f"/overlay?token={token}&x=%00", {}),
+            ("POST", f"/overlay?token={token}", {}),
+            ("GET", "/nowhere", {"Authorization": f"Bearer {token}"}),
+            ("BREW", f"/{token}", {"Cookie": f"{server.gate.cookie}={server.gate.session}"}),
+        ):
+            connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+            connection.request(method, path, headers=headers)
+            connection.getresponse().read()
+            connection.close()
+    assert not [line for line in caplog.messages if token in line]
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.4", "127.0.0.2", "example.org", ""])
+def test_other_machines_only_where_that_is_said(project, host):
+    from fixel.cli.serve import serve
+
+    with pytest.raises(InvalidInput, match="--allow-others"):
+        serve(project, host=host)
+
+
+def test_there_is_always_a_token():
+    """Also where others are let in: no option leaves it out."""
+    server = WebServer([overlay_page(LiveView(), "x")], host="0.0.0.0")
+    try:
+        assert len(server.gate.token) >= 43
+        assert server.gate.token in server.link
+    finally:
+        server.stop()
+
+
+# --- what is sent -----------------------------------------------------------------------------
+
+ESCAPES = (
+    "..%2f..%2f..%2f..%2fetc%2fpasswd",
+    "%2e%2e%2f%2e%2e%2ffixel.yaml",
+    "%2e%2e",
+    "%2fetc%2fpasswd",
+    "..%5c..%5cfixel.yaml",
+    "....//....//fixel.yaml",
+    "%252e%252e%252ffixel.yaml",
+    "fixel.yaml%00.db",
+    "%c0%ae%c0%ae%2ffixel.yaml",
+    "file:%2f%2f%2fetc%2fpasswd",
+    "%00",
+    "-1",
+    "1e3",
+    "0x1",
+    "9" * 5000,
+)
+
+
+def test_no_parameter_is_a_path(bench):
+    """Every parameter of every address, of pages, too: refused, and nothing of a file told."""
+    templates = [page.path for page in bench.pages]
+    templates += [f"/api/v1{path}" for path in bench.api.openapi()["paths"]]
+    templates += ["/static/{file}", "/static/{folder}/style.css"]
+    asked = 0
+    for template in templates:
+        for parameter in re.findall(r"\{\w+\}", template):
+            for escape in ESCAPES:
+                address = filled(template.replace(parameter, escape))
+                for method in ("GET", "POST"):
+                    headers = {"x-fixel-word": bench.gate.word}
+                    answer = bench.client.request(method, address, headers=headers)
+                    known = {303, 404, 405, 422}
+                    assert answer.status_code in known, (method, address, answer.status_code)
+                    assert "root:" not in answer.text
+                    assert "database:" not in answer.text
+                    asked += 1
+    assert asked > 500
+
+
+@pytest.mark.parametrize("told", [None, "10", "nonsense", "-1"])
+def test_long_bodies_are_cut_off_whatever_they_say(bench, told):
+    """Also one whose length is not told beforehand, or told wrong: it is not read to its end."""
+    scope = request(bench.gate, "/api/v1/scenes/read", "bearer", HOSTS[0], "absent", "POST")
+    scope["headers"].append((b"content-type", b"application/json"))
+    if told is not None:
+        scope["headers"].append((b"content-length", told.encode()))
+    read, sent = 0, []
+
+    async def receive():
+        nonlocal read
+        read += 65536
+        return {"type": "http.request", "body": b" " * 65536, "more_body": read < 2**28}
+
+    async def send(message):
+        sent.append(message)
+
+    asyncio.run(bench.app(scope, receive, send))
+    assert read <= security.MOST_BODY + 2 * 65536
+    assert 400 <= sent[0]["status"] < 500
+
+
+def test_nothing_is_uploaded(bench):
+    """No address takes a file: scene files are read by the browser, and sent as text."""
+    for path, entries in bench.api.openapi()["paths"].items():
+        for method, entry in entries.items():
+            kinds = set(entry.get("requestBody", {}).get("content", {}))
+            assert kinds <= {"application/json"}, (method, path)
+
+
+def test_nothing_is_unpickled_from_outside():
+    """No module of the server knows how."""
+    import fixel.web
+
+    folder = Path(fixel.web.__file__).parent
+    for path in folder.rglob("*.py"):
+        assert not re.search(r"\b(pickle|marshal|shelve|allow_pickle)\b", path.read_text()), path

@@ -1,0 +1,188 @@
+"""Every page for everybody: axe-core's rules, light and dark, wide and narrow; and the keyboard.
+
+One look of each page here; all four with
+
+    make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
+"""
+
+import shutil
+from importlib.resources import files
+
+import pytest
+
+from fixel.testing.toy_work import MAKER
+from fixel.web.live import LiveView
+from fixel.web.overlay_page import overlay_page
+from fixel.web.record_page import RecordPreview
+from fixel.web.serve import WebServer
+from fixel.workflows import jobs
+
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+LOOKS = [("light", WIDE), ("dark", NARROW)]
+OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]
+BAD = ("serious", "critical")
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+PATIENCE = 15_000  # [ms]
+
+# What can be reached; of a group of radio buttons or tabs, one.
+REACHABLE = """() => {
+  const wanted = "a[href], button, input, select, textarea, summary, [tabindex]";
+  const rect = (node) => node.getBoundingClientRect();
+  const groups = new Set();
+  const seen = [...document.querySelectorAll(wanted)].filter((node) => {
+    if (node.disabled || node.tabIndex < 0) return false;
+    if (!node.checkVisibility({ visibilityProperty: true })) return false;
+    if (node.matches("input[type=radio]")) {
+      if (groups.has(node.name)) return false;
+      groups.add(node.name);
+    }
+    return rect(node).width > 0 && rect(node).height > 0;
+  });
+  return seen.map((node, k) => {
+    node.dataset.wanted = k;
+    return `${k} ${node.tagName}#${node.id}.${node.className} ${node.textContent.slice(0, 30)}`;
+  });
+}"""
+FOCUSED = """() => {
+  const node = document.activeElement;
+  if (!node || node === document.body) return null;
+  const style = getComputedStyle(node);
+  const ring = style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0;
+  const name = node.matches("input[type=radio]") ? CSS.escape(node.name) : "";
+  const group = name && document.querySelector(`input[name="${name}"][data-wanted]`);
+  return { place: (group || node).dataset.wanted ?? "", ring: ring || style.boxShadow !== "none",
+           what: `${node.tagName}#${node.id}` };
+}"""
+
+
+@pytest.fixture(scope="module")
+def axe():
+    """The rules, as the package brings them."""
+    package = pytest.importorskip("axe_playwright_python", reason="pip install 'fixel[dev]'")
+    return files(package).joinpath("axe.min.js").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def project(trusted_laboratory, tmp_path_factory):
+    """With calibrations and a map."""
+    folder = tmp_path_factory.mktemp("copy") / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def places(project, server):
+    """Every page, with something on it."""
+    folder = project / "jobs" / "toy"
+    jobs.prepare_job(folder, maker=MAKER, options={"rounds": 1, "chunks": 2})
+    assert jobs.run_here(folder).state == "done"
+    found = {
+        page.path.replace("{number}", "1").replace("{name}", "first") for page in server._pages
+    }
+    return [server.address.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
+
+
+def opened(chromium, link, look, size):
+    context = chromium.new_context(viewport=size, color_scheme=look, reduced_motion="reduce")
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(link)
+    return context, page
+
+
+def settled(page, address):
+    page.goto(address)
+    page.wait_for_load_state("networkidle")
+    page.wait_for_timeout(100)
+
+
+def violations(page, axe):
+    page.evaluate(axe)
+    found = page.evaluate(
+        """async (rules) => (await window.axe.run(document, {
+          runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
+        })).violations.map((one) => ({
+          id: one.id, impact: one.impact, help: one.help,
+          nodes: one.nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary}`),
+        }))""",
+        RULES,
+    )
+    return [one for one in found if one["impact"] in BAD], found
+
+
+def judged(chromium, link, addresses, axe, looks, tmp_path):
+    bad = []
+    for look, size in looks:
+        context, page = opened(chromium, link, look, size)
+        for address in addresses:
+            settled(page, address)
+            name = address.partition("//")[2].partition("/")[2].replace("/", "-") or "home"
+            page.screenshot(path=tmp_path / f"{name}-{look}-{size['width']}.png")
+            wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
+            serious, every = violations(page, axe)
+            for one in every:
+                mark = "BAD" if one in serious else "   "
+                print(mark, look, size["width"], address, one["id"], one["nodes"][:3])
+            where = f"{address} {look} {size['width']}"
+            bad += [(where, one["id"], one["nodes"]) for one in serious]
+            bad += [(where, "wider than the window", [])] if wide else []
+        context.close()
+    return bad
+
+
+def test_no_serious_violation(chromium, server, places, axe, tmp_path):
+    bad = []
+    for look, some in zip(LOOKS, (places[::2], places[1::2]), strict=True):
+        bad += judged(chromium, server.link, some, axe, [look], tmp_path)
+    assert bad == []
+
+
+@pytest.mark.slow
+def test_no_serious_violation_in_any_look(chromium, server, places, axe, tmp_path):
+    assert judged(chromium, server.link, places, axe, LOOKS + OTHER_LOOKS, tmp_path) == []
+
+
+def test_nor_on_live_pages(chromium, axe):
+    view, preview = LiveView(), RecordPreview("pushes/141")
+    view.show(None, {"problems": ["a problem"], "remarks": ["a remark"], "state": "off"})
+    preview.show(None, preview.status(elapsed_s=1.0, frames=30, lost=2, reading=0b010))
+    bad = []
+    with WebServer([overlay_page(view, "a scene"), preview.page()]) as server:
+        for look, size in LOOKS:
+            context, page = opened(chromium, server.link, look, size)
+            for path in ("overlay", "record"):
+                page.goto(server.address + path)
+                page.wait_for_timeout(400)  # the streams never end
+                bad += [(path, one) for one in violations(page, axe)[0]]
+            context.close()
+    assert bad == []
+
+
+def test_everything_is_reached_with_the_keyboard(chromium, server, places):
+    """By Tab alone, each with a ring around it, and out again at the end."""
+    context, page = opened(chromium, server.link, "light", WIDE)
+    missed, ringless = [], []
+    for address in places:
+        settled(page, address)
+        wanted = page.evaluate(REACHABLE)
+        page.evaluate("document.activeElement?.blur()")
+        reached, ends = set(), False
+        for _ in range(len(wanted) + 40):
+            page.keyboard.press("Tab")
+            now = page.evaluate(FOCUSED)
+            if now is None:
+                ends = True
+                break
+            if now["place"] in reached and now["place"] == "0":
+                ends = True
+                break
+            reached.add(now["place"])
+            if not now["ring"]:
+                ringless.append((address, now["what"]))
+        left = [one for one in wanted if one.split(" ")[0] not in reached]
+        missed += [(address, one) for one in left]
+        assert ends or not left, f"{address}: the keyboard is caught at {now}"
+        assert wanted, address
+    context.close()
+    assert missed == []
+    assert ringless == []
