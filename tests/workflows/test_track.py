@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.exchange.rig_file import save_rig
 from fixel.exchange.scene_file import SceneFile, save_scene
 from fixel.exchange.video_file import VideoWriter
-from fixel.model import Body, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.testing.painted import moving, painted, tag_rig
 from fixel.vision.frame import Frame
 from fixel.workflows.track import track_film
@@ -77,6 +79,35 @@ def test_a_film_becomes_an_experiment(film, tmp_path):
     assert stored.trajectory.pose == pytest.approx(truth, abs=2e-3)
     assert np.abs(stored.trajectory.pose[:, :2] - truth[:, :2]).max() < 1e-4
     json.dumps(answer.summary(), allow_nan=False)
+
+
+def test_what_the_fixels_felt_is_in_the_experiment(tmp_path):
+    """Bit 0 is the third fixel; where no reading came, there is none."""
+    painter = painted(tag_rig())
+    posts = tuple(
+        Fixel(name=f"fixel-{k}", shape=Disk(0.01), pose=(0.2, 0.05 * (k - 2), 0.0), friction=0.3)
+        for k in (1, 2, 3)
+    )
+    save_rig(painter.rig, tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=replace(scene(), fixels=posts)), tmp_path / "scene.yaml")
+    readings = [0b000, 0b100, None, 0b001, 0b011, 0b011, 0b011, 0b011]
+    late = 0.004  # [s] after its picture
+    with RecordingWriter(tmp_path / "push", RecordingHeader(size=(320, 240))) as writer:
+        for k, reading in enumerate(readings):
+            frame = Frame(1.0 + k / 30.0, painter.frame(k / 30.0).picture)
+            writer.write(frame, reading, frame.time + late)
+    answer = track_film(
+        tmp_path / "push", rig=str(tmp_path / "rig.yaml"), scene=tmp_path / "scene.yaml"
+    )
+    (tactile,) = answer.experiment.channels
+    assert tactile.name == "tactile"
+    assert tactile.columns == ("fixel_1_bool", "fixel_2_bool", "fixel_3_bool")
+    felt = [[0, 0, 0], [1, 0, 0], [np.nan] * 3, [0, 0, 1], *[[0, 1, 1]] * 4]
+    assert tactile.values == pytest.approx(np.array(felt, dtype=float), nan_ok=True)
+    times = np.arange(8) / 30.0 + late
+    came = [k for k, reading in enumerate(readings) if reading is not None]
+    assert tactile.time[came] == pytest.approx(times[came], abs=2e-6)
+    assert answer.experiment.contact_mode == "011"
 
 
 def test_what_was_rendered_is_never_real(tmp_path):

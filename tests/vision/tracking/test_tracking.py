@@ -6,15 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fixel.errors import InvalidInput
 from fixel.exchange.rig_file import rig_of
-from fixel.model import Trajectory
+from fixel.model import Trajectory, pose_error
+from fixel.model.shape import placed
 from fixel.testing.painted import PAINT, as_seen, moving, painted, sticker_rig, tag_rig
 from fixel.testing.scenes import micro_push
 from fixel.testing.tracking_contract import TrackingContract
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
+from fixel.vision.marks import Tag
 from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
 
@@ -42,6 +45,26 @@ class TestTags(TrackingContract):
         )
         with pytest.raises(InvalidInput, match="mm wide in the picture"):
             track([painter.frame(0.0)], rig)
+
+    @pytest.mark.parametrize("side", range(4))
+    def test_half_a_tag_is_enough(self, painter, side):
+        """As long as two of its sides show that meet, and it was seen a moment ago."""
+        frames = [painter.frame(k / 30.0) for k in range(2)]
+        for k in (2, 3):
+            poses = moving(k / 30.0)
+            picture = painter.picture(poses)
+            middle = placed(painter.rig.parts["object"].marks[0].pose[:2], poses["object"])
+            c = painter.rig.camera.project_at(middle, 0.0255)
+            v, u = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
+            across = 0.5 * np.pi * side - poses["object"][2]
+            picture[(u - c[0]) * np.cos(across) + (v - c[1]) * np.sin(across) > 1.0] = 120.0
+            frames.append(Frame(k / 30.0, as_seen(picture, seed=k)))
+        part = track(frames, painter.rig).parts["object"]
+        assert part.good.all()
+        position, angle = pose_error(part.pose, [moving(f.time)["object"] for f in frames])
+        assert position.max() < 0.1e-3
+        assert angle.max() < 0.004
+        assert (part.sd[2:, 0] > part.sd[:2, 0].max()).all()
 
     def test_a_quarter_turn_is_named(self, painter):
         turned = np.rot90(painter.frame(0.0).picture).copy()
@@ -93,6 +116,35 @@ class TestPlate:
             track([frame], rig)
         with pytest.raises(InvalidInput, match="at least 3 to find"):
             track([frame], rig, register=True)
+
+    def test_a_camera_that_was_moved_is_registered(self):
+        """Moved by 3 mm and turned by a degree: told, and poses are those of the plate again."""
+        rig = tag_rig(plate=True)
+        corners = [(-0.063, 0.034), (0.066, 0.038), (0.066, -0.042), (-0.06, -0.055)]
+        rig = replace(
+            rig,
+            plate=tuple(
+                Tag(id=20 + k, size=0.024, pose=(*place, 0.1 * k), height=0.0)
+                for k, place in enumerate(corners)
+            ),
+        )
+        painter = painted(rig)
+        camera, turn = rig.camera, Rotation.from_rotvec([0.004, -0.003, 0.017]).as_matrix()
+        moved = Camera(
+            lens=camera.lens,
+            rotation=camera.rotation @ turn,
+            translation=camera.translation + np.array([0.003, -0.001, 0.002]),
+        )
+        frames = [painter.frame(k / 30.0) for k in range(3)]
+        with pytest.raises(InvalidInput, match="--register"):
+            track(frames, replace(rig, camera=moved))
+        tracked = track(frames, replace(rig, camera=moved), register=True)
+        assert "registered anew" in tracked.remarks[0]
+        for name, part in tracked.parts.items():
+            position, angle = pose_error(part.pose, [moving(t)[name] for t in tracked.time])
+            assert part.good.all()
+            assert position.max() < 0.3e-3
+            assert angle.max() < 0.003
 
     def test_half_a_turn_is_named(self, painter):
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()

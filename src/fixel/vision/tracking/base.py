@@ -116,6 +116,10 @@ class Prediction:
         then, pose = self._last
         return pose + self._rate * min(time - then, FORGET)
 
+    def fresh(self, time: float) -> bool:
+        """Whether it was seen so lately that it must be about where it is expected."""
+        return self._last is not None and time - self._last[0] < FORGET
+
     def seen(self, time: float, pose: FloatArray) -> None:
         """Take note of a sight."""
         self._rate = np.zeros(3)

@@ -138,7 +138,7 @@ def registered(rig: Rig, frame: Frame) -> Camera:
         )
     camera = _placed(rig.camera, rough)[0]
     camera, rest = _placed(
-        camera, {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
+        camera, {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}, exact=True
     )
     if rest > 1.0:
         raise InvalidInput(

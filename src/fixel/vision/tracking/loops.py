@@ -230,3 +230,35 @@ def cells_right(
     for i in range(n):
         right += (level[i] > 0.5 * (low + high)) == white[i]
     return right / n
+
+
+@entry
+def cells_shown(
+    picture: Gray,
+    corner: FloatArray,
+    optics: FloatArray,
+    middle: FloatArray,
+    height: float,
+    white: BoolArray,
+    pose: FloatArray,
+    dark: float,
+    bright: float,
+    slack: float,
+) -> tuple[int, int]:
+    """How many cells (n, 2) of a tag are as black and white as they should be, and how many show.
+
+    What is within `slack` of its black or its white shows; what is neither covers it.
+    """
+    right = shown = 0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for i in range(len(middle)):
+        x = c * middle[i, 0] - s * middle[i, 1] + pose[0]
+        y = s * middle[i, 0] + c * middle[i, 1] + pose[1]
+        u, v, there = _pixel(optics, x, y, height)
+        if not there:
+            return 0, 0
+        level = _bilinear(picture, u - corner[0], v - corner[1])
+        if abs(level - dark) < slack or abs(level - bright) < slack:
+            shown += 1
+            right += (abs(level - bright) < slack) == white[i]
+    return right, shown

@@ -72,6 +72,8 @@ class Fit(NamedTuple):
         Of the points that show an edge [-].
     used : (n,) bool
         Which these are.
+    found : (n, 3) float64
+        Offset, darkness and brightness of each in the last look.
     """
 
     pose: FloatArray
@@ -79,6 +81,7 @@ class Fit(NamedTuple):
     residual: float
     share: float
     used: BoolArray
+    found: FloatArray
 
 
 def fit_pose(
@@ -140,7 +143,7 @@ def fit_pose(
             break
     full = np.zeros((3, 3))
     full[:m, :m] = covariance
-    return Fit(pose, full, float(residual), np.count_nonzero(used) / n, used)
+    return Fit(pose, full, float(residual), np.count_nonzero(used) / n, used, found)
 
 
 def window_of(

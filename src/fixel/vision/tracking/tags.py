@@ -25,7 +25,7 @@ from fixel.vision.tracking.base import (
     vague,
     worth_a_search,
 )
-from fixel.vision.tracking.loops import cells_right
+from fixel.vision.tracking.loops import cells_right, cells_shown
 from fixel.vision.tracking.optics import optics_of
 from fixel.vision.tracking.outline import Edges, Fit, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
@@ -35,6 +35,13 @@ FROM_CORNERS: Final = 0.08  # of a side, at either end, that is left out: corner
 REACH: Final = 7.0  # [px] from where a tag is expected
 REACH_READ: Final = 5.0  # [px] from where it was read
 AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
+# Of a tag that is half covered, and was seen a moment ago:
+LEAST_ON_SIDE: Final = 5  # edges on a side, and on one across
+SHOWS: Final = 0.3  # of the contrast that a cell may be off black or white
+LEAST_SHOWN: Final = 0.3  # of its cells
+AGREES_PARTLY: Final = 0.8  # of those
+NEAR_BY: Final = 3.0  # [px] from where it is expected
+PARTLY: Final = 3.0  # how much wider its standard deviations are taken
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MOST_RESIDUAL: Final = 0.6  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
@@ -142,10 +149,13 @@ class _TaggedPart:
         fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach, corner=corner)
         if fit is None:
             return Sighting(reason="too few edges of its tags are to be seen")
+        sd = np.sqrt(np.diag(fit.covariance))
         agreeing = self._agreeing(picture, corner, fit)
+        if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
+            agreeing = self._agreeing_partly(picture, corner, fit)
+            sd *= PARTLY
         if not agreeing:
             return Sighting(reason="what is there does not read as its tags")
-        sd = np.sqrt(np.diag(fit.covariance))
         if fit.residual > MOST_RESIDUAL:
             return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
@@ -170,6 +180,29 @@ class _TaggedPart:
                 )
                 agreeing += share >= AGREES
         return agreeing
+
+    def _agreeing_partly(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
+        """How many tags read as they should where they show, of two sides that meet at least."""
+        optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
+        agreeing = 0
+        for k, (tag, (middle, white)) in enumerate(zip(self._tags, self._cells, strict=True)):
+            used = fit.used & (self._edges.group == k)
+            sides = used[self._edges.group == k].reshape(4, POINTS).sum(axis=1)
+            if min(max(sides[0], sides[2]), max(sides[1], sides[3])) < LEAST_ON_SIDE:
+                continue
+            dark, bright = (float(level) for level in np.median(fit.found[used, 1:], axis=0))
+            slack = SHOWS * (bright - dark)
+            right, shown = cells_shown(
+                picture, origin, optics, middle, tag.height, white, fit.pose, dark, bright, slack
+            )
+            agreeing += shown >= LEAST_SHOWN * len(white) and right >= AGREES_PARTLY * shown
+        return agreeing
+
+    def _near(self, fit: Fit, pose: FloatArray) -> bool:
+        """Whether a fit is so near where the part was expected that it is no other thing."""
+        x, y, angle = fit.pose - pose
+        off = np.hypot(x, y) + abs(angle) * max(tag.size for tag in self._tags)
+        return bool(off < NEAR_BY * self._scale)
 
     def _read(self, frame: Frame) -> tuple[FloatArray | None, str]:
         """Pose from tags that are read, roughly; or why not."""
