@@ -198,6 +198,15 @@ def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory,
     alone.desk.close()
 
 
+def test_a_broken_job_hides_no_other(bench, project):
+    broken = project / "jobs" / "broken"
+    broken.mkdir()
+    (broken / "job.json").write_text("{")
+    assert bench.get("/calibrations")["calibrations"]
+    bench.get("/calibrations/jobs/broken", 404)
+    shutil.rmtree(broken)
+
+
 @pytest.mark.parametrize(
     ("changes", "where"),
     [

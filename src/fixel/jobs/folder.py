@@ -190,6 +190,14 @@ def read_job(folder: Path) -> Job:
     return job
 
 
+def made_by(folder: Path, maker: str) -> bool:
+    """Whether a folder holds a job of a maker; one that cannot be read is of none."""
+    try:
+        return read_job(folder).maker == maker
+    except InvalidInput:
+        return False
+
+
 def read_run(folder: Path) -> Run:
     """How the job was run last, or as jobs are run unless told otherwise."""
     path = folder / "run.json"

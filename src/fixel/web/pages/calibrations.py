@@ -46,13 +46,13 @@ def pages(desk: Desk) -> list[Page]:
         asked = request.query_params
         return {"filter": asked.get("filter", ""), "experiments": asked.get("experiments", "")}
 
-    script = {"folder": str(desk.project.folder)}
+    context = {"folder": str(desk.project.folder.resolve())}
     return [
         Page(
             path="/calibrations",
             title="Calibrations",
             template="calibrations.html",
-            context=script,
+            context=context,
             place=30,
         ),
         Page(

@@ -27,7 +27,7 @@ def pages(desk: Desk) -> list[Page]:
             "chosen": None if chosen is None else chosen.analysis,
             "maps": [(one.folder.name, one.analysis) for one in maps],
             "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
-            "folder": str(desk.project.folder),
+            "folder": str(desk.project.folder.resolve()),
         }
 
     return [Page(path="/domain", title="Domain", template="domain.html", fill=fill, place=40)]

@@ -32,7 +32,7 @@ def collected(project: Project, folder: Path) -> list[int]:
         Another process is about to store them.
     """
     request, ids = request_of(folder), experiments_of(folder)
-    command = command_of(project.folder, request, [str(number) for number in ids])
+    command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
     return collect(project, folder, command, {}).ids
 
 

@@ -165,7 +165,7 @@ class Watch:
 
     def _folders(self) -> list[Path]:
         found = (path.parent for path in (self._project.folder / jobs.JOBS).glob("*/job.json"))
-        return [one for one in found if files.read_job(one).maker == MAKER]
+        return [one for one in found if files.made_by(one, MAKER)]
 
 
 def _read(journal: Path, progress: Progress, request: Request, n: int) -> None:

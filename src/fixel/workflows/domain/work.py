@@ -54,7 +54,7 @@ def begin(project: Project, asked: Asked, command: str) -> Path:
 def jobs_of(project: Project) -> list[jobs.JobStatus]:
     """Those of a project, the newest first."""
     found = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
-    own = [one for one in found if files.read_job(one).maker == MAKER]
+    own = [one for one in found if files.made_by(one, MAKER)]
     own.sort(key=lambda one: files.read_job(one).made_utc, reverse=True)
     return [jobs.status_of(one) for one in own]
 
