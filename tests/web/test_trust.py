@@ -5,6 +5,7 @@ import math
 import os
 import shutil
 import time
+from itertools import chain, pairwise
 
 import numpy as np
 import pytest
@@ -265,7 +266,7 @@ def test_more_is_within_a_larger_threshold(bench, name):
         chances.append(np.array(values))
         assert sum(shown["count"].values()) == sum(map(len, shown["colour"]))
         assert f"--threshold-mm {threshold:.4g}" in shown["command"]
-    assert all((b >= a - 1e-3).all() for a, b in zip(chances, chances[1:], strict=False))
+    assert all((b >= a - 1e-3).all() for a, b in pairwise(chances))
 
 
 def test_it_is_the_map_that_was_kept(bench, name, project):
@@ -273,7 +274,7 @@ def test_it_is_the_map_that_was_kept(bench, name, project):
     shown = bench.get(f"/domain/{name}/map")
     colours = [shown["colours"][k] for row in shown["colour"] for k in row]
     assert colours == [cell["colour"] for cell in kept["numbers"]["cells"]]
-    for p, cell in zip(sum(shown["chance"], []), kept["numbers"]["cells"], strict=True):
+    for p, cell in zip(chain(*shown["chance"]), kept["numbers"]["cells"], strict=True):
         assert p == (
             None if cell["confidence"] is None else pytest.approx(cell["confidence"], abs=1e-4)
         )

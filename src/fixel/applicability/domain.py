@@ -288,8 +288,20 @@ def domain_map(
     measure: Measure = "absolute",
     seed: int = 0,
     predicted_mm: FloatArray | None = None,
+    surface: Surface | None = None,
 ) -> DomainMap:
     """Put evidence into cells, and find out how errors vary over them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    cells : Cells
+    measure : str
+    seed : int
+        Of the versions of the surface.
+    predicted_mm : (n_group, n_cell) float64, optional
+    surface : Surface, optional
+        Of the same evidence in the same cells, where it is at hand: finding it takes seconds.
 
     Raises
     ------
@@ -311,7 +323,9 @@ def domain_map(
             expected=f"{LEAST_EXPERIMENTS} at least for any claim",
             hint="make more, or leave out --where",
         )
-    surface = fit_surface(cells.places, len(groups), _seen(place, group, scores, usable), seed)
+    if surface is None:
+        seen = _seen(place, group, scores, usable)
+        surface = fit_surface(cells.places, len(groups), seen, seed)
     return DomainMap(evidence, cells, groups, place, measure, surface, predicted_mm)
 
 

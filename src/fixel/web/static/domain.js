@@ -57,12 +57,21 @@ function asking(more = {}) {
 }
 
 async function load() {
-  const answer = /** @type {View} */ (await get(address + asking()));
-  view = answer;
+  at("preparing").hidden = false;
+  try {
+    view = /** @type {View} */ (await get(address + asking()));
+  } finally {
+    at("preparing").hidden = true;
+  }
   picked = null;
   at("trouble").hidden = true;
   at("board").hidden = false;
   at("simulated").hidden = !view.simulated;
+  at("aside").textContent = [
+    view.aside ? `${several(view.aside, "experiment")} offset along something that is no axis of this map ${view.aside === 1 ? "is" : "are"} left out.` : "",
+    view.omitted ? `${several(view.omitted, "more map")} cannot be shown here.` : "",
+    view.floor_mm === null ? "" : `The measurement alone makes ${digits(+view.floor_mm.toPrecision(2))} mm (${view.floor_from}).`,
+  ].filter(Boolean).join(" ");
   controls();
   build();
   await refresh();
@@ -177,6 +186,9 @@ function named(strip) {
   return bare.replaceAll("_", " ") + (strip.unit ? ` [${strip.unit}]` : "");
 }
 
+/** Of numbers, not of names. @param {string} text */
+const minus = (text) => text.replace(/(^|\s)-(?=[\d.])/g, "$1\u2212");
+
 /** @type {Map<string, HTMLElement>} */
 const cells = new Map();
 
@@ -201,7 +213,7 @@ function strips(panel) {
   return make(
     "table", { class: `map${panel.across.ticks.length > 14 ? " small" : ""}`, role: "grid", "aria-label": `along ${named(panel.across)}` },
     make("caption", {}, named(panel.across)),
-    make("thead", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, tick.replace("-", "\u2212"))))),
+    make("thead", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, minus(tick))))),
     make("tbody", {}, ...view.groups.map((group, g) => make(
       "tr", {}, make("th", { scope: "row" }, group || "all"), ...panel.cells[0].map((cell) => square(g, cell)),
     ))),
@@ -215,9 +227,9 @@ function grid(group, panel, g) {
     "table", { class: `map${panel.across.ticks.length > 10 ? " small" : ""}`, role: "grid", "aria-label": `${group || "all experiments"}: ${named(panel.across)} and ${named(up)}` },
     make("caption", {}, group || "all experiments", make("small", {}, ` ${named(up)} against ${named(panel.across)}`)),
     make("tbody", {}, ...panel.cells.map((row, k) => make(
-      "tr", {}, make("th", { scope: "row" }, up.ticks[k].replace("-", "\u2212")), ...row.map((cell) => square(g, cell)),
+      "tr", {}, make("th", { scope: "row" }, minus(up.ticks[k])), ...row.map((cell) => square(g, cell)),
     )).reverse()),
-    make("tfoot", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, tick.replace("-", "\u2212"))))),
+    make("tfoot", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, minus(tick))))),
   );
 }
 
@@ -285,7 +297,7 @@ function paint() {
     const fill = chance === null ? null : ramp(chance);
     node.style.background = fill ? `rgb(${fill.join(" ")})` : "";
     node.style.color = fill ? ink(fill) : "";
-    const percent = chance === null ? "" : `${Math.round(100 * chance)}`;
+    const percent = chance === null ? "" : `${rounded(chance, answer.confidence)}`;
     node.replaceChildren(
       make("span", { class: "sign" }, SIGNS[verdict][0]),
       make("span", { class: "percent" }, percent),
@@ -305,6 +317,12 @@ function paint() {
   counts(answer);
   if (picked) cellOf(picked.group, picked.cell);
   root.dataset.threshold = String(answer.threshold);
+}
+
+/** In per cent; what is below a confidence is not rounded up to it. @param {number} chance @param {number} confidence */
+function rounded(chance, confidence) {
+  const percent = Math.round(100 * chance);
+  return chance < confidence && percent >= 100 * confidence - 1e-9 ? percent - 1 : percent;
 }
 
 /** Black or white, whichever can be read. @param {number[]} fill */
@@ -363,7 +381,7 @@ function cellOf(g, c) {
   at("cell-title").textContent = `${view.groups[g] ? `${view.groups[g]}: ` : ""}${where}`;
   at("cell").replaceChildren(
     make("p", {}, make("strong", {}, `${SIGNS[verdict][0]} ${verdict}`),
-      chance === null ? "" : `, ${Math.round(100 * chance)} % probable`),
+      chance === null ? "" : `, ${rounded(chance, shown.confidence)} % probable`),
     own.length
       ? make("ul", { class: "members" }, ...own.map((point) => make(
         "li", {},

@@ -168,11 +168,11 @@ class DomainDesk:
 
     def _made(self, one: Kept, axes: tuple[str, ...], measure: Measure | None) -> View:
         asked = asked_again(one.analysis.question)
-        own = asked.measure
+        changed = bool(axes) or (measure or asked.measure) != asked.measure
         if axes:
             asked = replace(asked, axes=axes, nominal={k: v for k, v in asked.nominal.items()
                                                        if k in axes})  # fmt: skip
-        if measure is not None and measure != own:
+        if measure is not None and measure != asked.measure:
             asked = replace(asked, measure=measure, threshold=None)
         newest = next(iter(one.analysis.calibrations), None)
         mark = str(one.analysis.numbers.get("evidence", "")) or mark_of(self._store, asked, newest)
@@ -182,7 +182,7 @@ class DomainDesk:
                 "the errors this map rests on are not kept any more, or the project has changed",
                 hint=f"make it again with: {one.analysis.command or 'fixel domain'}",
             )
-        domain, aside = spread_out(gathered, asked)
+        domain, aside = spread_out(gathered, asked, {} if changed else one.arrays)
         return View(one, asked, gathered, domain, aside, _table(domain.cells))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -20,6 +21,7 @@ from fixel.applicability.domain import (
 from fixel.applicability.evidence import Evidence
 from fixel.applicability.next_experiment import Proposal, proposals
 from fixel.applicability.promised_cells import promised_cells
+from fixel.applicability.surface import Surface
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
@@ -32,6 +34,9 @@ from fixel.workflows.domain.words import headline, methods_of, numbers, tables, 
 from fixel.workflows.pictures import make_folder
 
 MOST_EXAMPLES: Final = 3
+SURFACE: Final = "surface_"  # of the arrays that are kept with a map
+PROMISED: Final = "promised"
+MOST_BYTES: Final = 64_000_000  # of a surface that is kept
 USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes where nothing was offset
 
 
@@ -120,6 +125,7 @@ def map_domain(
         seconds=time.perf_counter() - begun,
     )
     arrays = {"error_mm2": evidence.error_mm2, "fold": evidence.fold, "place": domain.place}
+    arrays |= _fitted(domain)
     kept = keep(project, analysis, pictures, arrays)
     files = [] if plot is None else kept.copy_pictures(plot)
     return Mapped(
@@ -134,10 +140,34 @@ def map_domain(
     )
 
 
-def spread_out(gathered: Gathered, asked: Asked) -> tuple[DomainMap, int]:
-    """The map for every threshold at once, and how many experiments are left out of it."""
+def spread_out(
+    gathered: Gathered, asked: Asked, fitted: Mapping[str, FloatArray] | None = None
+) -> tuple[DomainMap, int]:
+    """The map for every threshold at once, and how many experiments are left out of it.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    asked : Asked
+    fitted : mapping of name to array, optional
+        What was kept with the same map: then nothing is fitted.
+    """
     evidence, cells, aside = _cut(gathered, asked)
-    return _spread(evidence, cells, asked), aside
+    known = fitted or {}
+    if f"{SURFACE}mean" not in known:
+        return _spread(evidence, cells, asked), aside
+    surface = Surface(**{field.name: known[f"{SURFACE}{field.name}"] for field in fields(Surface)})
+    promised = known.get(PROMISED)
+    return domain_map(evidence, cells, asked.measure, asked.seed, promised, surface), aside
+
+
+def _fitted(domain: DomainMap) -> dict[str, Any]:
+    """What takes seconds to find, so that pages can show the map at once."""
+    surface = domain.surface
+    if surface.covariance.nbytes > MOST_BYTES:
+        return {}
+    found = {f"{SURFACE}{field.name}": getattr(surface, field.name) for field in fields(surface)}
+    return found if domain.predicted_mm is None else found | {PROMISED: domain.predicted_mm}
 
 
 def _cut(gathered: Gathered, asked: Asked) -> tuple[Evidence, Cells, int]:
