@@ -79,6 +79,7 @@ def test_lost_and_repeated_work_is_counted(bench):
     workers.mkdir()
     (workers / "local-7-1-1.json").write_text('{"host": "node1", "pid": 9}')
     (workers / "local-7-1-2.log").touch()
+    (workers / "scheduler.log").touch()
     (workers / "slurm-3.refused").write_text("has another fixel")
     found = bench.get("/jobs/lost").json()
     assert found["job"]["state"] == "lost"

@@ -262,10 +262,11 @@ def triangle_shares(points: FloatArray) -> FloatArray:
     Source: ASME 2006 paper, balance out of the plane.
     """
     a, b, c = (points[..., k, :] for k in range(3))
-    area = np.stack((_cross(b, c), _cross(c, a), _cross(a, b)), axis=-1)
-    total = area.sum(axis=-1, keepdims=True)
-    size = np.ptp(points, axis=-2).max(axis=-1)[..., None]
-    flat = np.abs(total) < 1e-9 * size**2
+    with np.errstate(over="ignore", invalid="ignore"):  # points too far off for their area
+        area = np.stack((_cross(b, c), _cross(c, a), _cross(a, b)), axis=-1)
+        total = area.sum(axis=-1, keepdims=True)
+        size = np.ptp(points, axis=-2).max(axis=-1)[..., None]
+        flat = ~(np.abs(total) >= 1e-9 * size**2) | ~np.isfinite(total)
     share = np.divide(area, total, out=np.full_like(area, np.nan), where=~flat & (size > 0.0))
     return np.asarray(share)
 

@@ -16,6 +16,7 @@ from fixel.workflows import jobs
 from fixel.workflows.jobs import LOST, JobStatus
 
 UNREADABLE: Final = "unreadable"  # the state of a folder that some other program wrote into
+NO_WORKERS: Final = ("scheduler", "coordinator")  # whose logs lie among those of the workers
 MOST_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
 MOST_WORKERS: Final = 200  # that are told of, the newest
 
@@ -128,7 +129,7 @@ def _posted(folder: Path) -> Posted:
 def _worker_names(folder: Path) -> list[str]:
     paths = (folder / "workers").glob("*.*")
     known = {path.stem for path in paths if path.suffix in (".json", ".log", ".refused")}
-    return sorted(known, reverse=True)
+    return sorted(known - {*NO_WORKERS}, reverse=True)
 
 
 def _worker(folder: Path, name: str, owner: Owner | None) -> Worker:

@@ -93,7 +93,7 @@ function table() {
   }
   at("table").hidden = jobs.length === 0;
   at("nothing").hidden = jobs.length > 0;
-  const running = jobs.filter((job) => job.can_cancel && job.state !== "queued").length;
+  const running = jobs.filter((job) => job.can_cancel && !job.can_resume).length;
   at("counted").textContent = jobs.length ? `${several(jobs.length, "job")}, ${running} at work` : "";
 }
 
