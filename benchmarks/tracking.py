@@ -64,7 +64,9 @@ def _case(case: Case, folder: Path, frames: int | None, repeats: int) -> list[Fi
     )
     save_scene(planned, folder / "planned.yaml")
     shot = folder / "film"
-    shooting = Shooting(rig=case.rig, looks=case.looks, frames=frames)
+    # The hand would cover all of a few frames.
+    changes = ("occlusion=0",) if frames is not None and case.looks == "hard" else ()
+    shooting = Shooting(rig=case.rig, looks=case.looks, changes=changes, frames=frames)
     film([str(folder / "planned.yaml")], shot, shooting)
     recording, rig = open_film(shot), rig_of(shot / "rig.yaml")
     truth = np.load(shot / "truth.npz")
