@@ -35,6 +35,7 @@ def why_not() -> str:
 
 def built(folder: Path) -> Path:
     """The firmware and the emulator, built into a folder; nothing happens if they are there."""
+    folder = folder.resolve()  # make works in another folder
     folder.mkdir(parents=True, exist_ok=True)
     command = ["make", "-s", "-j2", "-C", str(FIRMWARE), f"BUILD={folder}", "emulator"]
     # Two test processes may want it at once; util-linux's flock makes one of them wait.
