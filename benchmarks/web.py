@@ -93,7 +93,7 @@ class Served:
 
     def __exit__(self, *_: object) -> None:
         self.process.terminate()
-        self.process.wait()
+        self.process.communicate()
 
 
 def _paint(served: Served) -> None:

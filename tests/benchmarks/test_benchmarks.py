@@ -17,7 +17,8 @@ from benchmarks.peers.task import Peer, slip_grasp
 from fixel import simulate
 
 PACKAGE_OF = {"chipmunk": "pymunk", "box2d": "Box2D", "mujoco": "mujoco"}
-SECONDS_LONG = ("compile",)
+# Each is run by hand for its figures; here they would take the longest of all tests.
+SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web")
 
 
 @pytest.mark.parametrize("name", [n for n in command.SCENARIOS if n not in SECONDS_LONG])
@@ -32,6 +33,12 @@ def test_scenario_runs(name: str) -> None:
 @pytest.mark.parametrize("name", [m.name for m in pkgutil.iter_modules(benchmarks.__path__)])
 def test_every_module_still_imports_what_it_needs(name: str) -> None:
     assert importlib.import_module(f"benchmarks.{name}").__doc__
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [n for n in SECONDS_LONG if n != "compile"])
+def test_long_scenario_runs(name: str) -> None:
+    test_scenario_runs(name)
 
 
 @pytest.mark.slow

@@ -9,8 +9,10 @@ from __future__ import annotations
 import getpass
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -123,10 +125,7 @@ def _call(*command: str) -> str:
 
 def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
     """A script for sbatch; `command` is Python's arguments, in shell words."""
-    from dask_jobqueue.slurm import SLURMJob
-
-    kind: Any = SLURMJob
-    job = kind(
+    job = _slurm_job()(
         scheduler="none",
         name=name,
         queue=site.queue,
@@ -149,6 +148,17 @@ def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
     python = shlex.quote(site.python or sys.executable)
     lines = [job.shebang, "", job.job_header, *site.prologue, " ".join(["exec", python, *command])]
     return "\n".join(lines) + "\n"
+
+
+def _slurm_job() -> Any:
+    """dask-jobqueue's job; importing it would have Ctrl-C end this process its own way."""
+    here = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)
+    from dask_jobqueue.slurm import SLURMJob
+
+    if here:
+        signal.signal(signal.SIGINT, handler)
+    return SLURMJob
 
 
 @final
