@@ -197,7 +197,8 @@ def test_a_late_answer_is_taken_once_and_rubbish_is_thrown_away(folder):
 def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
     said = []
     with workers(folder, said=said) as engine:
-        asked = chunks(12, sleep_s=0.2)
+        # So many that some are left when a busy machine has brought the first answers.
+        asked = chunks(40, sleep_s=0.2)
         found, before, killed = {}, [], False
         for batch in engine.results(toy_work.FUNCTION, folder / "inputs", asked):
             for name, answer in batch:
@@ -207,7 +208,7 @@ def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
                 before = processes(folder, "worker")
                 killed = kill(engine.scheduler_pid)
         assert processes(folder, "worker") == before
-    assert len(found) == 12
+    assert len(found) == 40
     assert any("the scheduler has ended with code -9" in sentence for sentence in said)
 
 
