@@ -11,7 +11,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, Table, Value, clean, sheet
 from fixel.kernels.arrays import FloatArray
-from fixel.model import placed
+from fixel.model import placed, pose_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,13 +50,12 @@ class TrackedRun:
     @property
     def position_error(self) -> FloatArray:
         """(n,) distance between the two [m]."""
-        return np.asarray(np.hypot(*(self.tracked - self.true)[:, :2].T))
+        return pose_error(self.tracked, self.true)[0]
 
     @property
     def angle_error(self) -> FloatArray:
         """(n,) from true to tracked [rad]."""
-        off = self.tracked[:, 2] - self.true[:, 2]
-        return np.asarray((off + np.pi) % (2.0 * np.pi) - np.pi)
+        return pose_error(self.tracked, self.true)[1]
 
 
 @final

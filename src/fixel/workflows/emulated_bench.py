@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -76,7 +77,7 @@ class EmulatedBench:
 
     def _drive(self, wait: float, travel: float, speed: float) -> None:
         assert self.actuator is not None
-        threading.Event().wait(wait)
+        time.sleep(wait)
         self.actuator.move(by=travel, speed=speed)
 
 

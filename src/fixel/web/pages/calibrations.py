@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from fastapi import Request
 
-from fixel.errors import NotStored
 from fixel.web.app import Page
-from fixel.web.pages.experiment import LARGEST_ID, Fact
+from fixel.web.pages.experiment import Fact, number_in
 from fixel.workflows.calibration.watch import Watch
 
 if TYPE_CHECKING:
@@ -23,10 +22,7 @@ def pages(desk: Desk) -> list[Page]:
     watch = Watch(desk.project)
 
     def one(request: Request) -> dict[str, Any]:
-        given = str(request.path_params["number"])
-        number = int(given) if given.isdecimal() and len(given) < 11 else 0
-        if not 0 < number <= LARGEST_ID:
-            raise NotStored(f"calibration {given!r}", hint="the list shows what there is")
+        number = number_in(request, "calibration", "the list shows what there is")
         record = desk.store.calibration(number)
         return {
             "title": record.name,

@@ -28,14 +28,20 @@ class Fact(NamedTuple):
     unit: str = ""
 
 
+def number_in(request: Request, what: str, hint: str) -> int:
+    """The id in an address; whatever no record can have is refused as one that is not there."""
+    given = str(request.path_params["number"])
+    number = int(given) if given.isdecimal() and len(given) < 11 else 0
+    if not 0 < number <= LARGEST_ID:
+        raise NotStored(f"{what} {given!r}", hint=hint)
+    return number
+
+
 def pages(desk: Desk) -> list[Page]:
     """`/experiments/{number}`."""
 
     def fill(request: Request) -> dict[str, Any]:
-        given = str(request.path_params["number"])
-        number = int(given) if given.isdecimal() and len(given) < 11 else 0
-        if not 0 < number <= LARGEST_ID:
-            raise NotStored(f"experiment {given!r}", hint="the table shows what there is")
+        number = number_in(request, "experiment", "the table shows what there is")
         experiment = desk.store.experiment(number)
         return {
             "title": experiment.key,
