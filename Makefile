@@ -16,6 +16,8 @@ PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
 # Test processes at a time; PYTEST_ARGS="-n 0" runs all tests in one, as a debugger wants it.
 JOBS      ?= 2
+# A test that hangs says where, and fails: the longest takes half a minute.
+HANGS     := --max-worker-restart=0 -o faulthandler_timeout=300 -o faulthandler_exit_on_timeout=true
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
@@ -38,7 +40,7 @@ demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare
 
 test: $(READY)  ## the tests, and the check that each floor imports only from those below
 	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(HANGS) $(PYTEST_ARGS)
 
 test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
 	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)

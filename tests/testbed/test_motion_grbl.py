@@ -98,6 +98,28 @@ def test_stopping_keeps_the_place(controller, drive):
     assert 1e3 * drive.position() == pytest.approx(controller.place - 40.0, abs=0.01)
 
 
+def fall_silent_owing_an_answer(controller: EmulatedGrbl) -> None:
+    """The next line is never answered, nor anything after it."""
+
+    def swallow(line: str) -> str:
+        controller.mute = True
+        return "ok"
+
+    controller._motion = swallow
+
+
+def lose_an_answer(controller: EmulatedGrbl) -> None:
+    """The next line is obeyed and never answered."""
+    obey = controller._motion
+
+    def lose(line: str) -> str:
+        obey(line)
+        controller._motion = obey
+        return ""
+
+    controller._motion = lose
+
+
 # --- alarms and limits ----------------------------------------------------------------------------
 
 
@@ -137,10 +159,21 @@ def test_homing_without_switches_is_refused(drive):
         (lambda controller: controller.power_cycle(), "reset"),
         (lambda controller: controller.unplug(), "went away"),
         (lambda controller: setattr(controller, "mute", True), "says nothing"),
+        (fall_silent_owing_an_answer, "says nothing"),
+        (lose_an_answer, "answer to a line was lost"),
         (lambda controller: controller.press_hold(), "in the state Hold"),
         (lambda controller: setattr(controller, "refuse", 1), "a command it does not know"),
     ],
-    ids=["limit switch", "power", "plug", "silence", "hold button", "refused line"],
+    ids=[
+        "limit switch",
+        "power",
+        "plug",
+        "silence",
+        "owing",
+        "lost answer",
+        "hold button",
+        "refused line",
+    ],
 )
 def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why, monkeypatch):
     monkeypatch.setattr("fixel.testbed.grbl_link.SILENCE", 0.3)
@@ -152,6 +185,17 @@ def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why, mon
         drive.wait()
     drive.stop()
     assert not drive.moving
+
+
+def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive, monkeypatch):
+    monkeypatch.setattr("fixel.testbed.grbl_link.SILENCE", 0.3)
+    lose_an_answer(controller)
+    with pytest.raises(DeviceFailed, match="lost"):
+        drive.move(by=0.005, speed=0.03)
+
+    drive.move(to=0.01, speed=0.03)
+
+    assert controller.place == pytest.approx(50.0, abs=0.01)
 
 
 def test_damaged_reports_are_passed_over(controller, drive):

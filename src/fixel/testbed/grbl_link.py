@@ -67,7 +67,7 @@ class GrblLink:
         self._unanswered: deque[int] = deque()  # lengths of lines
         self._answers: list[str] | None = None  # of the command that is waited for
         self._verdict = ""
-        self._asked = self._accepted = 0.0
+        self._asked = self._accepted = self._sent = 0.0
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="grbl", daemon=True)
         self._thread.start()
@@ -162,7 +162,10 @@ class GrblLink:
         if now - self._asked > ASKING:
             self._asked = now
             self._port.write(grbl.STATUS)
-        if now - self.reported > SILENCE and not self._unanswered:
+        # A command such as homing may keep the controller busy, and has a patience of its own; a
+        # line of a move that waits for its answer does not.
+        heard = max(self.reported, self._accepted)
+        if now - heard > SILENCE and self._answers is None:
             with self.changed:
                 self.trouble = self.trouble or f"the controller says nothing for {SILENCE:.3g} s"
                 self.changed.notify_all()
@@ -178,6 +181,7 @@ class GrblLink:
             self.offset = status.offset or self.offset
             self.current = self._asked > self._accepted
             self.status, self.reported = status, time.monotonic()
+            self._miss_answers()
         elif line == "ok":
             self._accept("ok")
         elif (number := grbl.number_after(line, "error:")) is not None:
@@ -194,6 +198,14 @@ class GrblLink:
         elif self._answers is not None:
             self._answers.append(line)
         self.changed.notify_all()
+
+    def _miss_answers(self) -> None:
+        """A controller at rest has answered every line long ago, or the answer was damaged."""
+        owes = self._unanswered and self._answers is None
+        at_rest = self.status is not None and self.status.state == "Idle"
+        if owes and at_rest and self.reported - self._sent > SILENCE:
+            self._unanswered.clear()
+            self.trouble = self.trouble or "the controller's answer to a line was lost"
 
     def _accept(self, verdict: str) -> None:
         if self._unanswered:
@@ -215,6 +227,7 @@ class GrblLink:
     def _send(self, line: str) -> None:
         data = line.encode("ascii") + b"\n"
         self._unanswered.append(len(data))
+        self._sent = time.monotonic()
         self.current = False
         try:
             self._port.write(data)
