@@ -10,7 +10,8 @@ from fixel.jobs import folder as files
 from fixel.jobs.folder import Status
 from fixel.testing.toy_work import MAKER
 from fixel.web.pages.system import bytes_text
-from fixel.workflows import jobs, system
+from fixel.web.security import WORD_HEADER
+from fixel.workflows import job_board, jobs, system
 
 
 class JobsBench(Bench):
@@ -69,6 +70,24 @@ def test_from_the_queue_to_the_end(bench):
     assert ended["can_resume"]
     assert "fixel jobs resume" in ended["command"]
     assert files.coordinator_of(folder) is None
+
+
+def test_only_so_many_run_at_once_whatever_they_are(bench, monkeypatch):
+    monkeypatch.setattr(job_board, "MOST_AT_ONCE", 1)
+    bench.job("long", rounds=300, chunks=8, sleep_s=0.05)
+    bench.job("other")
+    assert bench.post("/jobs/long/resume").status_code == 200
+    try:
+        for address, body in (("/jobs/other/resume", None), ("/domain", {"by": ["shape"]})):
+            refused = bench.client.request(
+                "POST", f"/api/v1{address}", headers={WORD_HEADER: bench.gate.word}, json=body
+            )
+            assert refused.status_code == 409
+            assert "running" in refused.json()["sentence"]
+    finally:
+        bench.post("/jobs/long/cancel")
+    assert bench.post("/jobs/other/resume").status_code == 200
+    bench.post("/jobs/other/cancel")
 
 
 def test_lost_and_repeated_work_is_counted(bench):

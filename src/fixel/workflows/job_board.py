@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -19,6 +22,9 @@ UNREADABLE: Final = "unreadable"  # the state of a folder that some other progra
 NO_WORKERS: Final = ("scheduler", "coordinator")  # whose logs lie among those of the workers
 MOST_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
 MOST_WORKERS: Final = 200  # that are told of, the newest
+MOST_AT_ONCE: Final = 4  # jobs of a project that pages may have running
+
+_starting = threading.Lock()
 
 WorkerState = Literal["working", "joined", "starting", "refused", "ended"]
 
@@ -109,6 +115,25 @@ def resume(job: Posted) -> None:
         raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
     jobs.arrange(job.folder)
     jobs.run_detached(job.folder)
+
+
+@contextmanager
+def room(project: Path) -> Iterator[None]:
+    """Start a job within: each takes a core or more, and a click costs nothing.
+
+    Raises
+    ------
+    JobRefused
+        So many run already.
+    """
+    with _starting:
+        running = [path for path in _folders(project).values() if files.coordinator_of(path)]
+        if len(running) >= MOST_AT_ONCE:
+            raise JobRefused(
+                f"{len(running)} jobs of this project are running",
+                hint="wait until one ends, or end one on the page Jobs",
+            )
+        yield
 
 
 def _folders(project: Path) -> dict[str, Path]:

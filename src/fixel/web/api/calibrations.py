@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from fixel.web.api._values import Array, Id, Number, Text
-from fixel.workflows import jobs
+from fixel.workflows import job_board, jobs
 from fixel.workflows.calibration import begin, told
 from fixel.workflows.calibration.commands import command_of, python_of
 from fixel.workflows.calibration.request import UnknownEntry
@@ -304,7 +304,8 @@ def router(desk: Desk) -> APIRouter:
         )  # fmt: skip
         request.check()
         chosen = begin.chosen_from(desk.store, wanted.filter, wanted.experiments)
-        folder = begin.begin(desk.project, desk.store, chosen, request)
+        with job_board.room(desk.project.folder):
+            folder = begin.begin(desk.project, desk.store, chosen, request)
         seen = watch.look(folder)
         return BegunOut(
             name=folder.name,
@@ -338,7 +339,8 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/jobs/{name}/resume", summary="Go on with one that was stopped or lost")
     def resume(name: str) -> BegunOut:
         folder = watch.folder(name)
-        return BegunOut(name=name, state=begin.go_on(folder).state)
+        with job_board.room(desk.project.folder):
+            return BegunOut(name=name, state=begin.go_on(folder).state)
 
     @found.get("/{number}", summary="One of them")
     def calibration(number: Number) -> CalibrationOut:

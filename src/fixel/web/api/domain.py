@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from fixel.applicability.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import Text
-from fixel.workflows import jobs
+from fixel.workflows import job_board, jobs
 from fixel.workflows.analysis import kept
 from fixel.workflows.domain import work
 from fixel.workflows.domain.desk import (
@@ -239,7 +239,8 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/domain", summary="Make a map, in a process of its own")
     def begin(wanted: BeginIn) -> DomainJobOut:
         asked = Asked(by=tuple(wanted.by))
-        folder = work.begin(desk.project, asked, _first_command(desk, wanted.by))
+        with job_board.room(desk.project.folder):
+            folder = work.begin(desk.project, asked, _first_command(desk, wanted.by))
         return _job(jobs.status_of(folder))
 
     @found.post("/domain/jobs/{name}/stop", summary="Stop making a map; its fits are kept")

@@ -104,7 +104,8 @@ def router(desk: Desk) -> APIRouter:
 
     @found.post("/jobs/{name}/resume", summary="Go on with it, in a process of its own")
     def resume(name: JobName) -> JobDetailOut:
-        job_board.resume(job_board.posted(project, name))
+        with job_board.room(project):
+            job_board.resume(job_board.posted(project, name))
         return _detail(job_board.posted(project, name))
 
     return found
