@@ -129,10 +129,19 @@ def test_a_pulled_network_camera_ends_the_recording(tmp_path: Path) -> None:
     assert open_recording(tmp_path / "r").complete
 
 
+def test_a_camera_that_was_never_started_can_be_stopped(tmp_path: Path) -> None:
+    camera = LoopbackCamera(film(tmp_path / "film"))
+    stopping = threading.Thread(target=camera.stop, daemon=True)
+    stopping.start()
+    stopping.join(5.0)
+    assert not stopping.is_alive()
+
+
 @contextmanager
 def answering(*parts: bytes, hold: bool = False) -> Iterator[str]:
     """A server that says exactly this to whoever connects; the address of its camera."""
     server = socket.create_server(("127.0.0.1", 0))
+    server.settimeout(5.0)  # closing it would not wake who waits for a visitor that never comes
     done = threading.Event()
     heard: list[bytes] = []
 
@@ -142,6 +151,7 @@ def answering(*parts: bytes, hold: bool = False) -> Iterator[str]:
         except OSError:
             return
         with talk:
+            talk.settimeout(5.0)
             heard.append(talk.recv(65536))
             for part in parts:
                 talk.sendall(part)
