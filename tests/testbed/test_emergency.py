@@ -14,6 +14,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from tests.processes import line_of
 
 from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
@@ -50,7 +51,7 @@ def program(then: str):
         command = [sys.executable, "-c", PROGRAM.format(then=then), controller.port]
         running = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         try:
-            guard = int(running.stdout.readline())
+            guard = int(line_of(running))
             time.sleep(0.02)  # it is deep in it now
             assert controller.speed > 0.0
             yield controller, running, guard

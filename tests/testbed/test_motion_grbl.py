@@ -25,10 +25,10 @@ def drive(controller):
         yield connected
 
 
-def moves(controller: EmulatedGrbl) -> None:
-    """Return when it does."""
+def moves(controller: EmulatedGrbl, beyond: float = 0.0) -> None:
+    """Return when it does, and is beyond a place [mm]."""
     until = time.monotonic() + 5.0
-    while controller.speed < 5.0:
+    while controller.speed < 5.0 or controller.place < beyond:
         assert time.monotonic() < until
         time.sleep(0.001)
 
@@ -220,8 +220,7 @@ def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive, monkey
 
 def test_a_reset_that_nobody_heard_of_is_told(controller, drive):
     drive.move(by=0.1, speed=0.05, wait=False)
-    while controller.place < 65.0:
-        time.sleep(0.001)
+    moves(controller, beyond=65.0)
     lose_the_banner(controller)
 
     with pytest.raises(DeviceFailed, match=r"short of its target|answer to a line was lost"):
