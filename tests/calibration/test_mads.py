@@ -1,10 +1,11 @@
 import gc
 import math
+import signal
 
 import numpy as np
 import pytest
 
-from fixel.calibration import Mads, MultiStart
+from fixel.calibration import Mads, MultiStart, mads
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, run
 
@@ -60,6 +61,17 @@ def test_process_that_died_ends_the_search():
     search.tell(np.ones(len(search.ask())))
     assert search.reason == "NOMAD ended without an answer"
     assert math.isfinite(search.best.error)
+
+
+def test_process_that_hangs_is_ended(monkeypatch):
+    search = Mads().start(box())
+    run(search, bowl, 5)
+    asked = search.ask()
+    process(search).send_signal(signal.SIGSTOP)
+    monkeypatch.setattr(mads, "THINKS_WITHIN", 0.2)
+    search.tell(np.ones(len(asked)))
+    assert search.reason == "NOMAD ended without an answer"
+    assert process(search).returncode == -signal.SIGKILL
 
 
 def test_frame_size_ends_it():

@@ -4,6 +4,7 @@ import _thread
 import itertools
 import json
 import threading
+import time
 import urllib.request
 
 import pytest
@@ -121,17 +122,28 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     seen = {}
 
     def visit():
+        until = time.monotonic() + 30.0
         while not (link := capsys.readouterr().err.partition("Open ")[2].split("\n")[0]):
-            source.closed.wait(0.02)
+            wait(until)
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
         seen["page"] = opener.open(link, timeout=5).read()
         address = link.partition("?")[0]
         while not (status := json.load(opener.open(f"{address}overlay/status", timeout=5))):
-            source.closed.wait(0.02)
+            wait(until)
         seen["status"] = status
-        _thread.interrupt_main()
 
-    visitor = threading.Thread(target=visit)
+    def wait(until):
+        assert time.monotonic() < until, "no page, or nothing on it"
+        assert not source.closed.wait(0.02), "the program has ended already"
+
+    def visit_and_leave():
+        try:
+            visit()
+        finally:  # or the page would stay for ever
+            if not source.closed.is_set():
+                _thread.interrupt_main()
+
+    visitor = threading.Thread(target=visit_and_leave)
     visitor.start()
     code, out, _ = fixel(capsys, *asked(bench, "0"))
     visitor.join()

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import pytest
 from tests.cli.shell import fixel
+from tests.processes import line_of
 from tests.testbed.films import SIZE, film
 
 from fixel.cli.record import duration
@@ -148,8 +150,12 @@ def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
+    until = time.monotonic() + 60.0
     while not ((out / ROWS).exists() and (out / ROWS).read_bytes().count(b"\n") > 5):
-        assert process.poll() is None, process.communicate()
+        if process.poll() is not None or time.monotonic() > until:
+            process.kill()
+            pytest.fail(f"it does not record: {process.communicate()}")
+        time.sleep(0.01)
     end(process, ours)
     said, complaints = process.communicate(timeout=10.0)
     os.close(ours)
@@ -181,8 +187,7 @@ def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
         [*FIXEL, "testbed", "serve", played, "--json"], stdout=subprocess.PIPE, text=True
     )
     try:
-        assert server.stdout is not None
-        served = json.loads(server.stdout.readline())
+        served = json.loads(line_of(server))
         assert served["size_px"] == list(SIZE)
         code, said, _ = fixel(capsys, "record", "--camera", served["url"], "--out", out)
     finally:

@@ -97,7 +97,8 @@ class Server:
     def _run(self, program: str, *arguments: str) -> None:
         done = subprocess.run(
             [self._bin / program, *arguments],
-            cwd=self.folder, env=self._environment(), capture_output=True, **self._user,
+            cwd=self.folder, env=self._environment(), capture_output=True,
+            timeout=PATIENCE_S, **self._user,
         )  # fmt: skip
         if done.returncode != 0:
             raise RuntimeError(done.stderr.decode()[-2000:])

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
+from tests.processes import line_of
 
 from fixel.database import arrays, engine
 from fixel.database.query import Query
@@ -51,8 +52,8 @@ def kill_while_importing(url, media, batch, chance):
     with subprocess.Popen(
         arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout.readline() == "ready\n"
-        said = [process.stdout.readline().strip() for _ in range(moment)]
+        assert line_of(process) == "ready\n"
+        said = [line_of(process).strip() for _ in range(moment)]
         time.sleep(chance.uniform(0.0, 0.01))  # anywhere within the next few
         process.kill()
         said += process.stdout.read().split()

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from tests.processes import line_of
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.exchange import lock
@@ -98,7 +99,7 @@ def test_a_header_cut_short_is_begun_again(tmp_path):
 
 def test_a_second_writer_is_refused_while_the_first_lives(path):
     first = other_process(path, "import time; print('open', flush=True); time.sleep(60)")
-    assert first.stdout.readline() == "open\n"
+    assert line_of(first) == "open\n"
     assert writer_of(path).pid == first.pid
     with pytest.raises(JobRefused, match=f"in use by process {first.pid} on "):
         Journal(path)
@@ -122,7 +123,7 @@ def test_kill_9_while_writing_loses_nothing_that_was_reported(tmp_path):
     reported = -1
     for seed in range(8):
         process = other_process(path, code)
-        process.stdout.readline()
+        line_of(process)
         time.sleep(0.02 + 0.03 * random.Random(seed).random())
         process.kill()
         said = process.stdout.read().split()

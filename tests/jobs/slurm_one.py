@@ -139,7 +139,11 @@ def _run(environment: dict[str, str], program: str, *arguments: str) -> None:
     path = _which(program)
     assert path is not None
     done = subprocess.run(
-        [path, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True
+        [path, *arguments],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=PATIENCE_S,
     )
     if done.returncode != 0:
         raise RuntimeError(f"{program}: {done.stderr.decode(errors='replace')}")

@@ -22,6 +22,7 @@ from fixel.testing import toy_work
 
 pytest.importorskip("distributed")
 
+from fixel.jobs.cluster import Cluster
 from fixel.jobs.dask_engine import DaskEngine
 
 
@@ -236,6 +237,19 @@ def test_a_scheduler_that_hangs_is_replaced(folder, monkeypatch):
         kill(engine.scheduler_pid, signal.SIGSTOP)
         assert len([pair for batch in stream for pair in batch]) == 3
     assert any("the scheduler does not answer" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize("trouble", [lambda: None, lambda: 1 / 0], ids=["no bytes", "a failure"])
+def test_an_answer_that_cannot_be_read_is_asked_for_again(folder, monkeypatch, trouble):
+    fetched, first = Cluster._fetched, [True]
+
+    def once(self, future):
+        return trouble() if first and first.pop() else fetched(self, future)
+
+    monkeypatch.setattr(Cluster, "_fetched", once)
+    with workers(folder, size=1) as engine:
+        assert answers(engine, folder, chunks(2)).keys() == {"c0", "c1"}
+        assert engine.again == 1
 
 
 def test_interfaces_are_named_ones():

@@ -14,9 +14,11 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from tests.processes import line_of
 
 from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
+from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testing.emulated_grbl import EmulatedGrbl
 from fixel.workflows.actuator_stop import stop_actuators
 
@@ -49,7 +51,7 @@ def program(then: str):
         command = [sys.executable, "-c", PROGRAM.format(then=then), controller.port]
         running = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         try:
-            guard = int(running.stdout.readline())
+            guard = int(line_of(running))
             time.sleep(0.02)  # it is deep in it now
             assert controller.speed > 0.0
             yield controller, running, guard
@@ -154,6 +156,36 @@ def test_one_port_that_is_gone_does_not_save_the_others(tmp_path):
 
         assert stop_actuators(None) == [controller.port]
         controller.wait_for("reset")
+
+
+def guard_of(source: str, tmp_path, monkeypatch) -> None:
+    """Another program in place of the guard."""
+    script = tmp_path / "guard.py"
+    script.write_text(source)
+    monkeypatch.setattr(emergency, "GUARD", script)
+
+
+def test_a_guard_that_does_not_start_is_told(tmp_path, monkeypatch):
+    guard_of("import time; time.sleep(60.0)", tmp_path, monkeypatch)
+    monkeypatch.setattr(emergency, "START_TIME", 0.2)
+    with EmulatedGrbl() as controller:
+        since = time.monotonic()
+        with pytest.raises(DeviceFailed, match="did not start"):
+            GrblActuator(controller.port).connect()
+
+        assert time.monotonic() - since < 10.0
+        assert emergency.running() == []
+
+
+def test_a_guard_that_hangs_is_let_go_of(tmp_path, monkeypatch):
+    guard_of("import time; print('ready', flush=True); time.sleep(60.0)", tmp_path, monkeypatch)
+    monkeypatch.setattr(emergency, "END_TIME", 0.2)
+    with EmulatedGrbl() as controller:
+        drive = GrblActuator(controller.port).connect()
+        guard = drive._guard._process
+        drive.disconnect()
+
+        assert guard.returncode == -signal.SIGKILL
 
 
 def test_a_port_that_cannot_be_stopped_is_told():

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -129,10 +129,22 @@ def test_a_pulled_network_camera_ends_the_recording(tmp_path: Path) -> None:
     assert open_recording(tmp_path / "r").complete
 
 
+def test_a_camera_that_was_never_started_can_be_stopped(tmp_path: Path) -> None:
+    camera = LoopbackCamera(film(tmp_path / "film"))
+    stopping = threading.Thread(target=camera.stop, daemon=True)
+    stopping.start()
+    stopping.join(5.0)
+    assert not stopping.is_alive()
+
+
 @contextmanager
-def answering(*parts: bytes, hold: bool = False) -> Iterator[str]:
-    """A server that says exactly this to whoever connects; the address of its camera."""
+def answering(*parts: bytes, hold: bool = False, drip: bool = False) -> Iterator[str]:
+    """A server that says exactly this to whoever connects; the address of its camera.
+
+    Then it hangs up; or holds the line for a while, or drips a byte now and then.
+    """
     server = socket.create_server(("127.0.0.1", 0))
+    server.settimeout(5.0)  # closing it would not wake who waits for a visitor that never comes
     done = threading.Event()
     heard: list[bytes] = []
 
@@ -142,11 +154,15 @@ def answering(*parts: bytes, hold: bool = False) -> Iterator[str]:
         except OSError:
             return
         with talk:
+            talk.settimeout(5.0)
             heard.append(talk.recv(65536))
             for part in parts:
                 talk.sendall(part)
             if hold:
                 done.wait(5.0)
+            with suppress(OSError):
+                while drip and not done.wait(0.05):
+                    talk.sendall(b"x")
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -219,6 +235,33 @@ def test_a_camera_that_falls_silent_says_so() -> None:
         source.open()
         assert len(list(source.frames())) == 1
     assert source.ended == "the camera has sent nothing for 0.2 s"
+
+
+def test_a_camera_that_drips_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fixel.testbed.url_source.OPENS_WITHIN", 0.3)
+    part = b"--x\r\nContent-Length: 100000\r\n\r\n"
+    with (
+        answering(HEAD % b"x", part, drip=True) as url,
+        pytest.raises(InvalidInput, match=r"no whole picture within 0\.3 s"),
+    ):
+        UrlSource(url, patience=0.15).open()
+
+
+def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
+    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
+    with answering(HEAD % b"x", part, b"--x\r\nContent-Length: 100000\r\n\r\n", drip=True) as url:
+        source = UrlSource(url)
+        recorder = Recorder(
+            source=source,
+            stream=source.open(),
+            folder=tmp_path / "r",
+            codec="as-it-comes",
+            patience=0.3,
+        )
+        began = time.monotonic()
+        done = recorder.run()
+    assert time.monotonic() - began < 3.0
+    assert (done.frames, done.reason) == (1, "the camera has sent nothing for 0.3 s")
 
 
 def test_passwords_stay_out_of_records() -> None:

@@ -25,10 +25,10 @@ def drive(controller):
         yield connected
 
 
-def moves(controller: EmulatedGrbl) -> None:
-    """Return when it does."""
+def moves(controller: EmulatedGrbl, beyond: float = 0.0) -> None:
+    """Return when it does, and is beyond a place [mm]."""
     until = time.monotonic() + 5.0
-    while controller.speed < 5.0:
+    while controller.speed < 5.0 or controller.place < beyond:
         assert time.monotonic() < until
         time.sleep(0.001)
 
@@ -120,6 +120,26 @@ def lose_an_answer(controller: EmulatedGrbl) -> None:
     controller._motion = lose
 
 
+def lose_the_banner(controller: EmulatedGrbl) -> None:
+    """Off and on again, and what it says of that is lost."""
+    controller.mute = True
+    controller.power_cycle()
+    controller.mute = False
+
+
+def damage_a_report(controller: EmulatedGrbl) -> None:
+    """A letter of the next report arrives as another: it says no place any more."""
+    say = controller._say
+
+    def damaged(*lines: str) -> None:
+        if lines[0].startswith("<"):
+            controller._say = say
+            lines = (lines[0].replace("MPos", "MQos"),)
+        say(*lines)
+
+    controller._say = damaged
+
+
 # --- alarms and limits ----------------------------------------------------------------------------
 
 
@@ -196,6 +216,36 @@ def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive, monkey
     drive.move(to=0.01, speed=0.03)
 
     assert controller.place == pytest.approx(50.0, abs=0.01)
+
+
+def test_a_reset_that_nobody_heard_of_is_told(controller, drive):
+    drive.move(by=0.1, speed=0.05, wait=False)
+    moves(controller, beyond=65.0)
+    lose_the_banner(controller)
+
+    with pytest.raises(DeviceFailed, match=r"short of its target|answer to a line was lost"):
+        drive.wait()
+
+
+def test_a_failure_of_the_conversation_itself_is_told(controller, drive, monkeypatch):
+    def fail(*_: object) -> str:
+        raise ZeroDivisionError("of nobody's making")
+
+    drive.move(by=0.05, speed=0.03, wait=False)
+    moves(controller)
+    monkeypatch.setattr(grbl, "move_line", fail)
+
+    with pytest.raises(DeviceFailed, match="broke off: of nobody's making"):
+        drive.wait()
+
+
+def test_a_report_without_a_place_is_passed_over(controller, drive):
+    drive.move(by=0.02, speed=0.03, wait=False)
+    moves(controller)
+    damage_a_report(controller)
+    drive.wait()
+
+    assert controller.place == pytest.approx(60.0, abs=0.01)
 
 
 def test_damaged_reports_are_passed_over(controller, drive):

@@ -59,9 +59,11 @@ def kill(folder: Path, arguments: Sequence[str | Path], after: float) -> Killed:
     """Record, kill the process some time after its first frame, and read what is there."""
     process = start(*arguments, "--out", folder)
     rows = folder / ROWS
+    until = time.monotonic() + 60.0
     try:
         while not (rows.exists() and rows.read_bytes().count(b"\n") > 1):
             assert process.poll() is None, process.communicate()
+            assert time.monotonic() < until, "it does not record"
             time.sleep(0.01)
         time.sleep(after)
         assert process.poll() is None, process.communicate()
@@ -129,7 +131,11 @@ def long_run(tmp_path: Path, n: int, size: tuple[int, int], codec: str, played: 
                 core=0,
             )  # fmt: skip
             memory = []
+            until = time.monotonic() + n / 30.0 + 120.0
             while process.poll() is None:
+                if time.monotonic() > until:
+                    process.kill()
+                    pytest.fail(f"it does not end: {process.communicate()}")
                 rows = out / ROWS
                 if rows.exists() and rows.stat().st_size > 30 * 50:
                     memory.append(resident(process.pid) or memory[-1])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.testbed import tactile_frames as frames
 from fixel.testbed.tactile import TactileReader
 from fixel.testbed.tactile_bits import FIXELS, contact_mode, contacts, fixels_of
 
@@ -66,6 +67,27 @@ def test_thresholds_can_be_set_and_survive_a_restart(mega, reader):
     assert (before, after) == (0, 4)
     assert "restarted" in noticed.problem
     assert reader.read().bits == 4
+    assert reader.statistics.restarts == 1
+
+
+def test_thresholds_that_get_lost_after_a_restart_are_a_problem(mega, reader, monkeypatch):
+    mega.touch(0)
+    mega.volts(2, 2.0)
+    reader.set_thresholds((900, 900, 300))
+    reader.read()
+    mega.tell("reset 0")
+    ask = reader._frame_of
+    monkeypatch.setattr(
+        TactileReader,
+        "_frame_of",
+        lambda self, kind, until: None if kind == frames.SET_THRESHOLDS else ask(kind, until),
+    )
+
+    assert "does not take its thresholds" in reader.read().problem
+    assert "does not take its thresholds" in reader.read().problem
+    monkeypatch.undo()
+    assert "restarted" in reader.read().problem
+    assert (reader.read().bits, reader.read().problem) == (4, "")
     assert reader.statistics.restarts == 1
 
 

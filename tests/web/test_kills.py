@@ -17,6 +17,7 @@ import time
 from collections import Counter
 
 import pytest
+from tests.processes import line_of
 
 from fixel.workflows import database
 
@@ -36,12 +37,12 @@ class Mortal:
     def born(self):
         self._mother.stdin.write("\n")
         self._mother.stdin.flush()
-        said = json.loads(self._mother.stdout.readline())
+        said = json.loads(line_of(self._mother))
         self.pid, self.port, self.token = said["pid"], said["port"], said["token"]
 
     def kill(self):
         os.kill(self.pid, signal.SIGKILL)
-        assert self._mother.stdout.readline() == "dead\n"
+        assert line_of(self._mother) == "dead\n"
 
     def close(self):
         self._mother.stdin.close()

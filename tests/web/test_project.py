@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.processes import line_of
 from tests.web.client import Client
 
 from fixel.database.project import Project
@@ -152,7 +153,7 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        said = json.loads(process.stdout.readline())
+        said = json.loads(line_of(process))
         assert said["project"] == "my_lab"
         page, _, token = said["link"].partition("?token=")
         asked = urllib.request.Request(

@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -58,6 +59,16 @@ def test_a_process_that_dies_is_told_and_replaced():
             end.call(3)
         with pytest.raises(JobRefused, match="died"):
             end.call(4)
+
+
+def test_a_process_that_hangs_and_hears_nothing_is_told_and_replaced():
+    with Bounded(len, limit=0.5) as length:
+        length.start()
+        os.kill(length._process.pid, signal.SIGSTOP)
+        with pytest.raises(JobRefused, match="died"):
+            length.call(bytes(8_000_000))
+        length.limit = 30.0
+        assert length.call(b"abc") == 3
 
 
 def test_others_wait_for_their_turn_only_so_long():

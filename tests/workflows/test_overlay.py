@@ -2,6 +2,8 @@
 
 import math
 import re
+import threading
+import time
 from dataclasses import replace
 
 import cv2
@@ -11,9 +13,10 @@ from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.workflows.overlay import Overlay, watch, write_picture
+from fixel.workflows.overlay import Overlay, frames_of, watch, write_picture
 from fixel.workflows.overlay_look import Tolerance
 
 RIG = small_rig()
@@ -205,6 +208,35 @@ def test_watching_shows_every_frame():
     errors = [status["parts"][0]["distance_mm"] for status in shown]
     assert errors == sorted(errors, reverse=True)
     assert last.placed
+
+
+class Hangs(FrameSource):
+    """A camera whose driver never comes back with the second picture."""
+
+    name = "hangs"
+
+    def __init__(self):
+        self.closed = threading.Event()
+
+    def open(self):
+        return Stream((640, 360), 30.0, jpeg=False, live=True)
+
+    def frames(self):
+        yield Arrived(0.0, pixels=np.zeros((360, 640, 3), np.uint8))
+        self.closed.wait(20.0)
+
+    def close(self):
+        self.closed.set()
+
+
+def test_a_camera_that_hangs_ends_the_pictures(monkeypatch):
+    monkeypatch.setattr("fixel.workflows.overlay.SILENT", 0.3)
+    source, told = Hangs(), []
+    begun = time.monotonic()
+    assert len(list(frames_of(source, True, told.append))) == 1
+    assert time.monotonic() - begun < 10.0
+    assert told == ["the camera has sent nothing for 0.3 s"]
+    assert source.closed.is_set()
 
 
 def test_a_picture_is_written_as_it_is(tmp_path):

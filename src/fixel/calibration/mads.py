@@ -7,11 +7,12 @@ import json
 import math
 import subprocess
 import sys
+import threading
 import weakref
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any, ClassVar, final
+from typing import IO, Any, ClassVar, Final, final
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from fixel.calibration.options import positive, settle, whole
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 
+THINKS_WITHIN: Final = 600.0  # [s] about the next points; it takes milliseconds
 _WORDS = (
     ("frame size", "the frame shrank to {0.threshold:g} of the scale"),
     ("mesh", "the mesh became as fine as numbers are"),
@@ -156,8 +158,13 @@ class _Nomad:
             stream.flush()
 
     def answer(self) -> dict[str, Any]:
-        """What it wants next; empty where it died."""
-        line = _open(self._process.stdout).readline()
+        """What it wants next; empty where it died, or was ended because it hung."""
+        hung = threading.Timer(THINKS_WITHIN, self._process.kill)
+        hung.start()
+        try:
+            line = _open(self._process.stdout).readline()
+        finally:
+            hung.cancel()
         return dict(json.loads(line)) if line.endswith("\n") else {}
 
 

@@ -165,7 +165,12 @@ class Cluster:
         self._fetchers.submit(self._fetch, landed)
 
     def _fetch(self, landed: Landed) -> None:
-        outcome = self._outcome(landed.future)
+        try:
+            outcome = self._outcome(landed.future)
+        # Lost on the way, cancelled with the scheduler, unreadable for a worker or for us: whatever
+        # it is, a chunk whose end nobody hears of would be waited for for ever.
+        except BaseException:
+            outcome = None
         self._strange = self._strange + 1 if outcome is None else 0
         self._events.put(Fetched(landed.name, outcome))
 
@@ -177,8 +182,6 @@ class Cluster:
             framed = self._fetched(future)
         except KilledWorker as killed:
             return Killed(str(killed.last_worker.address))
-        except Exception:  # lost on the way, cancelled with the scheduler, unreadable for a worker
-            return None
         if framed[:1] == OTHER_VERSION:
             return OtherVersion(framed[1:].decode())
         return unframed(framed)

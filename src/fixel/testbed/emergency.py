@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from fixel.errors import DeviceFailed
 GUARD: Final = Path(__file__).with_name("stop_guard.py")
 STOP: Final = b"!\x18"
 START_TIME: Final = 5.0  # [s] the guard has for starting, on a loaded computer
+END_TIME: Final = 5.0  # [s] likewise for ending
 
 
 class Running(NamedTuple):
@@ -68,9 +70,9 @@ class StopGuard:
         assert self._to_guard is not None
         assert self._from_guard is not None
         self._pipe = self._to_guard.fileno()
-        if self._from_guard.readline() != b"ready\n":
+        if not self._starts():
             self._process.kill()
-            self._process.wait()
+            self._let_go()
             raise DeviceFailed("the guard that stops the drive in an emergency did not start")
         os.set_blocking(self._pipe, False)
         self._hear_signals()
@@ -95,11 +97,25 @@ class StopGuard:
             self._entry.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             os.write(self._pipe, b"q")
+        self._let_go()
+
+    def _starts(self) -> bool:
+        """Whether the guard says in time that it is there."""
+        assert self._from_guard is not None
+        said = select.select([self._from_guard], [], [], START_TIME)[0]
+        return bool(said) and self._from_guard.readline() == b"ready\n"
+
+    def _let_go(self) -> None:
+        """Close the pipes and see the guard off; one that hangs is killed."""
         for pipe in (self._to_guard, self._from_guard):
             assert pipe is not None
             with contextlib.suppress(OSError):
                 pipe.close()
-        self._process.wait()
+        try:
+            self._process.wait(END_TIME)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _hear_signals(self) -> None:
         # The interpreter writes a signal's number here at once, also while the main thread is deep

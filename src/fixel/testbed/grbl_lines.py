@@ -62,6 +62,11 @@ class Status(NamedTuple):
     work: tuple[float, ...] | None
     offset: tuple[float, ...] | None
 
+    @property
+    def placed(self) -> bool:
+        """Whether it says where the drive is."""
+        return self.machine is not None or self.work is not None
+
 
 def status_of(line: str) -> Status | None:
     """The report in a line; None if there is none, or it is damaged."""

@@ -144,6 +144,12 @@ class GrblLink:
     # --- the thread ---------------------------------------------------------------------------
 
     def _run(self) -> None:
+        try:
+            self._converse()
+        except Exception as problem:  # whoever waits for a move would wait for ever
+            self._lose(f"the conversation with the controller broke off: {problem}")
+
+    def _converse(self) -> None:
         self._port.timeout = TURN
         while not self._ended and not self.lost:
             try:
@@ -177,6 +183,8 @@ class GrblLink:
 
     def _hear(self, line: str) -> None:
         status = grbl.status_of(line)
+        if status is not None and self._damaged(status):
+            return
         if status is not None:
             self.offset = status.offset or self.offset
             self.current = self._asked > self._accepted
@@ -198,6 +206,11 @@ class GrblLink:
         elif self._answers is not None:
             self._answers.append(line)
         self.changed.notify_all()
+
+    def _damaged(self, status: Status) -> bool:
+        """Whether a report lacks the place that those before it had."""
+        before = self.status
+        return before is not None and before.placed and not status.placed
 
     def _miss_answers(self) -> None:
         """A controller at rest has answered every line long ago, or the answer was damaged."""

@@ -75,10 +75,12 @@ class LoopbackCamera:
 
     def stop(self) -> None:
         """End, as when the plug is pulled."""
-        self._server.shutdown()
-        for source in tuple(self._playing):
-            source.close()
-        self._thread.join()
+        # Shutting down what does not serve would wait for ever.
+        if self._thread.ident is not None:
+            self._server.shutdown()
+            for source in tuple(self._playing):
+                source.close()
+            self._thread.join()
         self._server.server_close()
 
     def __enter__(self) -> LoopbackCamera:

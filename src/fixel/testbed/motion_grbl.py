@@ -256,6 +256,7 @@ class GrblActuator(AbstractActuator):
         if abs(end - self._coordinate(link.status)) > self._speed * self._queue:
             return None
         self._sent_to = end
+        self._at_rest_since = None
         return grbl.move_line(self.axis, self._sent_to, self._speed)
 
     def wait(self) -> None:
@@ -277,11 +278,11 @@ class GrblActuator(AbstractActuator):
             self._give_up(link.trouble)
         elif status is not None and status.state in ("Hold", "Door", "Alarm", "Sleep"):
             self._give_up(f"the controller is in the state {status.state}")
-        elif status is not None and self._sent_to == self._target and link.idle():
+        elif status is not None and self._target is not None and link.idle():
             off = abs(self._coordinate(status) - self._target)
             now = time.monotonic()
             self._at_rest_since = self._at_rest_since or now
-            if off <= 2e3 * NEAR:
+            if self._sent_to == self._target and off <= 2e3 * NEAR:
                 self._target = None
             elif now - self._at_rest_since > SHORT:
                 self._give_up(f"it came to rest {off:.3f} mm short of its target")

@@ -148,6 +148,7 @@ class TactileReader:
         self._finder = frames.FrameFinder()
         self._number = 0
         self._doubt = False  # an answer of protocol 1 may still be under way
+        self._restarted = False  # and has not been told its thresholds yet
 
     # --- connection ---------------------------------------------------------------------------
 
@@ -168,7 +169,7 @@ class TactileReader:
             raise
         self._serial, self.trouble = link, ""
         self._finder, self.clock = frames.FrameFinder(), DeviceClock()
-        self._doubt = False
+        self._doubt = self._restarted = False
         if self._thresholds is not None:
             self.set_thresholds(self._thresholds)
         return self
@@ -287,13 +288,19 @@ class TactileReader:
         return given_up
 
     def _restart_noticed(self) -> str:
-        if self.clock.restarts == 0:
+        self._restarted = self._restarted or self.clock.restarts > 0
+        if not self._restarted:
             return ""
         self.statistics.restarts += self.clock.restarts
         self.clock.restarts = 0
         if self._thresholds is None:
+            self._restarted = False
             return "the board restarted"
-        self.set_thresholds(self._thresholds)
+        try:
+            self.set_thresholds(self._thresholds)
+        except InvalidInput:  # to be tried again with the next reading
+            return "the board restarted, and does not take its thresholds"
+        self._restarted = False
         return "the board restarted: this was read with its own thresholds"
 
     def _ask_old(self) -> Reading:

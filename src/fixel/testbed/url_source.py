@@ -8,7 +8,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from threading import Event
+from threading import Event, Timer
 from typing import Final, final
 from urllib.parse import SplitResult, unquote, urlsplit
 
@@ -21,6 +21,7 @@ MULTIPART: Final = "multipart/x-mixed-replace"
 LONGEST_LINE: Final = 4096  # [bytes] of a header
 LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
 GARBAGE: Final = 10  # pictures in a row that are none
+OPENS_WITHIN: Final = 10.0  # [s] the first picture, however slowly it comes
 
 
 @final
@@ -49,6 +50,7 @@ class UrlSource(FrameSource):
         self._patience = patience
         self._stop = Event()
         self._connection: http.client.HTTPConnection | None = None
+        self._socket: socket.socket | None = None
         self._answer: http.client.HTTPResponse | None = None
         self._boundary = b""
         self._inside = False  # of a part, its boundary read already
@@ -56,13 +58,19 @@ class UrlSource(FrameSource):
 
     def open(self) -> Stream:
         """Connect, and read the first picture."""
+        limit = max(OPENS_WITHIN, 2.0 * self._patience)
+        late = Timer(limit, self._hang_up, (f"no whole picture within {limit:g} s",))
+        late.start()
         try:
             self._connect()
             self._first = self._next()
         except TimeoutError:
             self._fail(f"nothing within {self._patience:g} s", "a camera that sends pictures")
         except (OSError, http.client.HTTPException) as problem:
-            self._fail(_words(problem), "a camera that answers", "is the address right?")
+            found = self.ended or _words(problem)
+            self._fail(found, "a camera that answers", "is the address right?")
+        finally:
+            late.cancel()
         size = None if self._first is None else jpeg_size(self._first.jpeg or b"")
         if size is None:
             self._fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
@@ -90,15 +98,19 @@ class UrlSource(FrameSource):
     def close(self) -> None:
         """Hang up."""
         self._stop.set()
-        connection = self._connection
-        if connection is not None and connection.sock is not None:
-            with suppress(OSError):
-                connection.sock.shutdown(socket.SHUT_RDWR)
+        self._hang_up()
         if self._answer is not None:
             with suppress(OSError, ValueError):
                 self._answer.close()
-        if connection is not None:
-            connection.close()
+        if self._connection is not None:
+            self._connection.close()
+
+    def _hang_up(self, why: str = "") -> None:
+        """End what is being read; before that, closing would wait for it."""
+        self.ended = self.ended or why
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
 
     def _connect(self) -> None:
         parts = self._parts
@@ -111,6 +123,8 @@ class UrlSource(FrameSource):
             user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             headers["Authorization"] = "Basic " + base64.b64encode(user.encode()).decode()
         self._connection.request("GET", target, headers=headers)
+        # The connection forgets it once the answer has begun.
+        self._socket = self._connection.sock
         self._answer = answer = self._connection.getresponse()
         if answer.status != http.HTTPStatus.OK:
             hint = "http://NAME:PASSWORD@HOST/..." if answer.status == 401 else None

@@ -10,6 +10,7 @@ limit switches, soft limits, homing. It does not do arcs, spindles, overrides, p
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import select
@@ -98,6 +99,8 @@ class EmulatedGrbl:
 
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
+        # A port that nobody reads is full at some point: a real wire would lose it too.
+        os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
         self.lines: list[str] = []
         self.events: list[Event] = []
@@ -200,7 +203,8 @@ class EmulatedGrbl:
         """In its own thread, and return when that is done."""
         done = threading.Event()
         self._errands += [errand, done.set]
-        done.wait(5.0)
+        if not done.wait(5.0):
+            raise TimeoutError("the emulated controller hangs, or has ended")
 
     def _unplug(self) -> None:
         for descriptor in (self._master, self._slave):
@@ -471,10 +475,8 @@ class EmulatedGrbl:
         for k in range(min(self.garble, len(data))):
             data[k] ^= 0x2A
             self.garble -= 1
-        try:
+        with contextlib.suppress(OSError):
             os.write(self._master, data)
-        except OSError:
-            return
 
     def _event(self, what: str, speed: float | None = None) -> None:
         moved = self._speed if speed is None else speed

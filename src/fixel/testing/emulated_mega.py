@@ -6,6 +6,7 @@ it is not part of the installed package. `why_not()` says what is missing.
 
 from __future__ import annotations
 
+import select
 import shutil
 import subprocess
 import tempfile
@@ -20,6 +21,8 @@ PACKAGES: Final = (
 )
 CHANNEL_OF_BIT: Final = (2, 0, 1)  # bit 0 blue A2, bit 1 red A0, bit 2 green A1
 TOUCHED_V, FREE_V = 4.9, 0.4
+ANSWERS_WITHIN: Final = 10.0  # [s] the emulator, on a loaded computer
+BUILT_WITHIN: Final = 300.0  # [s] also where another process builds it first
 
 
 def why_not() -> str:
@@ -41,7 +44,9 @@ def built(folder: Path) -> Path:
     # Two test processes may want it at once; util-linux's flock makes one of them wait.
     if shutil.which("flock"):
         command = ["flock", str(folder / "lock"), *command]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=BUILT_WITHIN
+    )
     if done.returncode:
         raise RuntimeError(f"the firmware was not built:\n{done.stderr[-2000:]}")
     return folder
@@ -83,7 +88,8 @@ class EmulatedMega:
         self._process.stdin.write(command + "\n")
         answer = self._answer()
         if not answer.startswith("ok"):
-            raise RuntimeError(f"the emulator does not know {command!r}: {answer!r}")
+            said = repr(answer) if answer else f"nothing within {ANSWERS_WITHIN:g} s"
+            raise RuntimeError(f"the emulator was told {command!r}, and answered {said}")
         return answer[3:]
 
     def touch(self, bits: int, after: float = 0.0) -> None:
@@ -114,5 +120,8 @@ class EmulatedMega:
         self.close()
 
     def _answer(self) -> str:
-        assert self._process.stdout is not None
-        return self._process.stdout.readline().strip()
+        """One line; empty where it died or hangs."""
+        stream = self._process.stdout
+        assert stream is not None
+        said = select.select([stream], [], [], ANSWERS_WITHIN)[0]
+        return stream.readline().strip() if said else ""

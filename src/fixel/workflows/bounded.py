@@ -74,7 +74,7 @@ class Bounded:
         """
         with self._my_turn(nobody_waits):
             pipe = self._running(nobody_waits)
-            pipe.send(argument)
+            self._hand_over(pipe, argument)
             worked, answer = self._received(pipe, self.limit, nobody_waits)
         if not worked:
             raise answer
@@ -123,6 +123,17 @@ class Bounded:
         self._received(ours, STARTS_WITHIN, nobody_waits)
         return ours
 
+    def _hand_over(self, pipe: Connection, argument: Any) -> None:
+        """Send the argument; a process that hangs would never read a large one."""
+        hung = threading.Timer(self.limit, self._process.kill)
+        hung.start()
+        try:
+            pipe.send(argument)
+        except OSError:
+            raise self._died() from None
+        finally:
+            hung.cancel()
+
     def _received(
         self, pipe: Connection, limit: float, nobody_waits: Callable[[], bool]
     ) -> tuple[bool, Any]:
@@ -138,12 +149,15 @@ class Bounded:
                     )
             answer: tuple[bool, Any] = pipe.recv()
         except (EOFError, OSError):
-            self._end()
-            raise JobRefused("the computation died", hint="try again") from None
+            raise self._died() from None
         except (Cancelled, JobRefused):
             self._end()
             raise
         return answer
+
+    def _died(self) -> JobRefused:
+        self._end()
+        return JobRefused("the computation died", hint="try again")
 
     def _end(self) -> None:
         if self._process is not None:

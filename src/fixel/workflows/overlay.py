@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice
@@ -16,7 +17,7 @@ from fixel.exchange.atomic import written_whole
 from fixel.exchange.scene_file import load_scene
 from fixel.model import Body, Fixel, Pusher, Scene
 from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import FrameSource
+from fixel.testbed.frame_source import STALLED, FrameSource
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.locate import Located, Locator
 from fixel.vision.marks import Rig
@@ -28,6 +29,7 @@ ACTUATOR_HEIGHT: Final = 0.03  # [m] of one that the rig does not know
 TRIES: Final = 10  # pictures that one look may take
 HELD: Final = 2  # pictures that wait; of a live camera the older of them are late
 BETWEEN_SIGNS: Final = 0.2  # [s] of waiting for a picture before looking whether there will be any
+SILENT: Final = STALLED + 1.0  # [s] most sources notice by themselves, and say more
 
 Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
 
@@ -143,15 +145,21 @@ def frames_of(
     """
     queue = FrameQueue(source, live=live, held=HELD)
     queue.start()
+    came, reason = time.monotonic(), ""
     try:
-        while not queue.over:
+        while not reason:
             arrived = queue.get(BETWEEN_SIGNS)
             while live and (newer := queue.get(0.0)) is not None:
                 arrived = newer
             if arrived is not None:
                 yield Frame(arrived.time, arrived.picture())
+                came = time.monotonic()
+            elif queue.over:
+                reason = queue.reason
+            elif live and time.monotonic() - came > SILENT:
+                reason = f"the camera has sent nothing for {SILENT:g} s"
         if tell is not None:
-            tell(queue.reason)
+            tell(reason)
     finally:
         queue.close()
 
