@@ -16,8 +16,8 @@ PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
 # Test processes at a time; PYTEST_ARGS="-n 0" runs all tests in one, as a debugger wants it.
 JOBS      ?= 2
-# A test that hangs says where, and fails: the longest takes half a minute.
-HANGS     := --max-worker-restart=0 -o faulthandler_timeout=300 -o faulthandler_exit_on_timeout=true
+# A test that hangs says where, and fails: the longest takes half a minute, a cold engine two more.
+HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
