@@ -16,7 +16,7 @@ from fixel.testbed.grbl_handshake import greet
 from fixel.testbed.grbl_lines import Settings
 from fixel.testbed.grbl_link import ASKING, GrblLink
 from fixel.testbed.motion import NEAR, REACH, AbstractActuator, checked_reach
-from fixel.testbed.serial_port import chosen_port, open_port
+from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 
 DEAD_MAN: Final = 0.5  # [s]
 LONGEST_DEAD_MAN: Final = 3.0  # [s]
@@ -94,12 +94,9 @@ class GrblActuator(AbstractActuator):
         """
         self.disconnect()
         serial = open_port(self.port, grbl.BAUD, "the actuator's controller")
-        try:
+        with closed_on_failure(serial.close, self.port, "the actuator's controller"):
             greet(serial, self.port)
             self._link = GrblLink(serial, self._next_piece)
-        except BaseException:
-            serial.close()
-            raise
         try:
             self._read_settings()
             # It shares the port and hears signals as only POSIX systems let it.
