@@ -12,6 +12,7 @@ from .shell import fixel
 @pytest.fixture
 def controller(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
     with EmulatedGrbl(homing=True, start=5.0, acceleration=2000.0) as emulated:
         yield emulated
 
