@@ -168,7 +168,7 @@ def test_reach_is_cut_to_the_travel_of_the_controller():
 
 
 def test_homing_without_switches_is_refused(drive):
-    with pytest.raises(DeviceFailed, match="not enabled"):
+    with pytest.raises(DeviceFailed, match=r"not enabled.*--unlock"):
         drive.home()
 
 

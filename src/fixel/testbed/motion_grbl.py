@@ -22,6 +22,7 @@ DEAD_MAN: Final = 0.5  # [s]
 LONGEST_DEAD_MAN: Final = 3.0  # [s]
 CHUNKS: Final = 6  # pieces a queue is made of
 HOMING_TIME: Final = 90.0  # [s]
+UNLOCK: Final = "see where the drive stands, then: fixel actuator move --unlock"
 SHORT: Final = 0.5  # [s] at rest for so long short of the target, it will not get there
 
 
@@ -168,9 +169,9 @@ class GrblActuator(AbstractActuator):
         try:
             self._open.command("$H", HOMING_TIME)
         except DeviceFailed as failed:
-            raise DeviceFailed(
-                f"homing failed: {failed.reason}", hint="look at the drive, then home it again"
-            ) from None
+            again = "look at the drive, then home it again"
+            hint = again if self.settings.homing else UNLOCK
+            raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
             # Nothing but a reset ends homing.
             self._open.at_once(grbl.RESET)
@@ -202,7 +203,7 @@ class GrblActuator(AbstractActuator):
         link, settings = self._open, self.settings
         status = link.fresh_status()
         if status.state == "Alarm":
-            hint = "home it: fixel actuator home" if settings.homing else "unlock it: $X"
+            hint = "home it: fixel actuator home" if settings.homing else UNLOCK
             raise DeviceFailed("the controller is locked by an alarm", hint=hint)
         if status.state != "Idle":
             raise DeviceFailed(f"the controller is in the state {status.state}", hint="stop it")
