@@ -73,6 +73,16 @@ def test_a_request_behind_a_stray_beginning_is_understood(mega, port):
     assert reading.values[0] < 100 < 900 < reading.values[1]
 
 
+def test_what_stands_behind_a_late_found_request_is_answered_too(mega, port):
+    mega.touch(6)
+    question = b"\xf5T" + frames.request(frames.READ, 7) + b"abcd"  # of thresholds, at first sight
+
+    answer = asked(port, question, 2 + frames.READ_REPLY_BYTES + 4)
+
+    assert answer[:2] + answer[-4:] == b"\x06" * 6
+    assert len(frames.FrameFinder().add(answer[2:-4])) == 1
+
+
 def test_contacts_change_at_the_scripted_time(mega, port):
     mega.touch(0)
     mega.touch(1, after=0.05)

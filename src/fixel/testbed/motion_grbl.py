@@ -265,7 +265,7 @@ class GrblActuator(AbstractActuator):
                 link.changed.wait(0.1)
             failure, self._failure = self._failure, ""
         if failure:
-            hint = "see where the drive stands: fixel actuator where"
+            hint = "if it still moves, switch its power off; else: fixel actuator where"
             raise DeviceFailed(f"the drive was stopped: {failure}", hint=hint)
 
     def _look(self) -> None:
