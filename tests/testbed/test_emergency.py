@@ -248,7 +248,7 @@ def guarded():
 
 def test_a_stop_is_not_forgotten_over_a_release(guarded):
     guard, port, _ = guarded
-    guard.stdin.write(b"sq")
+    guard.stdin.write(bytes([signal.SIGINT]) + b"q")
     guard.stdin.flush()
 
     assert guard.wait(5.0) == 0

@@ -88,11 +88,6 @@ class StopGuard:
         """Of the guard's process."""
         return self._process.pid
 
-    def stop(self) -> None:
-        """Stop the drive at once."""
-        with contextlib.suppress(OSError):
-            os.write(self._pipe, b"s")
-
     def release(self) -> None:
         """End the guard; the drive is not touched."""
         if self._previous_wakeup is not None:

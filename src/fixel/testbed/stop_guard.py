@@ -4,7 +4,7 @@ Run as a script, without site packages and without fixel, so that it is there in
 and nothing can keep it busy. It shares the open port with its owner and writes a feed hold and a
 soft reset to it
 
-- when a byte that is a signal's number, or `s`, comes from its owner;
+- when a byte that is a signal's number comes from its owner;
 - when the owner's pipe closes: the owner has died, of whatever;
 - on SIGINT (Ctrl-C reaches every process of the terminal), SIGTERM and SIGHUP;
 - when a key is pressed, if it was given a terminal, and when that is closed.
@@ -58,7 +58,7 @@ def watch(port: int, keys: int) -> None:
         ready = select.select(sources, [], [])[0]
         said = os.read(0, 64) if 0 in ready else None
         # Ctrl-Z, a resized window: they concern nobody.
-        stops = said is not None and (not said or b"s" in said or any(n in said for n in SIGNALS))
+        stops = said is not None and (not said or any(n in said for n in SIGNALS))
         if heard in ready:
             os.read(heard, 64)
             stops = True
