@@ -22,12 +22,14 @@
  *   time                            microseconds since the firmware started
  */
 #define _GNU_SOURCE /* ppoll */
+#include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
 #include <pty.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <termios.h>
 #include <time.h>
 #include <unistd.h>
@@ -63,7 +65,9 @@ static unsigned sent_first, n_sent;
 
 static int plug(void) {
   struct termios raw;
+  struct stat there;
   if (master >= 0) return 0;
+  if (!lstat(link_path, &there) && !S_ISLNK(there.st_mode)) return errno = EEXIST, -1;
   if (openpty(&master, &slave, pty_name, NULL, NULL)) return -1;
   /* The slave stays open here: the master must not see a hang-up between two programs. */
   tcgetattr(slave, &raw);

@@ -51,7 +51,7 @@ void sort_out_held() {
     if (possible && (n_held < 2 || n_held < length)) return;  // more is to come
     if (possible && checksum(held + 1, length - 3) == word_at(held + length - 2)) {
       obey(held[1], held[2], held + 3);
-      n_held = 0;
+      drop(length);
     } else {
       answer_oldest_as_before();
     }
@@ -67,7 +67,13 @@ uint8_t request_length(uint8_t kind) {
 void answer_oldest_as_before() {
   uint16_t value[SENSORS];
   Serial.write(touched(value));
-  memmove(held, held + 1, --n_held);
+  drop(1);
+}
+
+// What stands behind may be the next request.
+void drop(uint8_t count) {
+  n_held -= count;
+  memmove(held, held + count, n_held);
 }
 
 void obey(uint8_t kind, uint8_t number, const uint8_t* values) {

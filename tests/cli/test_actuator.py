@@ -1,5 +1,6 @@
 """`fixel actuator`, on an emulated controller."""
 
+import io
 import json
 
 import pytest
@@ -12,6 +13,7 @@ from .shell import fixel
 @pytest.fixture
 def controller(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
     with EmulatedGrbl(homing=True, start=5.0, acceleration=2000.0) as emulated:
         yield emulated
 
@@ -68,6 +70,14 @@ def test_the_simulated_drive(capsys):
     code, out, _ = fixel(capsys, "actuator", "move", *arguments)
 
     assert (code, json.loads(out)["position_m"]) == (0, 0.001)
+
+
+def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n12\n\n\n"))
+    code, out, err = fixel(capsys, "actuator", "move", "--driver", "manual", "--to", 40, "--json")
+
+    assert (code, json.loads(out)["position_m"]) == (0, 0.04)
+    assert "Where does the drive stand, in mm?" in err
 
 
 @pytest.mark.parametrize(

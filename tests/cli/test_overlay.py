@@ -88,6 +88,8 @@ def test_in_place(bench, capsys):
     assert code == 0
     assert out.startswith("In place")
     assert "allowed: 1 mm, 1 deg" in out
+    setting = f"--camera {bench}/placed.mp4 --rig {bench}/rig.yaml --scene {bench}/scene.yaml"
+    assert f"Next: fixel record {setting} --out FOLDER" in out
     assert (bench / "placed.mp4.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -163,7 +165,7 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
         (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
         (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
         (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),
-        (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "1280 x 720"),
+        (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "film at that"),
     ],
 )
 def test_refusals(bench, capsys, monkeypatch, arguments, words):

@@ -40,6 +40,25 @@ def test_check_fails_where_answers_are_missing(capsys, mega):
     assert answer["asked"] == 300
 
 
+def test_check_says_that_the_plug_was_pulled(capsys, mega, monkeypatch):
+    from fixel.testbed.tactile import TactileReader
+
+    read = TactileReader.read
+
+    def pulled(reader):
+        if reader.statistics.asked == 5:
+            mega.tell("unplug")
+        return read(reader)
+
+    monkeypatch.setattr(TactileReader, "read", pulled)
+    code, out, _ = fixel(capsys, "tactile", "check", "--port", mega.port, "--deadline", 500)
+
+    assert code == 1
+    assert "protocol 2, with time stamps" in out
+    assert "broken off" in out
+    assert "went away" in out
+
+
 def test_watch(capsys, mega):
     mega.touch(4)
     code, out, _ = fixel(capsys, "tactile", "watch", "--port", mega.port, "--duration", 0.05)

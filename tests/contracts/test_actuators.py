@@ -50,6 +50,19 @@ class TestManual(ActuatorContract):
         operator = Operator()
         return ManualActuator(ask=operator.ask, say=operator.say)
 
+    def test_who_is_interrupted_at_the_click_is_asked_to_stop_the_drive(self) -> None:
+        said: list[str] = []
+
+        def ask(sentence: str) -> str:
+            if "start button" in sentence:
+                raise KeyboardInterrupt
+            return "0"
+
+        drive = ManualActuator(ask=ask, say=said.append).connect()
+        with pytest.raises(KeyboardInterrupt):
+            drive.move(to=0.01)
+        assert said[-1].startswith("STOP THE DRIVE NOW")
+
 
 class TestGrbl(ActuatorContract):
     @pytest.fixture

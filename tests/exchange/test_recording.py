@@ -117,6 +117,18 @@ def test_repair_cuts_both_files_to_what_belongs_together(tmp_path: Path) -> None
     assert repair_recording(folder).problems == after.problems
 
 
+def test_repair_says_everything_once(tmp_path: Path) -> None:
+    folder = tmp_path / "r"
+    with RecordingWriter(folder, RecordingHeader(size=SIZE)) as writer:
+        for k in range(N):
+            writer.write(Frame(k / 10, picture(k)))
+        writer.close("a key", 3, ("it rained",))
+    (folder / VIDEO).write_bytes((folder / VIDEO).read_bytes()[:-100])
+    found = open_recording(folder).problems
+    assert repair_recording(folder).problems == found
+    assert len(set(found)) == len(found) == 4
+
+
 def test_a_recording_that_lost_its_end_later_says_so(tmp_path: Path) -> None:
     folder = tmp_path / "r"
     write(folder)
@@ -198,6 +210,8 @@ def test_writing_refuses_what_cannot_be(tmp_path: Path) -> None:
             writer.write(Frame(float("nan"), picture(1)))
         with pytest.raises(InvalidInput, match="a byte"):
             writer.write(Frame(0.1, picture(1)), 256)
+        with pytest.raises(InvalidInput, match="found no bytes"):
+            writer.write_jpeg(0.1, b"")
     assert open_recording(folder).n_frames == 1
     assert is_recording(folder)
     with pytest.raises(InvalidInput, match="found a recording"):

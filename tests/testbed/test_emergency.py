@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import tty
 from contextlib import contextmanager
 
 import pytest
@@ -42,6 +43,7 @@ DEAD_MAN = 1.2
 @pytest.fixture(autouse=True)
 def own_announcements(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
 
 
 @contextmanager
@@ -137,8 +139,8 @@ def test_any_key_stops_the_drive_of_a_busy_program():
 
 def test_nothing_runs_where_nothing_was_announced(tmp_path):
     assert emergency.running() == []
-    folder = emergency.announcements()
-    folder.mkdir()
+    folder = emergency.announcements()[-1]
+    folder.mkdir(parents=True)
     (folder / "dead.json").write_text(json.dumps({"port": "x", "pid": 2**22 + 1, "guard": 0}))
     (folder / "damaged.json").write_text("{")
 
@@ -146,15 +148,16 @@ def test_nothing_runs_where_nothing_was_announced(tmp_path):
     assert not (folder / "dead.json").exists()
 
 
-def test_one_port_that_is_gone_does_not_save_the_others(tmp_path):
+def test_one_port_that_is_gone_does_not_save_the_others_and_is_told(tmp_path):
     with EmulatedGrbl() as controller:
-        folder = emergency.announcements()
+        folder = emergency.announcements()[0]
         folder.mkdir()
         for name, port in (("a", "/dev/ttyGONE"), ("b", controller.port)):
             entry = {"port": port, "pid": os.getpid(), "guard": 0}
             (folder / f"{name}.json").write_text(json.dumps(entry))
 
-        assert stop_actuators(None) == [controller.port]
+        with pytest.raises(DeviceFailed, match=f"ttyGONE.*stopped: {controller.port}"):
+            stop_actuators(None)
         controller.wait_for("reset")
 
 
@@ -191,3 +194,74 @@ def test_a_guard_that_hangs_is_let_go_of(tmp_path, monkeypatch):
 def test_a_port_that_cannot_be_stopped_is_told():
     with pytest.raises(DeviceFailed, match="switch the drive's power off"):
         stop_actuators("/dev/ttyGONE")
+
+
+def test_what_is_no_port_is_not_written_to(tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(DeviceFailed, match="no serial port"):
+        stop_actuators(str(tmp_path / "notes"))
+    assert (tmp_path / "notes").read_text() == "mine"
+
+
+def test_a_session_folder_that_cannot_be_had_keeps_no_drive_from_being_found(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file"))
+    with EmulatedGrbl() as controller, GrblActuator(controller.port):
+        (found,) = emergency.running()
+        assert found.port == controller.port
+
+
+def test_a_drive_that_nobody_would_find_is_not_driven(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "file"))
+    with EmulatedGrbl() as controller:
+        with pytest.raises(DeviceFailed, match="would not find it"):
+            GrblActuator(controller.port).connect()
+        assert signal.set_wakeup_fd(-1) == -1
+        GrblActuator(controller.port, guard=False).connect().disconnect()
+
+
+# --- the guard alone ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def guarded():
+    """A guard, the far end of the port it writes to, and that of the terminal it listens to."""
+    (port, ours), (keys, typing) = pty.openpty(), pty.openpty()
+    tty.setraw(ours)
+    command = [sys.executable, "-I", "-S", emergency.GUARD, str(ours), str(typing)]
+    guard = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(ours, typing)
+    )
+    assert guard.stdout.readline() == b"ready\n"
+    os.close(typing)
+    os.set_blocking(port, False)
+    try:
+        yield guard, port, keys
+    finally:
+        guard.kill()
+        guard.communicate()
+        os.close(port)
+        os.close(ours)
+
+
+def test_a_stop_is_not_forgotten_over_a_release(guarded):
+    guard, port, _ = guarded
+    guard.stdin.write(bytes([signal.SIGINT]) + b"q")
+    guard.stdin.flush()
+
+    assert guard.wait(5.0) == 0
+    assert os.read(port, 9) == emergency.STOP
+
+
+def test_a_terminal_that_is_closed_stops_the_drive_once(guarded):
+    guard, port, keys = guarded
+    os.close(keys)
+
+    assert guard.stdout.readline().startswith(b"stopped")
+    assert os.read(port, 9) == emergency.STOP
+    time.sleep(0.1)
+    with pytest.raises(BlockingIOError):
+        os.read(port, 9)
+    assert guard.poll() is None

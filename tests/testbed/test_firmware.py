@@ -1,5 +1,7 @@
 """The firmware as a program of the thesis meets it: bytes on a port, nothing of fixel between."""
 
+import subprocess
+
 import pytest
 import serial
 
@@ -71,6 +73,25 @@ def test_a_request_behind_a_stray_beginning_is_understood(mega, port):
     reading = frames.reading_of(frame)
     assert (frame.number, reading.bits, reading.protocol) == (7, 6, 2)
     assert reading.values[0] < 100 < 900 < reading.values[1]
+
+
+def test_the_emulator_takes_no_file_away(mega_folder, tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    command = [mega_folder / "emulated_mega", mega_folder / "tactile.elf", tmp_path / "notes"]
+    done = subprocess.run(command, input="", capture_output=True, text=True, timeout=20.0)
+
+    assert (done.returncode, "exists" in done.stderr) == (1, True)
+    assert (tmp_path / "notes").read_text() == "mine"
+
+
+def test_what_stands_behind_a_late_found_request_is_answered_too(mega, port):
+    mega.touch(6)
+    question = b"\xf5T" + frames.request(frames.READ, 7) + b"abcd"  # of thresholds, at first sight
+
+    answer = asked(port, question, 2 + frames.READ_REPLY_BYTES + 4)
+
+    assert answer[:2] + answer[-4:] == b"\x06" * 6
+    assert len(frames.FrameFinder().add(answer[2:-4])) == 1
 
 
 def test_contacts_change_at_the_scripted_time(mega, port):

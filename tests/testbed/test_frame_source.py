@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from fixel.exchange.recording import open_recording
 from fixel.exchange.video_file import VideoWriter
 from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.file_source import FileSource, PlayedTactile
+from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import Stream, refuse_size, source_of
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import Recorder
@@ -75,6 +76,21 @@ def test_a_file_may_begin_anew(tmp_path: Path) -> None:
     source.close()
     np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-9)
     assert next(frames, None) is None
+
+
+def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.mkv", SIZE, codec="ffv1") as writer:
+        for k in range(9):
+            writer.write(Frame(k * 0.04, picture(k)))
+    whole = (tmp_path / "v.mkv").read_bytes()
+    (tmp_path / "v.mkv").write_bytes(whole[: len(whole) // 2])
+    (film(tmp_path / "film") / "end.json").unlink()
+    for played, said in (("v.mkv", "truncated: it ends after"), ("film", "no mark of a good end")):
+        source = FileSource(tmp_path / played, as_fast_as_possible=True)
+        source.open()
+        list(source.frames())
+        assert source.ended.startswith("the file is at its end; ")
+        assert said in source.ended
 
 
 def test_readings_play_with_their_film(tmp_path: Path) -> None:
@@ -274,7 +290,17 @@ def test_passwords_stay_out_of_records() -> None:
     assert b"Authorization: Basic bWU6c2UgY3JldA==" in answering.heard[0]  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("url", ["rtsp://cam/1", "http://", "ftp://cam/video"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "rtsp://cam/1",
+        "http://",
+        "ftp://cam/video",
+        "http://cam:x/",
+        "http://cam:99999/",
+        "http://[",
+    ],
+)
 def test_other_addresses_are_refused(url: str) -> None:
     with pytest.raises(InvalidInput, match="http://"):
         source_of(url)
@@ -293,8 +319,16 @@ def test_nobody_there_is_refused() -> None:
 class Webcam:
     """Answers as OpenCV does: JPEG data in one row of bytes, or pixels."""
 
-    def __init__(self, n: int = 5, raw: bool = True, opens: bool = True) -> None:
-        self.n, self.raw, self.opens = n, raw, opens
+    def __init__(
+        self,
+        n: int = 5,
+        raw: bool = True,
+        opens: bool = True,
+        torn: Container[int] = (),
+        missing: Container[int] = (),
+    ) -> None:
+        self.n, self.raw, self.opens, self.torn, self.missing = n, raw, opens, torn, missing
+        self.k = -1
         self.settings: dict[int, float] = {}
         self.released = False
 
@@ -309,12 +343,13 @@ class Webcam:
         return self.settings.get(what, 0.0)
 
     def grab(self) -> bool:
-        self.n -= 1
-        return self.n >= 0
+        self.k += 1
+        return self.k < self.n and self.k not in self.missing
 
     def retrieve(self) -> tuple[bool, Any]:
         if self.raw and not self.settings[cv2.CAP_PROP_CONVERT_RGB]:
-            return True, np.frombuffer(JPEG + bytes(99), np.uint8)[None]
+            data = JPEG[:999] if self.k in self.torn else JPEG
+            return True, np.frombuffer(data + bytes(99), np.uint8)[None]
         return True, picture(0)
 
     def release(self) -> None:
@@ -329,6 +364,40 @@ def test_a_webcam_hands_on_its_jpeg() -> None:
     assert [arrived.jpeg for arrived in frames] == [JPEG] * 5
     assert webcam.settings[cv2.CAP_PROP_FRAME_WIDTH] == SIZE[0]
     assert source.ended == "the camera sends no more pictures"
+    assert webcam.released
+
+
+@pytest.mark.parametrize("torn", [range(2), [2], [1, 3]])
+@pytest.mark.parametrize("codec", ["as-it-comes", "near"])
+def test_torn_pictures_of_a_webcam_are_left_out_and_counted(
+    tmp_path: Path, torn: list[int], codec: str
+) -> None:
+    webcam = Webcam(torn=torn)
+    source = DeviceSource("0", capture=lambda device: webcam)
+    stream = source.open()
+    done = Recorder(source=source, stream=stream, folder=tmp_path / "r", codec=codec).run()
+    assert (done.frames, done.reason) == (5 - len(torn), "the camera sends no more pictures")
+    kept = open_recording(tmp_path / "r")
+    assert (kept.n_frames, kept.complete) == (done.frames, True)
+    if 0 not in torn:  # a camera that wakes up may begin with half a picture
+        times = f" ({len(torn)} times)" if len(torn) > 1 else ""
+        assert f"a picture that came torn, left out{times}" in done.problems
+
+
+def test_a_webcam_that_fails_now_and_then_goes_on() -> None:
+    webcam = Webcam(missing=[1, 2])
+    source = DeviceSource("0", capture=lambda device: webcam)
+    source.open()
+    assert len(list(source.frames())) == 3
+
+
+def test_a_webcam_that_nobody_reads_any_more_is_let_go() -> None:
+    webcam = Webcam(n=10**6)
+    queue = FrameQueue(source := DeviceSource("0", capture=lambda device: webcam), live=True)
+    source.open()
+    queue.start()
+    queue.get(1.0)
+    queue.close()
     assert webcam.released
 
 

@@ -5,6 +5,7 @@ import pytest
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testing import emulated_grbl
 from fixel.testing.emulated_grbl import EmulatedGrbl
 
 from .boards import stranger
@@ -168,7 +169,7 @@ def test_reach_is_cut_to_the_travel_of_the_controller():
 
 
 def test_homing_without_switches_is_refused(drive):
-    with pytest.raises(DeviceFailed, match="not enabled"):
+    with pytest.raises(DeviceFailed, match=r"not enabled.*--unlock"):
         drive.home()
 
 
@@ -286,6 +287,14 @@ def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monk
 def test_a_port_that_is_in_use_is_refused(controller, drive):
     with pytest.raises(InvalidInput, match="in use by"):
         GrblActuator(controller.port).connect()
+
+
+def test_an_emulated_controller_takes_no_file_away(tmp_path, monkeypatch):
+    (tmp_path / "notes").write_text("mine")
+    monkeypatch.setattr("sys.argv", ["emulated_grbl", "--link", str(tmp_path / "notes")])
+    with pytest.raises(SystemExit):
+        emulated_grbl.main()
+    assert (tmp_path / "notes").read_text() == "mine"
 
 
 # --- lines ----------------------------------------------------------------------------------------

@@ -40,6 +40,7 @@ def test_every_frame_gets_its_reading(tmp_path: Path, codec: str) -> None:
     kept = open_recording(tmp_path / "r")
     assert kept.complete
     assert kept.readings.tolist() == [-1 if k == 4 else k % 8 for k in range(12)]
+    assert np.flatnonzero(np.isnan(kept.reading_time)).tolist() == [4]
     np.testing.assert_allclose(kept.time, np.arange(12) / 100.0, atol=1e-6)
     assert done.rate == pytest.approx(100.0, rel=1e-3)
     if codec == "as-it-comes":
@@ -155,6 +156,12 @@ def test_pictures_of_another_size_end_it(tmp_path: Path) -> None:
     source = Pictures(9, lambda k: jpeg_of(picture(k, SIZE if k < 4 else (80, 60))))
     done = record(source, tmp_path / "r")
     assert (done.frames, done.reason) == (4, "the camera changed to 80 x 60 pixels")
+
+
+def test_pixels_of_another_size_end_it_too(tmp_path: Path) -> None:
+    source = Pictures(9, lambda k: picture(k, SIZE if k < 4 else (120, 160)))
+    done = record(source, tmp_path / "r", "near")
+    assert (done.frames, done.reason) == (4, "the camera changed to 120 x 160 pixels")
 
 
 def test_a_picture_that_cannot_be_decoded_is_left_out_and_said(tmp_path: Path) -> None:

@@ -91,6 +91,29 @@ def test_thresholds_that_get_lost_after_a_restart_are_a_problem(mega, reader, mo
     assert reader.statistics.restarts == 1
 
 
+def test_thresholds_that_an_old_board_cannot_take_leave_the_port_free():
+    with old_board() as port:
+        reader = TactileReader(port, thresholds=(1, 2, 3))
+        with pytest.raises(InvalidInput, match="upload firmware/tactile"):
+            reader.connect()
+
+        assert not reader.connected
+        TactileReader(port).connect().disconnect()
+
+
+def test_a_board_that_goes_away_while_it_is_greeted_is_refused(monkeypatch):
+    def gone(link, port, settle):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("fixel.testbed.tactile.shake_hands", gone)
+    with old_board() as port:
+        reader = TactileReader(port)
+        with pytest.raises(InvalidInput, match="went away"):
+            reader.connect()
+        assert not reader.reconnect()
+        assert "plug it in" in reader.trouble
+
+
 @pytest.mark.parametrize("thresholds", [(1, 2), (1, 2, 1024), (1.5, 2, 3)])
 def test_thresholds_that_cannot_be_are_refused(thresholds):
     with pytest.raises(InvalidInput, match="from 0 to 1023"):
@@ -263,6 +286,12 @@ def test_no_port_is_refused_with_a_list():
 def test_a_port_that_does_not_exist_is_refused():
     with pytest.raises(InvalidInput, match="found nothing"):
         TactileReader("/dev/ttyNOSUCH").connect()
+
+
+@pytest.mark.parametrize("port", ["/dev/null", "/"])
+def test_what_is_no_serial_port_is_refused(port):
+    with pytest.raises(InvalidInput, match="found no serial port"):
+        TactileReader(port).connect()
 
 
 def test_two_programs_cannot_have_one_port(mega, reader):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fixel.errors import InvalidInput
 from fixel.exchange.recording import open_recording
 from fixel.exchange.scene_file import load_scene
 from fixel.model import Scene
@@ -45,6 +46,16 @@ def test_pictures_are_the_same_and_fixels_say_the_same(filmed: Path, tmp_path: P
     # A machine that is busy reads a few frames late; what is read is what the film says.
     assert read.mean() > 0.5
     assert np.mean(seen.readings[read] == made.readings[read]) > 0.8
+
+
+def test_a_drive_that_does_not_move_is_told(filmed: Path, tmp_path: Path) -> None:
+    pusher = short(filmed).pushers[0]
+    fast = replace(
+        short(filmed), pushers=(replace(pusher, drive=replace(pusher.drive, speed=1.0)),)
+    )
+    with pytest.raises(InvalidInput, match="the controller's limit"):
+        record_film(filmed, tmp_path / "run", fast, 0.2, None)
+    assert open_recording(tmp_path / "run").complete
 
 
 def test_what_no_camera_has_seen_stays_so(filmed: Path, tmp_path: Path) -> None:

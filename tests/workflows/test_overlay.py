@@ -9,9 +9,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.testbed.films import Pictures
 from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
+from fixel.exchange.jpeg import jpeg_of
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 from fixel.vision.camera import Camera
@@ -109,6 +111,13 @@ def test_an_object_out_of_sight():
     assert part["seen"] is False
     assert part["dx_mm"] is None
     assert part["push_screen_deg"] is None
+
+
+def test_a_spoilt_picture_is_passed_over():
+    jpeg = jpeg_of(plate_picture(RIG, AT_HOME))
+    source = Pictures(3, lambda k: jpeg if k != 1 else jpeg[:4] + jpeg[-2:])
+    source.open()
+    assert len(list(frames_of(source, live=False))) == 2
 
 
 def test_a_camera_that_has_moved_is_told_from_a_part_that_has():

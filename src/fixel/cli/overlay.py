@@ -103,19 +103,20 @@ def overlay(
         files = {"picture": str(output)} if once else {}
         typer.echo(json.dumps({**look.summary(), "files": files}, allow_nan=False))
     else:
-        typer.echo(written(look, rig, output if once else None))
+        setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
+        typer.echo(written(look, shlex.join(setting), output if once else None))
     if once and not look.placed:
         raise typer.Exit(NOT_IN_PLACE)
 
 
-def written(look: "Look", rig: str, picture: Path | None) -> str:
+def written(look: "Look", setting: str, picture: Path | None) -> str:
     """A few lines for people: the verdict, the errors, the file, what to type next."""
     blocks = [
         [look.sentence],
         _errors(look),
         [*look.problems, *look.remarks],
         [] if picture is None else [f"wrote {picture}"],
-        [f"Next: {_next(look, rig)}"],
+        [f"Next: {_next(look, setting)}"],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
@@ -136,10 +137,10 @@ def _errors(look: "Look") -> list[str]:
     ]
 
 
-def _next(look: "Look", rig: str) -> str:
+def _next(look: "Look", setting: str) -> str:
     """The command most people want after this one."""
     if look.placed:
-        return f"fixel record --rig {shlex.quote(rig)}"
+        return f"fixel record {setting} --out FOLDER"
     return "put it right, and look again"
 
 

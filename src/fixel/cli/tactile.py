@@ -10,7 +10,8 @@ from fixel.cli.options import AsJson
 
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
-    from fixel.testbed.tactile import Reading, TactileReader
+    from fixel.testbed.tactile import TactileReader
+    from fixel.testbed.tactile_reading import Reading
     from fixel.workflows.tactile import TactileCheck
 
 app = typer.Typer(
@@ -96,6 +97,8 @@ def _checked(found: "TactileCheck") -> list[str]:
         lines += [f"round trip   {1e3 * median:.2f} ms median, {1e3 * worst:.2f} ms at most"]
     if found.drift:
         lines += [f"clock        {-1e6 * found.drift:+.0f} ppm against this computer's"]
+    if found.trouble:
+        lines += [f"broken off   {found.trouble}"]
     return [*lines, "", f"Next: fixel tactile watch --port {found.port}"]
 
 
@@ -121,12 +124,13 @@ def watch(
         port, interval=1.0 / rate, duration=duration, thresholds=thresholds
     ):
         line = _as_json(reading) if as_json else _line(reader, reading)
+        news = line.split("  (")[0] + reading.problem
         if live:
             print(f"\r\033[K{line}", end="", flush=True)
-        elif as_json or line.split("  (")[0] != last:
+        elif as_json or news != last:
             # A file gets the changes; every reading would be the same line over and over.
             typer.echo(line)
-            last = line.split("  (")[0]
+            last = news
     if live:
         typer.echo("")
 

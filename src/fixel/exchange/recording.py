@@ -206,7 +206,7 @@ def repair_recording(folder: str | Path) -> Recording:
                 seconds=last.time_us / MICRO,
                 reason=reason,
                 lost=before.lost if before else 0,
-                problems=(*(before.problems if before else ()), *recording.problems),
+                problems=tuple(_broken_off(check, before)) + (before.problems if before else ()),
             ),
         )
     return open_recording(folder)
@@ -245,6 +245,15 @@ def _belong(row: Row, packet: Packet) -> bool:
 
 def _problems(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
     """What a reader should know, in sentences."""
+    yield from _broken_off(check, end)
+    if end is not None:
+        yield from end.problems
+        if end.lost:
+            yield f"{_frames(end.lost)} lost while recording"
+
+
+def _broken_off(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
+    """What is missing at the end."""
     n, n_rows = check.matched, len(check.rows.rows)
     seconds = check.rows.rows[n - 1].time_us / MICRO
     if end is None:
@@ -257,10 +266,6 @@ def _problems(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
         yield f"{_frames(n_rows - n)} at the end without a whole picture; left out"
     if check.seen > n_rows:
         yield f"{_frames(check.seen - n_rows)} at the end without a row; left out"
-    if end is not None:
-        yield from end.problems
-        if end.lost:
-            yield f"{_frames(end.lost)} lost while recording"
 
 
 def _frames(n: int) -> str:

@@ -121,6 +121,8 @@ class RecordingWriter:
         """Append a JPEG picture as it came, and what the fixels felt meanwhile; like `write`."""
         if self.header.codec == "exact":
             raise InvalidInput("recording.codec", found="exact", expected="as-it-comes for JPEG")
+        if not jpeg:  # the video would leave it out, and its row would stand without a picture
+            raise InvalidInput(f"frame {self.frames}", found="no bytes", expected="a JPEG picture")
         time_us = self._micro(time)
         self._check_reading(reading)
         written = self._video.append_jpeg(time_us, jpeg)

@@ -13,12 +13,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import END, jpeg_size
-from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.exchange.jpeg import END
+from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
-WARM_UP: Final = 10  # pictures that may fail before a camera is believed to give none
+TRIES: Final = 10  # pictures in a row that may fail before a camera is believed to give none
 
 Capture = Callable[[int | str], Any]
 
@@ -77,17 +77,18 @@ class DeviceSource(FrameSource):
             camera.set(cv2.CAP_PROP_FRAME_HEIGHT, self._asked[1])
         camera.set(cv2.CAP_PROP_FPS, self._rate)
         camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # JPEG as it comes, where the system gives it
-        first = self._read(WARM_UP)
-        if first is not None and first.jpeg is None:
+        first = self._read()
+        if first is None or first.jpeg is None:
             camera.set(cv2.CAP_PROP_CONVERT_RGB, 1)
-            first = self._read(WARM_UP)
-        size = None if first is None else _size(first)
+            first = self._read()
+        size = None if first is None else first.size
         if first is None or size is None:
             self.close()
             raise InvalidInput(
                 self.name, found="no pictures", expected="a camera that sends them", hint=_hint()
             )
         self._first = first
+        self.torn = 0  # a camera that wakes up may begin with half a picture
         promised = float(camera.get(cv2.CAP_PROP_FPS))
         rate = promised if 1.0 <= promised <= 1000.0 else 0.0
         return Stream(size=size, rate=rate, jpeg=first.jpeg is not None, live=True)
@@ -96,11 +97,13 @@ class DeviceSource(FrameSource):
         """Pictures until the camera is pulled or closed."""
         self._reading = True
         arrived, self._first = self._first, None
-        while arrived is not None and not self._stop.is_set():
-            yield arrived
-            arrived = self._read(1)
-        self.ended = "stopped" if self._stop.is_set() else "the camera sends no more pictures"
-        self._let_go()
+        try:
+            while arrived is not None and not self._stop.is_set():
+                yield arrived
+                arrived = self._read()
+            self.ended = "stopped" if self._stop.is_set() else "the camera sends no more pictures"
+        finally:
+            self._let_go()
 
     def close(self) -> None:
         """Let go of the camera, after the picture that is being read."""
@@ -108,16 +111,23 @@ class DeviceSource(FrameSource):
         if not self._reading:
             self._let_go()
 
-    def _read(self, attempts: int) -> Arrived | None:
-        """The next picture, stamped as it arrives and before it is decoded."""
-        for _ in range(attempts):
+    def _read(self) -> Arrived | None:
+        """The next whole picture, stamped as it arrives and before it is decoded; None where too
+        many in a row are none."""
+        now = time.monotonic()
+        for _ in range(TRIES):
+            before = now
             grabbed = self._camera.grab()
             now = time.monotonic()
+            if self._stop.is_set() or (not grabbed and now - before > STALLED):
+                return None
             if not grabbed:
                 continue
             given, raw = self._camera.retrieve()
-            if given and raw is not None and raw.size:
-                return _arrived(now, raw)
+            arrived = _arrived(now, raw) if given and raw is not None else None
+            if arrived is not None:
+                return arrived
+            self.torn += 1
         return None
 
     def _let_go(self) -> None:
@@ -126,22 +136,14 @@ class DeviceSource(FrameSource):
             camera.release()
 
 
-def _arrived(now: float, raw: Picture) -> Arrived:
-    """JPEG data come as one row of bytes, with whatever stood behind them in the buffer."""
-    if raw.ndim == 3 and raw.shape[2] == 3:
+def _arrived(now: float, raw: Picture) -> Arrived | None:
+    """JPEG data come as one row of bytes, with whatever stood behind them in the buffer; None where
+    they are torn."""
+    if raw.ndim == 3:
         return Arrived(now, pixels=raw)
     data = np.ascontiguousarray(raw).tobytes()
-    data = data[: data.rfind(END) + 2]
-    return Arrived(now, jpeg=data) if jpeg_size(data) else Arrived(now, pixels=raw)
-
-
-def _size(arrived: Arrived) -> tuple[int, int] | None:
-    if arrived.jpeg is not None:
-        return jpeg_size(arrived.jpeg)
-    pixels = arrived.pixels
-    if pixels is None or pixels.ndim != 3:
-        return None
-    return pixels.shape[1], pixels.shape[0]
+    arrived = Arrived(now, jpeg=data[: data.rfind(END) + 2])
+    return None if arrived.size is None else arrived
 
 
 def _refuse_missing(device: int | str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -75,18 +76,17 @@ class StopGuard:
             self._let_go()
             raise DeviceFailed("the guard that stops the drive in an emergency did not start")
         os.set_blocking(self._pipe, False)
-        self._hear_signals()
-        self._announce(port)
+        try:
+            self._announce(port)
+            self._hear_signals()
+        except BaseException:
+            self.release()
+            raise
 
     @property
     def pid(self) -> int:
         """Of the guard's process."""
         return self._process.pid
-
-    def stop(self) -> None:
-        """Stop the drive at once."""
-        with contextlib.suppress(OSError):
-            os.write(self._pipe, b"s")
 
     def release(self) -> None:
         """End the guard; the drive is not touched."""
@@ -130,25 +130,37 @@ class StopGuard:
 
     def _announce(self, port: str) -> None:
         target = os.path.realpath(port)
-        folder = announcements()
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         name = hashlib.sha256(target.encode()).hexdigest()[:16]
-        self._entry = folder / f"{name}.json"
-        entry = Running(target, os.getpid(), self.pid)._asdict()
-        self._entry.write_text(json.dumps(entry), encoding="utf-8")
+        entry = json.dumps(Running(target, os.getpid(), self.pid)._asdict())
+        for folder in announcements():
+            with contextlib.suppress(OSError):
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                self._entry = folder / f"{name}.json"
+                self._entry.write_text(entry, encoding="utf-8")
+                return
+        raise DeviceFailed(
+            "there is no place to write down that this program drives an actuator, so that `fixel"
+            " actuator stop` would not find it",
+            hint=f"make room in {tempfile.gettempdir()}",
+        )
 
 
-def announcements() -> Path:
-    """The folder in which programs that drive something say so, one for each user."""
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+def announcements() -> list[Path]:
+    """The folders in which programs that drive something say so, of this user.
+
+    A program takes the first it may write to. Who looks for programs looks into all: what a
+    terminal knows of its session is not the same in every terminal.
+    """
     user = os.getuid() if hasattr(os, "getuid") else 0
-    return Path(base) / f"fixel-actuators-{user}"
+    session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
+    places = [session] * os.path.isdir(session) + [tempfile.gettempdir()]
+    return [Path(place) / f"fixel-actuators-{user}" for place in places]
 
 
 def running() -> list[Running]:
     """The programs of this user that drive an actuator now."""
     found = []
-    for path in sorted(announcements().glob("*.json")):
+    for path in sorted(path for folder in announcements() for path in folder.glob("*.json")):
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
             program = Running(str(entry["port"]), int(entry["pid"]), int(entry["guard"]))
@@ -183,6 +195,8 @@ def stop_drive(port: str) -> float:
         # Neither the lock that keeps other programs out nor whatever they do stands in the way.
         descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         try:
+            if not os.isatty(descriptor):
+                raise OSError(errno.ENOTTY, "it is no serial port")
             _drop_unsent(descriptor)
             os.write(descriptor, STOP)
             return time.monotonic()

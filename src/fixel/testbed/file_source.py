@@ -12,9 +12,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from fixel.exchange.recording import Recording, is_recording, open_recording
-from fixel.exchange.video_file import open_video
+from fixel.exchange.video_file import VideoFile, open_video
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
-from fixel.vision.frame import Frame
 
 
 @final
@@ -41,6 +40,7 @@ class FileSource(FrameSource):
         self._loop = loop
         self._stop = Event()
         self._recording: Recording | None = None
+        self._video: VideoFile | None = None
 
     def open(self) -> Stream:
         """Read what it is."""
@@ -49,7 +49,7 @@ class FileSource(FrameSource):
             jpeg = recording.header.codec != "exact"
             header, rate = recording.header, _rate(recording)
             return Stream(header.size, rate, jpeg, not self._fast, header.simulated_by)
-        video = open_video(self.path)
+        self._video = video = open_video(self.path, threads=1)
         return Stream(video.size, 0.0, jpeg=False, live=not self._fast)
 
     def frames(self) -> Iterator[Arrived]:
@@ -68,11 +68,18 @@ class FileSource(FrameSource):
             if not self._loop:
                 break
             self.began += last - zero + step
-        self.ended = "stopped" if self._stop.is_set() else "the file is at its end"
+        self.ended = "stopped" if self._stop.is_set() else self._at_its_end()
 
     def close(self) -> None:
         """Stop playing."""
         self._stop.set()
+
+    def _at_its_end(self) -> str:
+        """With what is missing from the file, which is known by now."""
+        wrong = tuple(self._video.remarks) if self._video else ()
+        if self._recording is not None and not self._recording.complete:
+            wrong = self._recording.problems
+        return "; ".join(("the file is at its end", *wrong))
 
     def _wait(self, due: float) -> bool:
         """Wait for an instant of `time.monotonic` [s]; whether to go on."""
@@ -84,10 +91,15 @@ class FileSource(FrameSource):
         recording = self._recording
         if recording is not None and recording.header.codec != "exact":
             for at, jpeg in recording.jpegs():
-                yield at, Arrived(0.0, jpeg=jpeg)
+                arrived = Arrived(0.0, jpeg=jpeg)
+                if arrived.size is not None:
+                    yield at, arrived
+                else:
+                    self.torn += 1
             return
-        frames: Iterator[Frame] = (recording or open_video(self.path, threads=1)).frames()
-        for frame in frames:
+        film = recording or self._video
+        assert film is not None
+        for frame in film.frames():
             yield frame.time, Arrived(0.0, pixels=frame.picture)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import REDUCED, brightness, decoded, shrunk
+from fixel.exchange.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
 STALLED: Final = 3.0  # [s] a camera that sends nothing for so long was unplugged
@@ -57,6 +57,15 @@ class Arrived:
     jpeg: bytes | None = None
     pixels: Picture | None = None
 
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height [px]; None where it is no whole picture."""
+        if self.jpeg is not None:
+            return jpeg_size(self.jpeg)
+        if self.pixels is None or self.pixels.ndim != 3:
+            return None
+        return self.pixels.shape[1], self.pixels.shape[0]
+
     def picture(self) -> Picture:
         """(height, width, 3) uint8; decoded when first asked for.
 
@@ -85,10 +94,13 @@ class FrameSource(abc.ABC):
         For people, and for the record: without passwords.
     ended : str
         Why the pictures ended, once they have.
+    torn : int
+        How many came that were no whole pictures, and were left out.
     """
 
     name: str
     ended: str = ""
+    torn: int = 0
 
     @abc.abstractmethod
     def open(self) -> Stream:
@@ -102,7 +114,7 @@ class FrameSource(abc.ABC):
 
     @abc.abstractmethod
     def frames(self) -> Iterator[Arrived]:
-        """Every picture once, the first included; ends when there are no more, and says why."""
+        """Every whole picture once, the first included; then says why there are no more."""
 
     @abc.abstractmethod
     def close(self) -> None:

@@ -16,12 +16,13 @@ from fixel.testbed.grbl_handshake import greet
 from fixel.testbed.grbl_lines import Settings
 from fixel.testbed.grbl_link import ASKING, GrblLink
 from fixel.testbed.motion import NEAR, REACH, AbstractActuator, checked_reach
-from fixel.testbed.serial_port import chosen_port, open_port
+from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 
 DEAD_MAN: Final = 0.5  # [s]
 LONGEST_DEAD_MAN: Final = 3.0  # [s]
 CHUNKS: Final = 6  # pieces a queue is made of
 HOMING_TIME: Final = 90.0  # [s]
+UNLOCK: Final = "see where the drive stands, then: fixel actuator move --unlock"
 SHORT: Final = 0.5  # [s] at rest for so long short of the target, it will not get there
 
 
@@ -94,12 +95,9 @@ class GrblActuator(AbstractActuator):
         """
         self.disconnect()
         serial = open_port(self.port, grbl.BAUD, "the actuator's controller")
-        try:
+        with closed_on_failure(serial.close, self.port, "the actuator's controller"):
             greet(serial, self.port)
             self._link = GrblLink(serial, self._next_piece)
-        except BaseException:
-            serial.close()
-            raise
         try:
             self._read_settings()
             # It shares the port and hears signals as only POSIX systems let it.
@@ -171,9 +169,9 @@ class GrblActuator(AbstractActuator):
         try:
             self._open.command("$H", HOMING_TIME)
         except DeviceFailed as failed:
-            raise DeviceFailed(
-                f"homing failed: {failed.reason}", hint="look at the drive, then home it again"
-            ) from None
+            again = "look at the drive, then home it again"
+            hint = again if self.settings.homing else UNLOCK
+            raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
             # Nothing but a reset ends homing.
             self._open.at_once(grbl.RESET)
@@ -205,7 +203,7 @@ class GrblActuator(AbstractActuator):
         link, settings = self._open, self.settings
         status = link.fresh_status()
         if status.state == "Alarm":
-            hint = "home it: fixel actuator home" if settings.homing else "unlock it: $X"
+            hint = "home it: fixel actuator home" if settings.homing else UNLOCK
             raise DeviceFailed("the controller is locked by an alarm", hint=hint)
         if status.state != "Idle":
             raise DeviceFailed(f"the controller is in the state {status.state}", hint="stop it")
@@ -267,7 +265,7 @@ class GrblActuator(AbstractActuator):
                 link.changed.wait(0.1)
             failure, self._failure = self._failure, ""
         if failure:
-            hint = "see where the drive stands: fixel actuator where"
+            hint = "if it still moves, switch its power off; else: fixel actuator where"
             raise DeviceFailed(f"the drive was stopped: {failure}", hint=hint)
 
     def _look(self) -> None:

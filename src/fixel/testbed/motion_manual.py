@@ -90,8 +90,8 @@ class ManualActuator(AbstractActuator):
             f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * target:.2f} mm"
             f" (by {1e3 * (target - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
         )
+        self._heading = target  # who is interrupted may have clicked already
         self._answered("Click its start button and press Enter at the same moment: ")
-        self._heading = target
 
     def _asked_for_position(self) -> float:
         for _ in range(3):

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
 from fixel.errors import FixelError, InvalidInput
-from fixel.exchange.jpeg import jpeg_size
 from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
@@ -254,9 +253,8 @@ class Recorder:
         """Why a picture is not written, and none after it."""
         if self.limit is not None and at >= self.limit - BREATH:
             return f"the limit of {self.limit:g} s"
-        size = self.stream.size if arrived.jpeg is None else jpeg_size(arrived.jpeg)
-        if size != self.stream.size and size is not None:
-            return "the camera changed to {} x {} pixels".format(*size)
+        if arrived.size is not None and arrived.size != self.stream.size:
+            return "the camera changed to {} x {} pixels".format(*arrived.size)
         return ""
 
     def _write(self, writer: RecordingWriter, arrived: Arrived, at: float, zero: float) -> None:
@@ -268,13 +266,16 @@ class Recorder:
             self._bits = reading.bits
             # A source that waits for its reader has a clock of its own.
             when = max(reading.time - zero, 0.0) if self.stream.live else at
-            if when > at + BEHIND:
+            if reading.bits is None:
+                when = None
+            elif when > at + BEHIND:
                 self._problems[f"a reading more than {BEHIND:g} s after its frame"] += 1
             self._without += reading.bits is None
             if reading.problem:
                 self._problems[f"fixels: {reading.problem}"] += 1
         if self.codec == "as-it-comes":
-            writer.write_jpeg(at, arrived.jpeg or b"", self._bits, when)
+            assert arrived.jpeg is not None
+            writer.write_jpeg(at, arrived.jpeg, self._bits, when)
             return
         try:
             picture = arrived.picture()
@@ -307,9 +308,10 @@ class Recorder:
             self._problems[f"the preview failed: {problem}"] += 1
 
     def _told(self) -> tuple[str, ...]:
+        torn = Counter({"a picture that came torn, left out": self.source.torn})
         return tuple(
             sentence if n == 1 else f"{sentence} ({n} times)"
-            for sentence, n in self._problems.most_common(8)
+            for sentence, n in (self._problems + torn).most_common(8)
         )
 
     def _close(self, queue: FrameQueue, writer: RecordingWriter, reason: str) -> Recorded:

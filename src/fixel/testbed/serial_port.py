@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import string
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -98,7 +101,7 @@ def open_port(port: str, baud: int, what: str) -> Serial:
     where = f"port {port}"
     try:
         return serial.Serial(port, baud, timeout=0.0, write_timeout=1.0, exclusive=True)
-    except (serial.SerialException, OSError) as problem:
+    except Exception as problem:  # termios.error, which pyserial lets through, is no OSError
         reason = _errno(problem)
         if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
             user = _program_at(port) or "another program"
@@ -115,7 +118,29 @@ def open_port(port: str, baud: int, what: str) -> Serial:
             ) from None
         if not os.path.exists(port) and sys.platform != "win32":
             raise InvalidInput(where, found=None, expected=what, hint=_seen()) from None
-        raise InvalidInput(where, found=str(problem), expected=what, hint=_seen()) from None
+        found = "no serial port" if reason in (errno.ENOTTY, errno.EISDIR) else str(problem)
+        raise InvalidInput(where, found=found, expected=what, hint=_seen()) from None
+
+
+@contextmanager
+def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterator[None]:
+    """Close an open port if the block fails.
+
+    Raises
+    ------
+    InvalidInput
+        It went away meanwhile.
+    """
+    try:
+        yield
+    except OSError as problem:
+        close()
+        raise InvalidInput(
+            f"port {port}", found=f"it went away: {problem}", expected=what, hint="plug it in again"
+        ) from None
+    except BaseException:
+        close()
+        raise
 
 
 def resets_on_opening(port: Serial) -> bool:
@@ -167,15 +192,12 @@ def _need_pyserial() -> None:
         ) from None
 
 
-def _errno(problem: OSError) -> int | None:
-    # pyserial raises its own exception with the number first, and sometimes without one.
-    if problem.errno is not None:
-        return problem.errno
-    text = str(problem)
-    named = {"[Errno 13]": errno.EACCES, "[Errno 16]": errno.EBUSY, "[Errno 11]": errno.EAGAIN}
-    if "exclusively lock" in text:
-        return errno.EAGAIN
-    return next((number for mark, number in named.items() if mark in text), None)
+def _errno(problem: Exception) -> int | None:
+    # pyserial's own exceptions begin with the number, or have it in their text.
+    if problem.args and isinstance(problem.args[0], int):
+        return problem.args[0]
+    found = re.search(r"\[Errno (\d+)\]|\((\d+), ", str(problem))
+    return int(found[1] or found[2]) if found else None
 
 
 def _group(port: str) -> str:

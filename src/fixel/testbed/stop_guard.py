@@ -4,10 +4,10 @@ Run as a script, without site packages and without fixel, so that it is there in
 and nothing can keep it busy. It shares the open port with its owner and writes a feed hold and a
 soft reset to it
 
-- when a byte that is a signal's number, or `s`, comes from its owner;
+- when a byte that is a signal's number comes from its owner;
 - when the owner's pipe closes: the owner has died, of whatever;
 - on SIGINT (Ctrl-C reaches every process of the terminal), SIGTERM and SIGHUP;
-- when a key is pressed, if it was given a terminal.
+- when a key is pressed, if it was given a terminal, and when that is closed.
 
 `q` from its owner ends it without a word to the drive.
 
@@ -57,19 +57,27 @@ def watch(port: int, keys: int) -> None:
     while True:
         ready = select.select(sources, [], [])[0]
         said = os.read(0, 64) if 0 in ready else None
-        if said is not None and RELEASE in said:
-            return
         # Ctrl-Z, a resized window: they concern nobody.
-        stops = said is not None and (not said or b"s" in said or any(n in said for n in SIGNALS))
+        stops = said is not None and (not said or any(n in said for n in SIGNALS))
         if heard in ready:
             os.read(heard, 64)
             stops = True
-        if keys in ready and os.read(keys, 64):
+        if keys in ready:
             stops = True
+            if not pressed(keys):
+                sources.remove(keys)  # the terminal was closed
         if stops:
             stop(port)
-        if said == b"":
+        if said is not None and (not said or RELEASE in said):
             return
+
+
+def pressed(keys: int) -> bytes:
+    """What was typed; nothing where there is no terminal any more."""
+    try:
+        return os.read(keys, 64)
+    except OSError:
+        return b""
 
 
 def main() -> None:

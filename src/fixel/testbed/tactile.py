@@ -3,94 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from statistics import median
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive
 from fixel.testbed import tactile_frames as frames
 from fixel.testbed.device_clock import DeviceClock
-from fixel.testbed.serial_port import chosen_port, open_port
+from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 from fixel.testbed.tactile_handshake import shake_hands
+from fixel.testbed.tactile_reading import Reading, Statistics
 
 if TYPE_CHECKING:
     from serial import Serial
 
 DEADLINE: Final = 0.015  # [s] less than half a frame at 30 frames a second
 QUIET: Final = 0.003  # [s] a board that was late and now says nothing for so long is done
-KEPT: Final = 4096  # round trips that the statistics remember
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
-    """What the fixels said, once.
-
-    Attributes
-    ----------
-    bits : int, optional
-        Bit 0 blue, bit 1 red, bit 2 green, set where touched; none where the board gave no answer.
-    time : float
-        When the fixels were read, on `time.monotonic` [s].
-    device_time : float, optional
-        The same on the board's clock [s]; only boards of protocol 2 tell.
-    values : (int, int, int), optional
-        What the converter saw at bits 0, 1, 2 [-], 1023 at 5 V; likewise.
-    problem : str
-        Why there are no bits, or why they are to be doubted; empty if all is well.
-    """
-
-    bits: int | None
-    time: float
-    device_time: float | None = None
-    values: tuple[int, int, int] | None = None
-    problem: str = ""
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Statistics:
-    """How the conversation went.
-
-    Attributes
-    ----------
-    asked, answered : int
-        Requests, and those answered in time and undamaged.
-    missing : int
-        Requests without an answer until the deadline.
-    late : int
-        Answers that came after their deadline.
-    garbled : int
-        Requests that something unreadable came back to.
-    stray_bytes : int
-        Bytes that belonged to no answer.
-    restarts : int
-        How often the board began anew.
-    round_trips : deque of float
-        The last of them [s].
-    """
-
-    asked: int = 0
-    answered: int = 0
-    missing: int = 0
-    late: int = 0
-    garbled: int = 0
-    stray_bytes: int = 0
-    restarts: int = 0
-    round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
-
-    def summary(self) -> dict[str, Any]:
-        """As plain values."""
-        counts = ("asked", "answered", "missing", "late", "garbled", "stray_bytes", "restarts")
-        trips = self.round_trips
-        return {name: getattr(self, name) for name in counts} | {
-            "round_trip_median_s": median(trips) if trips else None,
-            "round_trip_max_s": max(trips) if trips else None,
-        }
 
 
 @final
@@ -161,17 +90,14 @@ class TactileReader:
             The port cannot be had, or something else is behind it: with what that said.
         """
         self.disconnect()
-        link = open_port(self.port, frames.BAUD, "the tactile board")
-        try:
+        self._serial = link = open_port(self.port, frames.BAUD, "the tactile board")
+        with closed_on_failure(self.disconnect, self.port, "the tactile board"):
             self.protocol, self.identity = shake_hands(link, self.port, self._settle)
-        except BaseException:
-            link.close()
-            raise
-        self._serial, self.trouble = link, ""
-        self._finder, self.clock = frames.FrameFinder(), DeviceClock()
-        self._doubt = self._restarted = False
-        if self._thresholds is not None:
-            self.set_thresholds(self._thresholds)
+            self._finder, self.clock = frames.FrameFinder(), DeviceClock()
+            self._doubt = self._restarted = False
+            if self._thresholds is not None:
+                self.set_thresholds(self._thresholds)
+        self.trouble = ""
         return self
 
     def disconnect(self) -> None:
@@ -295,12 +221,11 @@ class TactileReader:
         self.clock.restarts = 0
         if self._thresholds is None:
             self._restarted = False
-            return "the board restarted"
-        try:
-            self.set_thresholds(self._thresholds)
-        except InvalidInput:  # to be tried again with the next reading
+            return "the board restarted, or its clock jumped"
+        # What it does not take is tried again with the next reading: this one must not wait long.
+        self._restarted = not self._confirmed(self._thresholds)
+        if self._restarted:
             return "the board restarted, and does not take its thresholds"
-        self._restarted = False
         return "the board restarted: this was read with its own thresholds"
 
     def _ask_old(self) -> Reading:
@@ -363,17 +288,20 @@ class TactileReader:
                 expected="one whose thresholds can be set",
                 hint="upload firmware/tactile to it",
             )
-        for _ in range(3):
-            self._number = (self._number + 1) % 256
-            self._link.write(frames.thresholds_request(self._number, thresholds))
-            frame = self._frame_of(
-                frames.SET_THRESHOLDS, time.monotonic() + max(0.1, self.deadline)
-            )
-            confirmed = frame and frames.identity_of(frame)
-            if confirmed and confirmed.thresholds == thresholds:
-                self.identity, self._thresholds = confirmed, thresholds
-                return
-        raise InvalidInput("thresholds", found="no confirmation from the board", expected="one")
+        if not any(self._confirmed(thresholds) for _ in range(3)):
+            raise InvalidInput("thresholds", found="no confirmation from the board", expected="one")
+        self._thresholds, self._restarted = thresholds, False
+
+    def _confirmed(self, thresholds: tuple[int, int, int]) -> bool:
+        """Whether the board took these thresholds."""
+        self._number = (self._number + 1) % 256
+        self._link.write(frames.thresholds_request(self._number, thresholds))
+        frame = self._frame_of(frames.SET_THRESHOLDS, time.monotonic() + max(0.1, self.deadline))
+        answer = frame and frames.identity_of(frame)
+        if not answer or answer.thresholds != thresholds:
+            return False
+        self.identity = answer
+        return True
 
     @property
     def _link(self) -> Serial:

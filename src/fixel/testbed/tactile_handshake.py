@@ -36,7 +36,7 @@ def shake_hands(
     heard = _wait_for_boot(link, settle)
     if heard and GRBL.search(heard):
         raise _refusal(port, heard, b"")
-    link.reset_input_buffer()
+    link.read(link.in_waiting)
     for number in (NUMBERS * QUESTIONS)[:QUESTIONS]:
         question = frames.request(frames.IDENTIFY, number)
         link.write(question)

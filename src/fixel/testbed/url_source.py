@@ -13,7 +13,7 @@ from typing import Final, final
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import END, jpeg_size
+from fixel.exchange.jpeg import END
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED
 
@@ -37,13 +37,11 @@ class UrlSource(FrameSource):
     """
 
     def __init__(self, url: str, *, patience: float = STALLED) -> None:
-        parts = urlsplit(url)
+        parts = _split(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise InvalidInput(
-                "camera",
-                found=f"{parts.scheme}://{parts.hostname or ''}",
-                expected="http://... of a camera that sends MJPEG",
-                hint="most cameras with RTSP send MJPEG too: look for an HTTP address",
+            raise _refusal(
+                f"{parts.scheme}://{parts.hostname or ''}",
+                "most cameras with RTSP send MJPEG too: look for an HTTP address",
             )
         self.name = _shown(parts)
         self._parts = parts
@@ -71,7 +69,7 @@ class UrlSource(FrameSource):
             self._fail(found, "a camera that answers", "is the address right?")
         finally:
             late.cancel()
-        size = None if self._first is None else jpeg_size(self._first.jpeg or b"")
+        size = None if self._first is None else self._first.size
         if size is None:
             self._fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
             raise AssertionError
@@ -145,8 +143,10 @@ class UrlSource(FrameSource):
             if data is None:
                 self.ended = self.ended or "the camera ended the stream"
                 return None
-            if jpeg_size(data) is not None:
-                return Arrived(now, jpeg=data)
+            arrived = Arrived(now, jpeg=data)
+            if arrived.size is not None:
+                return arrived
+            self.torn += 1
         self.ended = f"{GARBAGE} parts in a row that are no JPEG picture"
         return None
 
@@ -195,6 +195,20 @@ class UrlSource(FrameSource):
     def _fail(self, found: str, expected: str, hint: str | None = None) -> None:
         self.close()
         raise InvalidInput(self.name, found=found, expected=expected, hint=hint)
+
+
+def _split(url: str) -> SplitResult:
+    try:
+        parts = urlsplit(url)
+        _ = parts.port  # looked at only when it is asked for
+    except ValueError as problem:
+        raise _refusal(str(problem)) from None
+    return parts
+
+
+def _refusal(found: str, hint: str | None = None) -> InvalidInput:
+    expected = "http://... of a camera that sends MJPEG"
+    return InvalidInput("camera", found=found, expected=expected, hint=hint)
 
 
 def _length(header: bytes) -> int:

@@ -490,6 +490,8 @@ def main() -> None:
     parser.add_argument("--homing", action="store_true", help="wants to be homed first")
     parser.add_argument("--rate", type=float, default=1.0, help="its seconds over ours")
     chosen = parser.parse_args()
+    if chosen.link.exists() and not chosen.link.is_symlink():
+        parser.error(f"--link: {chosen.link} is there already, and no link")
     with EmulatedGrbl(homing=chosen.homing, rate=chosen.rate) as controller:
         chosen.link.unlink(missing_ok=True)
         chosen.link.symlink_to(controller.port)

@@ -126,5 +126,6 @@ class Locator:
 
 
 def _told(problem: InvalidInput) -> str:
-    """What is wrong, without advice for films that are made already."""
-    return f"Found {problem.found}, expected {problem.expected}"
+    """What is wrong, and what to do."""
+    sentence = f"Found {problem.found}, expected {problem.expected}"
+    return f"{sentence}; {problem.hint}" if problem.hint else sentence

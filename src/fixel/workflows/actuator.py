@@ -58,11 +58,21 @@ def chosen_actuator(
     if driver == GrblActuator.name:
         return GrblActuator(port, keys=True, dead_man=dead_man)
     if driver == ManualActuator.name:
-        return ManualActuator(say=say)
+        return ManualActuator(say=say, ask=_asking(say))
     if driver == SimulatedActuator.name:
         return SimulatedActuator()
     names = ", ".join(member.name for member in (GrblActuator, ManualActuator, SimulatedActuator))
     raise InvalidInput("--driver", found=repr(driver), expected=f"one of {names}")
+
+
+def _asking(say: Say) -> Callable[[str], str]:
+    """`input`, but with the question where everything else is said: it may write to the answer."""
+
+    def ask(sentence: str) -> str:
+        say(sentence)
+        return input()
+
+    return ask
 
 
 def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:

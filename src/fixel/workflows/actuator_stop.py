@@ -10,6 +10,11 @@ def stop_actuators(port: str | None) -> list[str]:
     """Stop the drive at a port, or every drive that a program of this user moves; which ports.
 
     It writes to the port without asking the program that has it open.
+
+    Raises
+    ------
+    DeviceFailed
+        A drive that could not be stopped; the others were.
     """
     ports = [port] if port else [program.port for program in running()]
     if not ports:
@@ -20,13 +25,15 @@ def stop_actuators(port: str | None) -> list[str]:
             hint="if something moves, switch its power off",
         )
     stopped, failed = [], []
-    # One that cannot be stopped, such as of a program about to end, must not keep us from the rest.
+    # One that cannot be stopped must not keep us from the rest.
     for one in ports:
         try:
             stop_drive(one)
             stopped.append(one)
         except DeviceFailed as failure:
             failed.append(failure)
-    if failed and not stopped:
-        raise failed[0]
+    if failed:
+        reasons = "; ".join(failure.reason for failure in failed)
+        others = f" (stopped: {', '.join(stopped)})" if stopped else ""
+        raise DeviceFailed(reasons + others, failed[0].hint)
     return stopped

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from fixel.errors import FixelError
 from fixel.exchange.recording import Recording, open_recording
 from fixel.model import LineDrive, Scene
 from fixel.testbed.frame_source import Arrived
@@ -49,6 +50,7 @@ class EmulatedBench:
         self.tactile = f"{FILM}:{film.folder}" if board is None else board.port
         self._film, self._board = film, board
         self._move: threading.Thread | None = None
+        self._failure: FixelError | None = None
 
     def begin(self, status: Status, scene: Scene, lead: float) -> None:
         """The film plays: close and open contacts as it goes on, and start the drive in time."""
@@ -63,11 +65,19 @@ class EmulatedBench:
             self._move.start()
 
     def end(self) -> float | None:
-        """Wait for the drive; where it says it stands [m]."""
+        """Wait for the drive; where it says it stands [m].
+
+        Raises
+        ------
+        FixelError
+            It did not move as it should.
+        """
         if self.actuator is None:
             return None
         if self._move is not None:
             self._move.join()
+        if self._failure is not None:
+            raise self._failure
         return self.actuator.position()
 
     def _schedule_contacts(self, board: EmulatedMega, now: float) -> None:
@@ -78,7 +88,10 @@ class EmulatedBench:
     def _drive(self, wait: float, travel: float, speed: float) -> None:
         assert self.actuator is not None
         time.sleep(wait)
-        self.actuator.move(by=travel, speed=speed)
+        try:
+            self.actuator.move(by=travel, speed=speed)
+        except FixelError as failure:
+            self._failure = failure
 
 
 @contextmanager

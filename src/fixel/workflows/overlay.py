@@ -17,7 +17,7 @@ from fixel.exchange.atomic import written_whole
 from fixel.exchange.scene_file import load_scene
 from fixel.model import Body, Fixel, Pusher, Scene
 from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import STALLED, FrameSource
+from fixel.testbed.frame_source import STALLED, Arrived, FrameSource
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.locate import Located, Locator
 from fixel.vision.marks import Rig
@@ -152,7 +152,8 @@ def frames_of(
             while live and (newer := queue.get(0.0)) is not None:
                 arrived = newer
             if arrived is not None:
-                yield Frame(arrived.time, arrived.picture())
+                if (frame := _decoded(arrived)) is not None:
+                    yield frame
                 came = time.monotonic()
             elif queue.over:
                 reason = queue.reason
@@ -162,6 +163,14 @@ def frames_of(
             tell(reason)
     finally:
         queue.close()
+
+
+def _decoded(arrived: Arrived) -> Frame | None:
+    """The frame, or None for a spoilt one: the next is soon there."""
+    try:
+        return Frame(arrived.time, arrived.picture())
+    except InvalidInput:
+        return None
 
 
 def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from fixel.testbed.serial_port import PortSeen, found_ports
-from fixel.testbed.tactile import DEADLINE, Reading, TactileReader
+from fixel.testbed.tactile import DEADLINE, TactileReader
+from fixel.testbed.tactile_reading import Reading
 
 FRAME: Final = 1.0 / 30.0  # [s]
 READINGS: Final = 300
@@ -35,6 +36,8 @@ class TactileCheck:
         What it took [s].
     deadline : float
         [s].
+    trouble : str
+        Why the board could be asked no longer; empty where it could.
     """
 
     port: str
@@ -44,6 +47,7 @@ class TactileCheck:
     drift: float
     seconds: float
     deadline: float
+    trouble: str
 
     @property
     def passed(self) -> bool:
@@ -60,6 +64,7 @@ class TactileCheck:
             "drift": self.drift,
             "seconds": self.seconds,
             "deadline_s": self.deadline,
+            "trouble": self.trouble,
             **self.statistics,
         }
 
@@ -79,6 +84,7 @@ def check_tactile(
     """Ask as often as told, as fast as it goes, and count what came back."""
     start = time.perf_counter()
     with TactileReader(port, deadline=deadline) as reader:
+        protocol = reader.protocol
         for k in range(readings):
             if reader.read().bits is None and not reader.connected:
                 break
@@ -86,12 +92,13 @@ def check_tactile(
                 progress(k + 1, readings)
         return TactileCheck(
             port=reader.port,
-            protocol=reader.protocol,
+            protocol=protocol,
             thresholds=reader.identity.thresholds if reader.identity else None,
             statistics=reader.statistics.summary(),
             drift=reader.clock.drift,
             seconds=time.perf_counter() - start,
             deadline=deadline,
+            trouble=reader.trouble,
         )
 
 
