@@ -207,6 +207,46 @@ def test_a_broken_job_hides_no_other(bench, project):
     shutil.rmtree(broken)
 
 
+DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
+SEEN = [
+    "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",
+    "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain", "/api/v1/domain/{map}",
+    "/api/v1/domain/{map}?axis=shape", "/api/v1/analyses", "/api/v1/jobs",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("how", DAMAGE)
+@pytest.mark.parametrize(
+    "path",
+    [
+        "analyses/domain-*/analysis.json", "analyses/domain-*/arrays.npz",
+        "analyses/held-out/*/evidence.json", "jobs/first-*/inputs/request.json",
+        "jobs/first-*/inputs/experiments.json", "jobs/first-*/inputs/targets.json",
+        "jobs/first-*/inputs/poses.npz", "jobs/first-*/job.json", "jobs/first-*/state.json",
+        "jobs/first-*/run.json", "jobs/first-*/journal", "jobs/first-*/result",
+        "jobs/first-*/stored.json",
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_path, path, how):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    (file,) = folder.glob(path)
+    file.write_bytes(DAMAGE[how](file.read_bytes()))
+    alone = Bench(folder)
+    (name,) = (p.name for p in (folder / "analyses").glob("domain-*"))
+    for place in SEEN:
+        answer = alone.client.get(place.format(map=name))
+        assert answer.status_code < 500, (place, answer.text)
+        assert answer.status_code == 200 or "{map}" in place, (place, answer.text)
+    (one,) = alone.get("/calibrations")["calibrations"]
+    assert one["after"] < one["before"]
+    told = [alone.client.get(p).text for p in ("/api/v1/calibrations/1", "/domain",
+            "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
+    if file.name in ("analysis.json", "evidence.json", "result", "stored.json", "request.json"):
+        assert any(file.name in text or "make it again" in text for text in told)
+    alone.desk.close()
+
+
 @pytest.mark.parametrize(
     ("changes", "where"),
     [

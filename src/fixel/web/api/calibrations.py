@@ -100,6 +100,7 @@ class CalibrationsOut(BaseModel):
     calibrations: list[ListedOut]
     total: int
     running: list[RunningOut]
+    unreadable: list[str] = Field(description="why jobs of others cannot be shown")
 
 
 class RowOut(BaseModel):
@@ -260,12 +261,13 @@ def router(desk: Desk) -> APIRouter:
         limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
         offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> CalibrationsOut:
-        running = watch.unfinished()  # first: what is done becomes one of those stored
+        running, unreadable = watch.unfinished()  # first: what is done becomes one of those stored
         every = told.listed(desk.store)
         return CalibrationsOut(
             calibrations=[_listed(one) for one in every[offset : offset + limit]],
             total=len(every),
             running=[RunningOut(**_running(one, desk)) for one in running],
+            unreadable=[str(problem) for problem in unreadable],
         )
 
     @found.get("/offer", summary="What can be calibrated")
@@ -342,7 +344,10 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/{number}", summary="One of them")
     def calibration(number: Number) -> CalibrationOut:
-        return _whole(at_hand(number), desk)
+        one = at_hand(number)
+        if not one.complete:
+            at_hand.cache_clear()  # its job may be brought back
+        return _whole(one, desk)
 
     return found
 

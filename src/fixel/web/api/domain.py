@@ -15,7 +15,7 @@ from fixel.applicability.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import Text
 from fixel.workflows import jobs
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import Kind, kept_and_not
 from fixel.workflows.domain import work
 from fixel.workflows.domain.desk import (
     MOST_GROUPS,
@@ -75,6 +75,7 @@ class MapsOut(BaseModel):
 
     maps: list[MapOut]
     jobs: list[DomainJobOut]
+    unreadable: list[str] = Field(description="why other maps and jobs cannot be shown")
     command: str = Field(description="what to type for the first")
 
 
@@ -211,6 +212,7 @@ class AnalysesOut(BaseModel):
     """All of them, the newest first."""
 
     analyses: list[AnalysisOut]
+    unreadable: list[str] = Field(description="why others cannot be shown")
 
 
 class BeginIn(BaseModel):
@@ -230,9 +232,12 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/domain", summary="Kept maps")
     def maps() -> MapsOut:
+        kept_ones, bad_maps = at_hand.maps()
+        own_jobs, bad_jobs = work.jobs_of(desk.project)
         return MapsOut(
-            maps=[_listed(one) for one in at_hand.maps()],
-            jobs=[_job(one) for one in work.jobs_of(desk.project)],
+            maps=[_listed(one) for one in kept_ones],
+            jobs=[_job(one) for one in own_jobs],
+            unreadable=[str(problem) for problem in (*bad_maps, *bad_jobs)],
             command=_first_command(desk, ()),
         )
 
@@ -244,8 +249,8 @@ def router(desk: Desk) -> APIRouter:
 
     @found.post("/domain/jobs/{name}/stop", summary="Stop making a map; its fits are kept")
     def stop(name: str) -> DomainJobOut:
-        own = next((one for one in work.jobs_of(desk.project)
-                    if FilePath(one.folder).name == name), None)  # fmt: skip
+        own_jobs, _ = work.jobs_of(desk.project)
+        own = next((one for one in own_jobs if FilePath(one.folder).name == name), None)
         if own is None:
             raise NotStored(f"job {name!r}", hint="see the page Domain")
         return _job(jobs.cancel(FilePath(own.folder)))
@@ -308,9 +313,13 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/analyses", summary="Kept analyses", tags=["analyses"])
     def analyses(
-        kind: Literal["growth", "domain", "sensitivity", "uncertainty"] | None = None,
+        kind: Kind | None = None,
     ) -> AnalysesOut:
-        return AnalysesOut(analyses=[_analysis(one) for one in kept(desk.project, kind)])
+        every, unreadable = kept_and_not(desk.project, kind)
+        return AnalysesOut(
+            analyses=[_analysis(one) for one in every],
+            unreadable=[str(problem) for problem in unreadable],
+        )
 
     @found.get(
         "/analyses/{name}/{picture}.{ending}",
@@ -319,7 +328,8 @@ def router(desk: Desk) -> APIRouter:
         response_class=FileResponse,
     )
     def picture(name: str, picture: str, ending: str) -> FileResponse:
-        one = next((one for one in kept(desk.project) if one.folder.name == name), None)
+        every, _ = kept_and_not(desk.project)
+        one = next((one for one in every if one.folder.name == name), None)
         # Only what an analysis names itself: no part of an address becomes a path.
         own = None if one is None else next(
             (p.name for p in one.analysis.pictures if p.name == picture), None

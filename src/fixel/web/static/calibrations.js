@@ -14,8 +14,9 @@ const AGAIN = 2000; // [ms] until running ones are looked at again
 let asked = PAGE;
 
 async function refresh() {
-  /** @type {{calibrations: Listed[], total: number, running: Running[]}} */
+  /** @type {{calibrations: Listed[], total: number, running: Running[], unreadable: string[]}} */
   const all = await get("/calibrations", { limit: asked });
+  at("unreadable").replaceChildren(...all.unreadable.map((sentence) => make("p", { class: "notice" }, sentence)));
   at("running").replaceChildren(...all.running.map(card));
   at("running-section").hidden = all.running.length === 0;
   at("rows").replaceChildren(...all.calibrations.map(row));

@@ -20,9 +20,9 @@ from fixel.applicability.evidence import Evidence, Measure, value_of
 from fixel.applicability.next_experiment import Proposal, proposals
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import JobRefused, NotStored
+from fixel.errors import JobRefused, NotStored, StoreRefused
 from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.workflows.analysis import Kept, kept
+from fixel.workflows.analysis import Kept, kept_and_not
 from fixel.workflows.domain.gather import Gathered, gathered_before, mark_of
 from fixel.workflows.domain.mapped import spread_out
 from fixel.workflows.domain.request import Asked, asked_again
@@ -138,9 +138,9 @@ class DomainDesk:
         self._views: OrderedDict[tuple[str, ...], View] = OrderedDict()
         self._lock = threading.Lock()
 
-    def maps(self) -> list[Kept]:
-        """The newest first."""
-        return kept(self._project, "domain")
+    def maps(self) -> tuple[list[Kept], list[StoreRefused]]:
+        """The newest first, and why others cannot be read."""
+        return kept_and_not(self._project, "domain")
 
     def view(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> View:
         """A map along some axes, those it was made for where left out.
@@ -154,7 +154,7 @@ class DomainDesk:
         InvalidInput
             Axes or a measure that the experiments do not allow.
         """
-        one = next((one for one in self.maps() if one.folder.name == name), None)
+        one = next((one for one in self.maps()[0] if one.folder.name == name), None)
         if one is None:
             raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
         key = (name, one.analysis.created, *axes, measure or "")
