@@ -7,6 +7,7 @@ import pytest
 from tests.web.conftest import SCRIPTS
 
 from fixel.model import Experiment, Flag, Provenance, Trajectory
+from fixel.workflows.browse import view_of
 
 ROW = "tr[data-id]"
 
@@ -115,6 +116,45 @@ def test_deleted_ones_are_shown_and_restored(table):
     table.wait_for_selector("#nothing:not([hidden])")
     table.click("#clear")
     wait_for_total(table, 30)
+
+
+def test_calibrating_the_selected_ones(table):
+    for place in (3, 6):
+        table.locator(f"{ROW} td.select").nth(place).click()
+    ids = [table.locator(ROW).nth(place).get_attribute("data-id") for place in (3, 6)]
+    table.click("#act-calibrate")
+    table.wait_for_url(f"**/calibrations/new?experiments={','.join(ids)}")
+    table.wait_for_selector("#form[data-ready=yes]")
+    assert table.inner_text("#matching").startswith("2 experiments to calibrate with")
+    table.go_back()
+    table.wait_for_selector(ROW)
+    table.keyboard.press("j")
+    table.keyboard.press("c")  # the one that the keys are on
+    table.wait_for_url("**/calibrations/new?experiments=2")
+
+
+def test_what_is_deleted_is_not_calibrated(table):
+    table.locator(f"{ROW} td.select").nth(0).click()
+    table.click("#act-delete")
+    wait_for_total(table, 29)
+    table.select_option("[data-pick=is]", "deleted")
+    wait_for_total(table, 1)
+    table.keyboard.press("x")
+    assert table.is_hidden("#act-calibrate")
+    table.keyboard.press("c")
+    assert table.url.endswith("filter=is%3Adeleted")
+    table.click("#act-restore")
+    table.wait_for_selector("#nothing:not([hidden])")
+
+
+def test_errors_before_are_made_for_those_that_have_none(table, server):
+    table.fill("#filter", "shape=square")
+    wanted = server.desk.store.browse_unsimulated(view_of("shape=square"))
+    table.click(f"#simulate:has-text('Simulate {len(wanted)} experiments')")
+    table.wait_for_selector(f"text=Simulated {len(wanted)} experiments", timeout=60_000)
+    table.wait_for_selector("#simulate", state="hidden")
+    assert table.locator("td.before.unknown").count() == 0
+    assert server.desk.store.browse_unsimulated(view_of("shape=square")) == []
 
 
 def test_flagging_many_with_undo_by_the_toast(table):

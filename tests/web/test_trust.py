@@ -282,6 +282,8 @@ def test_pages_are_there(bench):
     for path in ("/calibrations", "/calibrations/new", "/calibrations/1", "/domain"):
         assert bench.client.get(path).status_code == 200, path
     assert bench.client.get("/calibrations/999").status_code == 404
+    for ids in ("abc", "1;2", "0", "1,,2", "\u0661"):
+        assert bench.client.get(f"/calibrations/new?experiments={ids}").status_code == 422
     asked = bench.client.get('/calibrations/new?filter="><script>alert(1)</script>')
     assert "<script>alert" not in asked.text
 

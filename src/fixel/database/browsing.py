@@ -277,6 +277,22 @@ def ids(connection: sa.Connection, view: View) -> list[int]:
     return list(connection.scalars(wanted))
 
 
+def unsimulated(connection: sa.Connection, view: View) -> list[int]:
+    """Ids of those that match, have a scene and no simulation with nominal values yet."""
+    wanted = (
+        sa.select(experiment.c.id)
+        .select_from(_FROM)
+        .where(
+            *_where(connection, view),
+            experiment.c.deleted_at_utc.is_(None),
+            experiment.c.scene.is_not(None),
+            experiment.c.id.not_in(sa.select(_newest.c.experiment_id)),
+        )
+        .order_by(*_order(connection, view))
+    )
+    return list(connection.scalars(wanted))
+
+
 def tally(connection: sa.Connection, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
     """What those that match have there: a text, a number or null for each name, then how many."""
     chosen = [_text_and_number(connection, name) for name in names]

@@ -322,6 +322,11 @@ class Store:
         with reading(self._engine) as connection:
             return browsing.ids(connection, view)
 
+    def browse_unsimulated(self, view: View) -> list[int]:
+        """Ids of all that a view shows, have a scene, and no simulation with nominal values."""
+        with reading(self._engine) as connection:
+            return browsing.unsimulated(connection, view)
+
     def browse_tally(self, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
         """Columns and conditions of all that a view shows: different values, then how many."""
         with reading(self._engine) as connection:

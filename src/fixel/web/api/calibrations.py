@@ -387,7 +387,7 @@ def _running(one: Watched, desk: Desk) -> dict[str, Any]:
         "start": one.start,
         "started_utc": status.started_utc,
         "stored": one.stored,
-        "command": command_of(desk.project.folder.resolve(), request, keys),
+        "command": command_of(desk.folder, request, keys),
     }
 
 
@@ -426,7 +426,7 @@ def _whole(one: Told, desk: Desk) -> CalibrationOut:
         siblings=[SiblingOut(id=number, name=name) for number, name in one.siblings],
         complete=one.complete,
         command=record.provenance.command,
-        python=python_of(desk.project.folder.resolve(), one.id),
+        python=python_of(desk.folder, one.id),
     )
 
 

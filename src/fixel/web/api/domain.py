@@ -282,7 +282,7 @@ def router(desk: Desk) -> APIRouter:
             inside=answer.inside[own].tolist(),
             count=answer.counts,
             sizes=answer.inside[own].sum(axis=1).tolist(),
-            command=command_of(desk.project.folder.resolve(), seen, answer.claim),
+            command=command_of(desk.folder, seen, answer.claim),
         )
 
     @found.get("/domain/{name}/next", summary="What to try next")
@@ -308,7 +308,7 @@ def router(desk: Desk) -> APIRouter:
                 )
                 for one in suggested(seen, claim)
             ],
-            command=command_of(desk.project.folder.resolve(), seen, claim),
+            command=command_of(desk.folder, seen, claim),
         )
 
     @found.get("/analyses", summary="Kept analyses", tags=["analyses"])
@@ -347,7 +347,7 @@ def router(desk: Desk) -> APIRouter:
 def _first_command(desk: Desk, by: Any) -> str:
     import shlex
 
-    words = ["fixel", "domain", "--project", str(desk.project.folder.resolve())]
+    words = ["fixel", "domain", "--project", str(desk.folder)]
     return shlex.join([*words, "--by", ",".join(by)] if by else words)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from fastapi import Request
@@ -28,7 +29,7 @@ def pages(desk: Desk) -> list[Page]:
             "maps": [(one.folder.name, one.analysis) for one in maps],
             "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
             "unreadable": [str(problem) for problem in unreadable],
-            "folder": str(desk.project.folder.resolve()),
+            "folder": shlex.quote(str(desk.folder)),
         }
 
     return [Page(path="/domain", title="Domain", template="domain.html", fill=fill, place=40)]
