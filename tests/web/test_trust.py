@@ -13,12 +13,15 @@ from tests.web.client import Client
 from tests.web.conftest import unpacked
 
 from fixel.database.project import Project
+from fixel.errors import JobRefused
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.workflows import jobs
 from fixel.workflows.calibration.unattended import collected
 from fixel.workflows.calibration.watch import Watch
+from fixel.workflows.domain import desk
+from fixel.workflows.domain.fits import Fits
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
@@ -49,7 +52,7 @@ class Bench:
     def post(self, path, body=None, status=200):
         answer = self.client.post(f"/api/v1{path}", headers=self.word, json=body)
         assert answer.status_code == status, answer.text
-        return answer.json()
+        return answer.json() if answer.content else None
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +214,7 @@ DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data:
 SEEN = [
     "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",
     "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain", "/api/v1/domain/{map}",
-    "/api/v1/domain/{map}?axis=shape", "/api/v1/analyses", "/api/v1/jobs",
+    "/api/v1/analyses", "/api/v1/jobs",
 ]  # fmt: skip
 
 
@@ -347,13 +350,44 @@ def test_another_threshold_answers_at_once(bench, name):
     assert each < ANSWERS_WITHIN
 
 
+def fitted(bench, path):
+    deadline = time.monotonic() + 60.0
+    while not (fit := bench.get(path))["ready"] and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return fit["ready"]
+
+
+def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
+    at_hand = desk.DomainDesk(bench.desk.project, bench.desk.store)
+    monkeypatch.setattr(desk, "PATIENCE", 0.01)
+    monkeypatch.setattr(at_hand, "_fits", Fits(_sleeps))
+    assert at_hand.fit(name, ("layout",)) < 5.0
+    key = at_hand._key(at_hand._named(name), ("layout",), None)
+    first = at_hand._fits.joined(key)
+    with pytest.raises(JobRefused, match="is being fitted to these axes, for 0 s so far"):
+        at_hand.view(name, ("layout",))
+    assert at_hand._fits.joined(key) is first
+    # Meanwhile what is at hand is shown, and no lock is held.
+    assert at_hand.view(name).is_strips is False
+    at_hand.stop(name, ("layout",))
+    assert first.ended.wait(60.0)
+
+
+def _sleeps(_):
+    time.sleep(1000.0)
+
+
 def test_other_axes_and_measures(bench, name):
+    assert fitted(bench, f"/domain/{name}/fit?axis=shape")
     strip = bench.get(f"/domain/{name}?axis=shape")
     assert strip["panels"][0]["up"] is None
     assert "layout" in [axis["name"] for axis in strip["axes"]]
     refused = bench.get(f"/domain/{name}?measure=relative", 422)
     assert "--mode each" in refused["hint"]
-    assert bench.get(f"/domain/{name}?axis=nonsense", 422)["where"] == "axis nonsense"
+    for below in ("", "/map", "/fit"):
+        refused = bench.get(f"/domain/{name}{below}?axis=nonsense", 422)
+        assert refused["where"] == "axis nonsense"
+    bench.post(f"/domain/{name}/fit/stop?axis=shape", status=204)
     assert bench.get(f"/domain/{name}/map?threshold=0", 422)
     assert bench.get(f"/domain/{name}/map?threshold=nan", 422)
 

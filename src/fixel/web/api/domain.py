@@ -177,6 +177,13 @@ class NextOut(BaseModel):
     command: str
 
 
+class FitOut(BaseModel):
+    """Whether a map can be shown."""
+
+    ready: bool
+    seconds: float = Field(description="for how long it has been fitted to these axes")
+
+
 class PictureOut(BaseModel):
     """A picture of an analysis."""
 
@@ -258,6 +265,20 @@ def router(desk: Desk) -> APIRouter:
     @found.get("/domain/{name}", summary="A map for every threshold")
     def view(name: str, axis: AxisNames = None, measure: Measure | None = None) -> ViewOut:
         return _view(at_hand.view(name, tuple(axis or ()), measure))
+
+    @found.get(
+        "/domain/{name}/fit",
+        summary="Fit a map to other axes, or see whether that is done",
+        description="In a process beside, once for all who ask. It ends when nobody has asked for "
+        "two minutes. Until it is done, all else of the map is refused after two seconds.",
+    )
+    def fit(name: str, axis: AxisNames = None, measure: Measure | None = None) -> FitOut:
+        seconds = at_hand.fit(name, tuple(axis or ()), measure)
+        return FitOut(ready=seconds is None, seconds=seconds or 0.0)
+
+    @found.post("/domain/{name}/fit/stop", summary="Stop fitting it", status_code=204)
+    def stop_fit(name: str, axis: AxisNames = None, measure: Measure | None = None) -> None:
+        at_hand.stop(name, tuple(axis or ()), measure)
 
     @found.get("/domain/{name}/map", summary="The map at a threshold")
     def at_threshold(
