@@ -173,6 +173,64 @@ def test_flagging_many_with_undo_by_the_toast(table):
     )
 
 
+def test_acts_are_taken_back_one_after_the_other(table):
+    for name in ("first-flag", "second-flag"):
+        table.locator(f"{ROW} td.select").nth(8).click()
+        table.keyboard.press("f")
+        table.fill("#flag-name", name)
+        table.keyboard.press("Enter")
+        table.wait_for_selector(f"tr[data-index='8'] .tag.fault:has-text('{name}')")
+    table.locator(".toast", has_text="second-flag").locator("[aria-label=Close]").click()
+    table.keyboard.press("Control+z")  # of the older one, whose message is still there
+    table.wait_for_function(
+        "() => !document.querySelector(\"tr[data-index='8']\").textContent.includes('first-flag')"
+    )
+    assert "second-flag" in table.inner_text("tr[data-index='8']")
+    assert table.locator(".toast", has_text="first-flag").count() == 0
+
+
+def test_a_late_answer_is_not_drawn_over_the_newest(table):
+    if table.is_hidden("#coverage"):
+        table.click("#show-coverage")
+    held = []
+    table.route("**/api/v1/coverage?filter=contacts%3D000*", lambda route: held.append(route))
+    table.fill("#filter", "contacts=000")
+    table.wait_for_function("() => location.search.includes('000')")
+    table.wait_for_timeout(300)
+    assert len(held) == 1
+    table.fill("#filter", "contacts=111")
+    table.wait_for_function("() => location.search.includes('111')")
+    table.wait_for_timeout(300)
+    shown = table.inner_text("#coverage .remark")
+    for route in held:
+        route.continue_()
+    table.wait_for_timeout(300)
+    assert table.inner_text("#coverage .remark") == shown
+
+
+def test_a_long_search_is_drawn_in_little(table):
+    drawn = table.evaluate(
+        """async () => {
+          const { Plot } = await import('/static/plot.js');
+          const host = document.body.appendChild(document.createElement('div'));
+          const n = 200000, xs = Array.from({ length: n }, (_, k) => k + 1);
+          const ys = xs.map((x) => 1 + (x * 7919 % 1000) / 1000);
+          const best = xs.map((x) => 1 + 1 / x);
+          const axis = { label: 'x' };
+          new Plot(host).show({ title: 'many', x: axis, y: axis, series: [
+            { kind: 'points', xs, ys, name: 'tried' }, { kind: 'step', xs, ys: best, name: 'best' },
+          ] });
+          const paths = [...host.querySelectorAll('g path')];
+          const [points, step] = paths.map((one) => one.getAttribute('d'));
+          host.remove();
+          return [points.split('M').length - 1, step.length, step.slice(-20)];
+        }"""
+    )
+    assert 1000 < drawn[0] < 150_000
+    assert drawn[1] < 50_000
+    assert re.search(r"H\d+\.\dV\d+\.\d$", drawn[2])
+
+
 def test_only_what_is_seen_is_drawn(table, server):
     store = server.desk.store
     track = Trajectory(time=np.arange(3.0), pose=np.zeros((3, 3)))
