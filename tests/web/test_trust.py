@@ -210,6 +210,24 @@ def test_a_broken_job_hides_no_other(bench, project):
     shutil.rmtree(broken)
 
 
+def test_a_damaged_result_is_made_again_out_of_the_journal(trusted_laboratory, tmp_path):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
+    whole = (job / "result").read_bytes()
+    (job / "result").write_bytes(whole[:100])
+    alone = Bench(folder)
+    one = alone.get("/calibrations/1")
+    assert not one["complete"]
+    assert f"delete that file, then: fixel jobs resume {job}" in one["note"]
+    (job / "result").unlink()
+    assert jobs.status_of(job).state == "lost"
+    assert jobs.run_here(job).state == "done"
+    assert alone.get("/calibrations/1")["complete"]
+    assert len(alone.get("/calibrations")["calibrations"]) == 1
+    alone.desk.close()
+
+
 DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
 SEEN = [
     "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",

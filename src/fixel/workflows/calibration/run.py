@@ -223,7 +223,7 @@ def run(
     say: Callable[[str], None] | None = None,
 ) -> None:
     """Run or continue the job of a calibration; nothing to do where it is done."""
-    if files.read_status(folder).state == "done":
+    if jobs.status_of(folder).state == "done":
         return
     jobs.arrange(folder, workers=workers, site=site)
     jobs.run_here(folder, progress, say)
