@@ -117,7 +117,10 @@ def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypat
     monkeypatch.setenv("FIXEL_DATABASE", f"sqlite:///{tmp_path}/elsewhere.db")
     code, _, err = fixel(capsys, "list", "--project", lab)
     assert code == 1
-    assert "fixel db upgrade" in err
+    assert f"run: fixel db upgrade '{lab}'" in err
+    code, _, err = fixel(capsys, "serve", lab)
+    assert code == 1
+    assert f"run: fixel db upgrade '{lab}'" in err
     assert Path(lab / "experiments.db").exists()
 
 

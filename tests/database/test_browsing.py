@@ -61,7 +61,8 @@ def test_errors_are_the_newest(pushes):
     assert (third.before_mm2, third.after_mm2) == (None, None)
     assert pushes.browse_ids(view_of("error>=4")) == [2]
     assert pushes.browse_ids(view_of("before<2.1")) == [1]
-    assert pushes.browse_columns(view_of("error>0"), ("id", "after_mm")) == [(1, 0.5), (2, 4.0)]
+    found = pushes.browse_tally(view_of("error>0"), ("id", "after_mm"))
+    assert sorted(found) == [(1, 0.5, 1), (2, 4.0, 1)]
 
 
 def test_a_condition_may_be_a_text_here_and_a_number_there(pushes):
@@ -132,6 +133,18 @@ def test_what_there_is_to_filter_by(pushes):
     seen = coverage(pushes, View(), "speed_m_s", "end_x_m")
     assert seen.number.sum() == 5
     assert np.array_equal(seen.number, np.eye(5))
+
+
+def test_coverage_counts_what_is_at_the_same_place(pushes):
+    for k, (shape, layout) in enumerate([("square", "a"), ("square", "a"), (3.0, "b")]):
+        pushes.add_experiment(experiment(10 + k, shape=shape, layout=layout, speed_m_s=0.05))
+    seen = coverage(pushes, View(), "speed_m_s", "speed_m_s")
+    assert seen.number.diagonal().tolist() == [1, 1, 1, 1, 4]
+    assert (seen.shapes, seen.layouts) == (("3", "square"), ("a", "b"))
+    assert seen.table.tolist() == [[0, 1], [2, 0]]
+    # Where it is a text, it is at no place.
+    assert coverage(pushes, View(), "surface", "speed_m_s").without == 7
+    assert ("abs", 1) in pushes.browse_tally(view_of("is:clean"), ("surface",))
 
 
 @pytest.mark.parametrize("name", ['a"b', "$", "a'b", "", "x" * 101, "\n"])

@@ -7,6 +7,7 @@ import pytest
 from tests.web.conftest import SCRIPTS
 
 from fixel.model import Experiment, Flag, Provenance, Trajectory
+from fixel.workflows.browse import view_of
 
 ROW = "tr[data-id]"
 
@@ -117,6 +118,45 @@ def test_deleted_ones_are_shown_and_restored(table):
     wait_for_total(table, 30)
 
 
+def test_calibrating_the_selected_ones(table):
+    for place in (3, 6):
+        table.locator(f"{ROW} td.select").nth(place).click()
+    ids = [table.locator(ROW).nth(place).get_attribute("data-id") for place in (3, 6)]
+    table.click("#act-calibrate")
+    table.wait_for_url(f"**/calibrations/new?experiments={','.join(ids)}")
+    table.wait_for_selector("#form[data-ready=yes]")
+    assert table.inner_text("#matching").startswith("2 experiments to calibrate with")
+    table.go_back()
+    table.wait_for_selector(ROW)
+    table.keyboard.press("j")
+    table.keyboard.press("c")  # the one that the keys are on
+    table.wait_for_url("**/calibrations/new?experiments=2")
+
+
+def test_what_is_deleted_is_not_calibrated(table):
+    table.locator(f"{ROW} td.select").nth(0).click()
+    table.click("#act-delete")
+    wait_for_total(table, 29)
+    table.select_option("[data-pick=is]", "deleted")
+    wait_for_total(table, 1)
+    table.keyboard.press("x")
+    assert table.is_hidden("#act-calibrate")
+    table.keyboard.press("c")
+    assert table.url.endswith("filter=is%3Adeleted")
+    table.click("#act-restore")
+    table.wait_for_selector("#nothing:not([hidden])")
+
+
+def test_errors_before_are_made_for_those_that_have_none(table, server):
+    table.fill("#filter", "shape=square")
+    wanted = server.desk.store.browse_unsimulated(view_of("shape=square"))
+    table.click(f"#simulate:has-text('Simulate {len(wanted)} experiments')")
+    table.wait_for_selector(f"text=Simulated {len(wanted)} experiments", timeout=60_000)
+    table.wait_for_selector("#simulate", state="hidden")
+    assert table.locator("td.before.unknown").count() == 0
+    assert server.desk.store.browse_unsimulated(view_of("shape=square")) == []
+
+
 def test_flagging_many_with_undo_by_the_toast(table):
     table.locator(f"{ROW} td.select").nth(0).click()
     table.locator(f"{ROW} td.select").nth(1).click()
@@ -131,6 +171,64 @@ def test_flagging_many_with_undo_by_the_toast(table):
     table.wait_for_function(
         "() => !document.querySelector('td.marks').textContent.includes('slipped')"
     )
+
+
+def test_acts_are_taken_back_one_after_the_other(table):
+    for name in ("first-flag", "second-flag"):
+        table.locator(f"{ROW} td.select").nth(8).click()
+        table.keyboard.press("f")
+        table.fill("#flag-name", name)
+        table.keyboard.press("Enter")
+        table.wait_for_selector(f"tr[data-index='8'] .tag.fault:has-text('{name}')")
+    table.locator(".toast", has_text="second-flag").locator("[aria-label=Close]").click()
+    table.keyboard.press("Control+z")  # of the older one, whose message is still there
+    table.wait_for_function(
+        "() => !document.querySelector(\"tr[data-index='8']\").textContent.includes('first-flag')"
+    )
+    assert "second-flag" in table.inner_text("tr[data-index='8']")
+    assert table.locator(".toast", has_text="first-flag").count() == 0
+
+
+def test_a_late_answer_is_not_drawn_over_the_newest(table):
+    if table.is_hidden("#coverage"):
+        table.click("#show-coverage")
+    held = []
+    table.route("**/api/v1/coverage?filter=contacts%3D000*", lambda route: held.append(route))
+    table.fill("#filter", "contacts=000")
+    table.wait_for_function("() => location.search.includes('000')")
+    table.wait_for_timeout(300)
+    assert len(held) == 1
+    table.fill("#filter", "contacts=111")
+    table.wait_for_function("() => location.search.includes('111')")
+    table.wait_for_timeout(300)
+    shown = table.inner_text("#coverage .remark")
+    for route in held:
+        route.continue_()
+    table.wait_for_timeout(300)
+    assert table.inner_text("#coverage .remark") == shown
+
+
+def test_a_long_search_is_drawn_in_little(table):
+    drawn = table.evaluate(
+        """async () => {
+          const { Plot } = await import('/static/plot.js');
+          const host = document.body.appendChild(document.createElement('div'));
+          const n = 200000, xs = Array.from({ length: n }, (_, k) => k + 1);
+          const ys = xs.map((x) => 1 + (x * 7919 % 1000) / 1000);
+          const best = xs.map((x) => 1 + 1 / x);
+          const axis = { label: 'x' };
+          new Plot(host).show({ title: 'many', x: axis, y: axis, series: [
+            { kind: 'points', xs, ys, name: 'tried' }, { kind: 'step', xs, ys: best, name: 'best' },
+          ] });
+          const paths = [...host.querySelectorAll('g path')];
+          const [points, step] = paths.map((one) => one.getAttribute('d'));
+          host.remove();
+          return [points.split('M').length - 1, step.length, step.slice(-20)];
+        }"""
+    )
+    assert 1000 < drawn[0] < 150_000
+    assert drawn[1] < 50_000
+    assert re.search(r"H\d+\.\dV\d+\.\d$", drawn[2])
 
 
 def test_only_what_is_seen_is_drawn(table, server):

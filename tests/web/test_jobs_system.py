@@ -2,6 +2,7 @@
 
 import sqlite3
 import time
+from pathlib import Path
 
 import pytest
 from tests.web.bench import Bench
@@ -137,6 +138,14 @@ def test_the_pages_open(bench):
 
 
 # --- the system -------------------------------------------------------------------------------
+
+
+def test_what_is_gone_while_it_is_counted_is_not_counted(bench, monkeypatch):
+    media, real = bench.desk.project.media, Path.glob
+    before = system.room(bench.desk.project)
+    gone = media / "ab" / ".ab12.temporary"
+    monkeypatch.setattr(Path, "glob", lambda path, what: [gone, *real(path, what)])
+    assert system.room(bench.desk.project).media_files == before.media_files
 
 
 def test_versions_database_and_room(bench):

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from tests.web.client import Client
 from tests.web.conftest import unpacked
 
 from fixel.database.project import Project
+from fixel.model import Experiment, Provenance, Trajectory
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
@@ -87,6 +89,30 @@ def test_keeping_one_stores_it(bench):
     assert dict(record.parameters) == {"mu_pusher": 0.31}
     assert record.method["motion"] == "quasistatic"
     assert record.provenance.command.startswith("fixel compare testbed/")
+
+
+def test_nominal_simulations_are_kept_once(bench):
+    store = bench.desk.store
+    track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
+    bare = Experiment(
+        dataset="bare", name="one", real=True, provenance=Provenance(version="0"), trajectory=track
+    )
+    seeming = replace(store.experiment(9), name="ends as it starts", effective=(0.0, 0.0))
+    bare, stuck = (store.add_experiment(one).id for one in (bare, seeming))
+    wanted = bench.get("/experiments/unsimulated").json()["ids"]
+    assert not {1, bare} & set(wanted)
+    assert {8, 9, stuck} <= set(wanted)
+    answer = bench.post("/experiments/simulate", {"ids": [1, 8, 9, bare, stuck]}).json()
+    assert answer["stored"] == [8, 9]
+    assert "found no" in answer["refused"][str(stuck)]
+    assert bench.post("/experiments/simulate", {"ids": [8, 9]}).json()["stored"] == []
+    (kept,) = store.simulations(8)
+    record = store.simulation(kept)
+    assert record.provenance.command.endswith(" --save")
+    assert record.error_mm2 == pytest.approx(comparison(store.experiment(8)).error_mm2)
+    row = bench.get("/experiments?filter=before>0&limit=1&sort=id").json()
+    assert row["experiments"][0]["before_mm"] > 0
+    store.delete_all([bare, stuck])
 
 
 @pytest.mark.parametrize(

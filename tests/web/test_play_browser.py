@@ -183,6 +183,21 @@ def test_dragging_a_fixel_simulates_and_undo_takes_it_back(simulate):
     arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate)
 
 
+def test_what_was_removed_comes_back_and_later_changes_stay(simulate):
+    names = "scene.fixels.map((one) => one.name)"
+    before = editor(simulate, names)
+    simulate.locator("#things label", has_text=before[1]).click()
+    simulate.click("#remove")
+    assert editor(simulate, names) == [before[0], *before[2:]]
+    simulate.click("#things label:nth-child(1)")
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowRight")
+    moved = editor(simulate, "scene.bodies[0].pose")
+    simulate.click(".toast .undo")
+    assert editor(simulate, names) == before
+    assert editor(simulate, "scene.bodies[0].pose") == moved
+
+
 def arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate):
     simulate.click("#things label:nth-child(1)")
     x, y, angle = editor(simulate, "scene.bodies[0].pose")

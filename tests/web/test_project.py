@@ -11,9 +11,11 @@ from tests.processes import line_of
 from tests.web.client import Client
 
 from fixel.database.project import Project
+from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.web.app import create_app
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
+from fixel.web.problems import OUR_MISTAKE
 from fixel.web.project import Desk, project_api, project_pages, project_server
 from fixel.web.security import MOST_BODY, WORD_HEADER, Gate
 
@@ -84,6 +86,24 @@ def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
     page = client.get("/nothing")
     assert page.status_code == 404
     assert "To the first page" in page.text
+
+
+def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog):
+    def mistaken(*_):
+        raise KeyError("of ours")
+
+    monkeypatch.setattr(Store, "browse", mistaken)
+    monkeypatch.setattr(Store, "experiment", mistaken)
+    document = bench.client().get("/api/v1/experiments")
+    page = bench.client().get("/experiments/1")
+    assert (document.status_code, page.status_code) == (500, 500)
+    assert document.json()["sentence"] == OUR_MISTAKE
+    assert page.text == f"{OUR_MISTAKE}\n"
+    for answer in (document, page):
+        assert "of ours" not in answer.text
+        assert "default-src 'none'" in answer.headers["content-security-policy"]
+    assert caplog.text.count("KeyError: 'of ours'") == 2
+    assert "GET /experiments/1" in caplog.text
 
 
 def test_everything_is_described(bench):

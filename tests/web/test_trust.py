@@ -13,12 +13,15 @@ from tests.web.client import Client
 from tests.web.conftest import unpacked
 
 from fixel.database.project import Project
+from fixel.errors import JobRefused
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.workflows import jobs
 from fixel.workflows.calibration.unattended import collected
 from fixel.workflows.calibration.watch import Watch
+from fixel.workflows.domain import desk
+from fixel.workflows.domain.fits import Fits
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
@@ -49,7 +52,7 @@ class Bench:
     def post(self, path, body=None, status=200):
         answer = self.client.post(f"/api/v1{path}", headers=self.word, json=body)
         assert answer.status_code == status, answer.text
-        return answer.json()
+        return answer.json() if answer.content else None
 
 
 @pytest.fixture(scope="module")
@@ -207,6 +210,64 @@ def test_a_broken_job_hides_no_other(bench, project):
     shutil.rmtree(broken)
 
 
+def test_a_damaged_result_is_made_again_out_of_the_journal(trusted_laboratory, tmp_path):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
+    whole = (job / "result").read_bytes()
+    (job / "result").write_bytes(whole[:100])
+    alone = Bench(folder)
+    one = alone.get("/calibrations/1")
+    assert not one["complete"]
+    assert f"delete that file, then: fixel jobs resume {job}" in one["note"]
+    (job / "result").unlink()
+    assert jobs.status_of(job).state == "lost"
+    assert jobs.run_here(job).state == "done"
+    assert alone.get("/calibrations/1")["complete"]
+    assert len(alone.get("/calibrations")["calibrations"]) == 1
+    alone.desk.close()
+
+
+DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
+SEEN = [
+    "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",
+    "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain", "/api/v1/domain/{map}",
+    "/api/v1/analyses", "/api/v1/jobs",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("how", DAMAGE)
+@pytest.mark.parametrize(
+    "path",
+    [
+        "analyses/domain-*/analysis.json", "analyses/domain-*/arrays.npz",
+        "analyses/held-out/*/evidence.json", "jobs/first-*/inputs/request.json",
+        "jobs/first-*/inputs/experiments.json", "jobs/first-*/inputs/targets.json",
+        "jobs/first-*/inputs/poses.npz", "jobs/first-*/job.json", "jobs/first-*/state.json",
+        "jobs/first-*/run.json", "jobs/first-*/journal", "jobs/first-*/result",
+        "jobs/first-*/stored.json",
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_path, path, how):
+    folder = tmp_path / "my_lab"
+    shutil.copytree(trusted_laboratory, folder)
+    (file,) = folder.glob(path)
+    file.write_bytes(DAMAGE[how](file.read_bytes()))
+    alone = Bench(folder)
+    (name,) = (p.name for p in (folder / "analyses").glob("domain-*"))
+    for place in SEEN:
+        answer = alone.client.get(place.format(map=name))
+        assert answer.status_code < 500, (place, answer.text)
+        assert answer.status_code == 200 or "{map}" in place, (place, answer.text)
+    (one,) = alone.get("/calibrations")["calibrations"]
+    assert one["after"] < one["before"]
+    told = [alone.client.get(p).text for p in ("/api/v1/calibrations/1", "/domain",
+            "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
+    if file.name in ("analysis.json", "evidence.json", "result", "stored.json", "request.json"):
+        assert any(file.name in text or "make it again" in text for text in told)
+    alone.desk.close()
+
+
 @pytest.mark.parametrize(
     ("changes", "where"),
     [
@@ -242,6 +303,8 @@ def test_pages_are_there(bench):
     for path in ("/calibrations", "/calibrations/new", "/calibrations/1", "/domain"):
         assert bench.client.get(path).status_code == 200, path
     assert bench.client.get("/calibrations/999").status_code == 404
+    for ids in ("abc", "1;2", "0", "1,,2", "\u0661"):
+        assert bench.client.get(f"/calibrations/new?experiments={ids}").status_code == 422
     asked = bench.client.get('/calibrations/new?filter="><script>alert(1)</script>')
     assert "<script>alert" not in asked.text
 
@@ -305,13 +368,44 @@ def test_another_threshold_answers_at_once(bench, name):
     assert each < ANSWERS_WITHIN
 
 
+def fitted(bench, path):
+    deadline = time.monotonic() + 60.0
+    while not (fit := bench.get(path))["ready"] and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return fit["ready"]
+
+
+def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
+    at_hand = desk.DomainDesk(bench.desk.project, bench.desk.store)
+    monkeypatch.setattr(desk, "PATIENCE", 0.01)
+    monkeypatch.setattr(at_hand, "_fits", Fits(_sleeps))
+    assert at_hand.fit(name, ("layout",)) < 5.0
+    key = at_hand._key(at_hand._named(name), ("layout",), None)
+    first = at_hand._fits.joined(key)
+    with pytest.raises(JobRefused, match="is being fitted to these axes, for 0 s so far"):
+        at_hand.view(name, ("layout",))
+    assert at_hand._fits.joined(key) is first
+    # Meanwhile what is at hand is shown, and no lock is held.
+    assert at_hand.view(name).is_strips is False
+    at_hand.stop(name, ("layout",))
+    assert first.ended.wait(60.0)
+
+
+def _sleeps(_):
+    time.sleep(1000.0)
+
+
 def test_other_axes_and_measures(bench, name):
+    assert fitted(bench, f"/domain/{name}/fit?axis=shape")
     strip = bench.get(f"/domain/{name}?axis=shape")
     assert strip["panels"][0]["up"] is None
     assert "layout" in [axis["name"] for axis in strip["axes"]]
     refused = bench.get(f"/domain/{name}?measure=relative", 422)
     assert "--mode each" in refused["hint"]
-    assert bench.get(f"/domain/{name}?axis=nonsense", 422)["where"] == "axis nonsense"
+    for below in ("", "/map", "/fit"):
+        refused = bench.get(f"/domain/{name}{below}?axis=nonsense", 422)
+        assert refused["where"] == "axis nonsense"
+    bench.post(f"/domain/{name}/fit/stop?axis=shape", status=204)
     assert bench.get(f"/domain/{name}/map?threshold=0", 422)
     assert bench.get(f"/domain/{name}/map?threshold=nan", 422)
 

@@ -5,6 +5,8 @@ from statistics import median
 
 import pytest
 
+from fixel.workflows.domain.fits import Fits
+
 ROUND_TRIP = 200.0  # [ms]
 
 
@@ -187,12 +189,35 @@ def test_what_relative_lacks_is_told(domain):
 
 
 def test_other_axes(domain):
+    domain.set_default_timeout(30_000)  # for a process to start, and a fit
     domain.select_option("#up", "")
     domain.wait_for_selector("table[aria-label='along offset y [mm]']")
     domain.select_option("#across", "shape")
     domain.wait_for_selector("table[aria-label='along shape']")
     domain.select_option("#across", "")
     domain.wait_for_selector("table[aria-label*='shape and'], table[aria-label*='and shape']")
+
+
+def test_a_fit_that_takes_long_is_seen_and_stopped(domain, monkeypatch):
+    def slow(fits, key, fit, argument, put):
+        fit._stopped.wait(60.0)
+        fits._fits.pop(key)
+        fit.ended.set()
+
+    monkeypatch.setattr(Fits, "_run", slow)
+    domain.select_option("#across", "layout")
+    domain.wait_for_selector("#preparing:not([hidden])")
+    domain.wait_for_selector("#preparing-words:has-text('for 1 s so far')")
+    # The map that is there can be used meanwhile.
+    before = domain.get_attribute("#domain", "data-threshold")
+    domain.fill("#threshold", "3.3")
+    domain.wait_for_function("() => document.getElementById('domain').dataset.threshold === '3.3'")
+    assert before != "3.3"
+    domain.click("#stop-fit")
+    domain.wait_for_selector("#preparing", state="hidden")
+    assert domain.input_value("#across") == "offset_y_m"
+    domain.wait_for_timeout(1000)
+    assert domain.is_hidden("#preparing")
 
 
 def test_no_map_yet(browser_page, server, project):

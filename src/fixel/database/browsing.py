@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import operator
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple, final
 
 import sqlalchemy as sa
@@ -95,6 +95,15 @@ class Leaf(NamedTuple):
     rows: list[Row]
     total: int  # that match, on this page or not
     faulty: int  # of these
+
+
+class Conditions(NamedTuple):
+    """What a condition was, among all experiments."""
+
+    texts: dict[str, int]  # with how many
+    low: float | None
+    high: float | None
+    numbers: int  # of experiments where it is a number
 
 
 # --- columns ----------------------------------------------------------------------------------
@@ -251,7 +260,7 @@ def browse(connection: sa.Connection, view: View) -> Leaf:
     found = list(connection.execute(wanted))
     numbers = [row.id for row in found]
     flags, notes = _flags_of(connection, numbers), _notes_of(connection, numbers)
-    count = sa.select(sa.func.count()).select_from(_counted(view)).where(*where)
+    count = sa.select(sa.func.count()).select_from(_needed(replace(view, sort="id"))).where(*where)
     total = int(connection.scalar(count) or 0)
     faulty = int(connection.scalar(count.where(experiment.c.id.in_(_FAULTY))) or 0)
     return Leaf([_row(row, flags, notes) for row in found], total, faulty)
@@ -261,45 +270,112 @@ def ids(connection: sa.Connection, view: View) -> list[int]:
     """Of all that match, in order."""
     wanted = (
         sa.select(experiment.c.id)
-        .select_from(_FROM)
+        .select_from(_needed(view))
         .where(*_where(connection, view))
         .order_by(*_order(connection, view))
     )
     return list(connection.scalars(wanted))
 
 
-def columns(connection: sa.Connection, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
-    """Values of all that match, by id: texts, numbers, or null."""
-    chosen: list[Any] = []
-    squared = []
-    for name in names:
-        squared.append(name in SQUARES)
-        if name in SQUARES:
-            chosen.append(SQUARES[name])
-        elif name in TEXTS or name in NUMBERS:
-            chosen.append(TEXTS.get(name, NUMBERS.get(name)))
-        else:
-            chosen.append(experiment.c.conditions[name])
-            _condition(connection, name)  # refuses names that cannot be
+def unsimulated(connection: sa.Connection, view: View) -> list[int]:
+    """Ids of those that match, have a scene and no simulation with nominal values yet."""
     wanted = (
-        sa.select(*(column.label(f"c{k}") for k, column in enumerate(chosen)))
+        sa.select(experiment.c.id)
         .select_from(_FROM)
-        .where(*_where(connection, view))
-        .order_by(experiment.c.id)
+        .where(
+            *_where(connection, view),
+            experiment.c.deleted_at_utc.is_(None),
+            experiment.c.scene.is_not(None),
+            experiment.c.id.not_in(sa.select(_newest.c.experiment_id)),
+        )
+        .order_by(*_order(connection, view))
     )
-    found = connection.execute(wanted)
-    if not any(squared):
-        return [tuple(row) for row in found]
-    return [
-        tuple(v**0.5 if root and v is not None else v for v, root in zip(row, squared, strict=True))
-        for row in found
+    return list(connection.scalars(wanted))
+
+
+def tally(connection: sa.Connection, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+    """What those that match have there: a text, a number or null for each name, then how many."""
+    chosen = [_text_and_number(connection, name) for name in names]
+    every = (
+        sa.select(*(e.label(f"c{k}") for k, e in enumerate(e for some in chosen for e in some)))
+        .select_from(_needed(view, names))
+        .where(*_where(connection, view))
+        .subquery()
+    )
+    grouped = sa.select(*every.c, sa.func.count()).group_by(*every.c)
+    found = connection.execute(grouped).all()
+    if not found:
+        return []
+    cells: Iterator[Sequence[Any]] = zip(*found, strict=True)
+    columns = [
+        _values(name, *(next(cells) for _ in some))
+        for name, some in zip(names, chosen, strict=True)
     ]
+    return list(zip(*columns, next(cells), strict=True))
 
 
-def _counted(view: View) -> Any:
-    """What to count in: without the errors where nobody asks for them."""
-    asked = any(bound.name in ("before_mm", "after_mm", "error_mm") for bound in view.bounds)
-    return _FROM if asked else experiment
+def _values(
+    name: str, values: Sequence[Any], numbers: Sequence[Any] | None = None
+) -> Sequence[Any]:
+    if numbers is not None:
+        return [text if n is None else n for text, n in zip(values, numbers, strict=True)]
+    return [None if v is None else v**0.5 for v in values] if name in SQUARES else values
+
+
+def _text_and_number(connection: sa.Connection, name: str) -> tuple[Any, ...]:
+    """Of a condition both, of which one is null; of a column what it has."""
+    known = (TEXTS | NUMBERS | SQUARES).get(name)
+    return _condition(connection, name) if known is None else (known,)
+
+
+def conditions(connection: sa.Connection) -> dict[str, Conditions]:
+    """What was written down of experiments, by name."""
+    every = _each_condition(connection)
+    grouped = sa.select(
+        every.c.name,
+        every.c.text,
+        sa.func.min(every.c.number),
+        sa.func.max(every.c.number),
+        sa.func.count(),
+    ).group_by(every.c.name, every.c.text)
+    texts: dict[str, dict[str, int]] = {}
+    numbers: dict[str, tuple[float | None, float | None, int]] = {}
+    for name, text, low, high, n in connection.execute(grouped):
+        texts.setdefault(name, {})
+        if text is None:
+            numbers[name] = (low, high, n)
+        else:
+            texts[name][text] = n
+    return {
+        name: Conditions(own, *numbers.get(name, (None, None, 0))) for name, own in texts.items()
+    }
+
+
+def _each_condition(connection: sa.Connection) -> sa.Subquery:
+    """A row for each condition of each experiment: its name, and a number or else a text."""
+    if connection.dialect.name == "postgresql":
+        each = sa.func.json_each(experiment.c.conditions).table_valued("key", "value")
+        text: Any = each.c.value.op("#>>")(sa.literal_column("'{}'"))
+        is_number: Any = sa.func.json_typeof(each.c.value) == "number"
+    else:
+        each = sa.func.json_each(experiment.c.conditions).table_valued("key", "value", "type")
+        text, is_number = each.c.value, each.c.type.in_(("integer", "real"))
+    return (
+        sa.select(
+            each.c.key.label("name"),
+            sa.case((is_number, sa.cast(text, sa.Float)), else_=None).label("number"),
+            sa.case((~is_number, sa.cast(text, sa.Text)), else_=None).label("text"),
+        )
+        .select_from(experiment.join(each, sa.true()))
+        .where(experiment.c.deleted_at_utc.is_(None))
+        .subquery()
+    )
+
+
+def _needed(view: View, names: Iterable[str] = ()) -> Any:
+    """What to look in: without the errors where nobody asks for them."""
+    asked = {view.sort, *names, *(bound.name for bound in view.bounds)}
+    return _FROM if asked & {"before_mm", "after_mm", "error_mm"} else experiment
 
 
 def _where(connection: sa.Connection, view: View) -> list[sa.ColumnElement[bool]]:

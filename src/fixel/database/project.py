@@ -9,6 +9,7 @@ my_lab/
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -108,10 +109,19 @@ class Project:
         """Folder of long arrays and videos."""
         return self.folder / MEDIA
 
+    @property
+    def upgrade_command(self) -> str:
+        """What brings its tables to this program's version."""
+        return shlex.join(["fixel", "db", "upgrade", str(self.folder)])
+
     def store(self) -> Store:
         """The project's records; refused where the tables are of another version."""
         store = Store(self.url, self.media)
-        store.check_version()
+        try:
+            store.check_version(self.upgrade_command)
+        except StoreRefused:
+            store.close()
+            raise
         return store
 
 

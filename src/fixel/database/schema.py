@@ -67,12 +67,12 @@ def refuse_newer(connection: sa.Connection) -> None:
         )
 
 
-def refuse_old(connection: sa.Connection) -> None:
-    """Refuse a database that must be upgraded first."""
+def refuse_old(connection: sa.Connection, command: str = "fixel db upgrade") -> None:
+    """Refuse a database that must be upgraded first, by a command."""
     refuse_newer(connection)
     found = version_of(connection)
     if found != newest():
         what = "is empty" if found is None else f"has schema {found}"
         raise StoreRefused(
-            f"the database {what}, and this fixel needs {newest()}", hint="run: fixel db upgrade"
+            f"the database {what}, and this fixel needs {newest()}", hint=f"run: {command}"
         )

@@ -12,7 +12,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays, browsing, marks, rows, schema, tables
-from fixel.database.browsing import Leaf, View
+from fixel.database.browsing import Conditions, Leaf, View
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
@@ -98,10 +98,10 @@ class Store:
             schema.upgrade(connection, version)
             return before, schema.version_of(connection)
 
-    def check_version(self) -> None:
-        """Refuse tables of another version than this program's."""
+    def check_version(self, command: str = "fixel db upgrade") -> None:
+        """Refuse tables of another version than this program's; a command would upgrade them."""
         with reading(self._engine) as connection:
-            schema.refuse_old(connection)
+            schema.refuse_old(connection, command)
 
     # --- experiments ----------------------------------------------------------------------------
 
@@ -322,17 +322,20 @@ class Store:
         with reading(self._engine) as connection:
             return browsing.ids(connection, view)
 
-    def browse_columns(self, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
-        """Columns and conditions by name, of all that a view shows, by id."""
+    def browse_unsimulated(self, view: View) -> list[int]:
+        """Ids of all that a view shows, have a scene, and no simulation with nominal values."""
         with reading(self._engine) as connection:
-            return browsing.columns(connection, view, names)
+            return browsing.unsimulated(connection, view)
 
-    def conditions(self) -> list[dict[str, str | float]]:
-        """What was written down of every experiment."""
-        table = tables.experiment
+    def browse_tally(self, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+        """Columns and conditions of all that a view shows: different values, then how many."""
         with reading(self._engine) as connection:
-            wanted = sa.select(table.c.conditions).where(table.c.deleted_at_utc.is_(None))
-            return list(connection.scalars(wanted))
+            return browsing.tally(connection, view, names)
+
+    def conditions(self) -> dict[str, Conditions]:
+        """What was written down of experiments, by name."""
+        with reading(self._engine) as connection:
+            return browsing.conditions(connection)
 
     def content(self, number: int) -> str:
         """Checksum of an experiment's content; the same only for the same."""

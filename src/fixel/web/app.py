@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -10,20 +11,22 @@ from typing import Any, Final, final
 
 import jinja2
 from fastapi import APIRouter, FastAPI, Request
-from fastapi.responses import HTMLResponse, RedirectResponse, Response
+from fastapi.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import fixel
 from fixel.errors import FixelError
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
-from fixel.web.problems import Problem, answer, problem_of
+from fixel.web.problems import OUR_MISTAKE, Problem, answer, problem_of
 from fixel.web.security import LOOPBACK, BodyLimit, Gate, Guard, SecurityHeaders
 
 HERE: Final = Path(str(files("fixel.web")))
 API: Final = "/api/v1"
+_log = logging.getLogger("fixel.web")
 
 
 @final
@@ -110,11 +113,34 @@ def create_app(
         app.mount(API, api)
     _tell_problems(app, render)
 
-    app.add_middleware(BodyLimit)  # innermost
+    app.add_middleware(Unforeseen)  # innermost
+    app.add_middleware(BodyLimit)
     app.add_middleware(Guard, gate=gate)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
     app.add_middleware(SecurityHeaders)
     return app
+
+
+class Unforeseen:
+    """Mistakes of ours: told to whoever started fixel, and in one sentence to who asked."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        answered = False
+
+        async def noted(message: Message) -> None:
+            nonlocal answered
+            answered = True
+            await send(message)
+
+        try:
+            await self.app(scope, receive, noted)
+        except Exception:
+            _log.exception("%s %s", scope.get("method", ""), scope.get("path", ""))
+            if not answered:
+                await PlainTextResponse(f"{OUR_MISTAKE}\n", status_code=500)(scope, receive, send)
 
 
 def _renderer(pages: Sequence[Page], name: str, gate: Gate) -> Any:

@@ -20,6 +20,7 @@ from fixel.errors import (
     StoreRefused,
 )
 
+OUR_MISTAKE = "Something went wrong in fixel itself: the terminal in which it runs says what."
 UNPROCESSABLE = 422
 ABSENT = 404
 CONFLICT = 409
@@ -28,7 +29,7 @@ CONFLICT = 409
 class Problem(BaseModel):
     """Why a request was refused."""
 
-    status: int = Field(description="of HTTP, from 400 to 499")
+    status: int = Field(description="of HTTP, from 400 to 499; 500 for a mistake in fixel")
     sentence: str = Field(description="all of it, for a person")
     where: str | None = Field(default=None, description="the field or the record in question")
     found: str | None = Field(default=None, description="what stands there")
@@ -82,6 +83,10 @@ def tell_problems(api: FastAPI) -> None:
                 expected=expected,
             )
         )
+
+    @api.exception_handler(Exception)
+    def unforeseen(_: Request, error: Exception) -> JSONResponse:
+        return answer(Problem(status=500, sentence=OUR_MISTAKE))
 
     @api.exception_handler(HTTPException)
     def other(_: Request, error: HTTPException) -> JSONResponse:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import pkgutil
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Final, final
 
 from fastapi import FastAPI
@@ -56,6 +57,11 @@ class Desk:
     def name(self) -> str:
         """Of the project."""
         return self.project.settings.name
+
+    @property
+    def folder(self) -> Path:
+        """Of the project, for commands that somebody types elsewhere."""
+        return self.project.folder.resolve()
 
     def close(self) -> None:
         """Let go of the records."""

@@ -19,10 +19,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from fixel.database.project import Project
+from fixel.errors import StoreRefused
 from fixel.exchange.array_bytes import arrays_of, bytes_of
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.pictures import ENDINGS, Picture, make_folder, write_picture
+from fixel.workflows.readable import readable
 
 Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 
@@ -111,7 +113,10 @@ class Kept(NamedTuple):
     def arrays(self) -> dict[str, FloatArray]:
         """Its long numbers."""
         path = self.folder / ARRAYS
-        return arrays_of(path.read_bytes()) if path.is_file() else {}
+        if not path.is_file():
+            return {}
+        with readable(path, f"make it again with: {self.analysis.command}"):
+            return arrays_of(path.read_bytes())
 
     def picture(self, name: str, ending: str = "png") -> Path:
         """A file of one of its pictures."""
@@ -162,13 +167,34 @@ def keep(
 
 
 def kept(project: Project, kind: Kind | None = None) -> list[Kept]:
-    """Analyses of a project, the newest first."""
-    found = []
+    """Analyses of a project, the newest first.
+
+    Raises
+    ------
+    StoreRefused
+        One of them cannot be read.
+    """
+    found, unreadable = kept_and_not(project, kind)
+    if unreadable:
+        raise unreadable[0]
+    return found
+
+
+def kept_and_not(
+    project: Project, kind: Kind | None = None
+) -> tuple[list[Kept], list[StoreRefused]]:
+    """Analyses of a project, the newest first, and why others cannot be read."""
+    found, unreadable = [], []
     for path in sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}")):
-        one = Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
+        try:
+            with readable(path, f"delete the folder {path.parent}, and make the analysis again"):
+                one = Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
+        except StoreRefused as problem:
+            unreadable.append(problem)
+            continue
         if kind in (None, one.analysis.kind):
             found.append(one)
-    return sorted(found, key=lambda one: one.analysis.created, reverse=True)
+    return sorted(found, key=lambda one: one.analysis.created, reverse=True), unreadable
 
 
 def _name_of(analysis: Analysis) -> str:

@@ -41,6 +41,8 @@ class Bounded:
         Of one call [s].
     ready : callable, optional
         Called in the process when it starts, outside the time limit: compiles, loads.
+    hint : str
+        What to do where the time limit is too short.
 
     Examples
     --------
@@ -56,8 +58,9 @@ class Bounded:
         *,
         limit: float,
         ready: Callable[[], object] | None = None,
+        hint: str = "try again",
     ) -> None:
-        self._function, self._ready, self.limit = function, ready, limit
+        self._function, self._ready, self.limit, self._hint = function, ready, limit, hint
         self._turn = threading.Lock()
         self._process: Any = None
         self._pipe: Connection | None = None
@@ -75,7 +78,10 @@ class Bounded:
         with self._my_turn(nobody_waits):
             pipe = self._running(nobody_waits)
             self._hand_over(pipe, argument)
-            worked, answer = self._received(pipe, self.limit, nobody_waits)
+            late = JobRefused(
+                f"the computation took more than {self.limit:g} s and was ended", hint=self._hint
+            )
+            worked, answer = self._received(pipe, self.limit, nobody_waits, late)
         if not worked:
             raise answer
         return answer
@@ -120,7 +126,11 @@ class Bounded:
         self._process.start()
         theirs.close()
         self._pipe = ours
-        self._received(ours, STARTS_WITHIN, nobody_waits)
+        late = JobRefused(
+            f"a process to compute in was not ready within {STARTS_WITHIN:g} s",
+            hint="try again when the machine is less busy",
+        )
+        self._received(ours, STARTS_WITHIN, nobody_waits, late)
         return ours
 
     def _hand_over(self, pipe: Connection, argument: Any) -> None:
@@ -135,7 +145,11 @@ class Bounded:
             hung.cancel()
 
     def _received(
-        self, pipe: Connection, limit: float, nobody_waits: Callable[[], bool]
+        self,
+        pipe: Connection,
+        limit: float,
+        nobody_waits: Callable[[], bool],
+        late: JobRefused,
     ) -> tuple[bool, Any]:
         until = time.monotonic() + limit
         try:
@@ -143,10 +157,7 @@ class Bounded:
                 if nobody_waits():
                     raise Cancelled
                 if time.monotonic() > until:
-                    raise JobRefused(
-                        f"the computation took more than {limit:g} s and was ended",
-                        hint="make it shorter or simpler, or run it with: fixel simulate",
-                    )
+                    raise late
             answer: tuple[bool, Any] = pipe.recv()
         except (EOFError, OSError):
             raise self._died() from None

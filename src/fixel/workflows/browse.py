@@ -161,20 +161,10 @@ class Vocabulary(NamedTuple):
 
 def vocabulary(store: Store) -> Vocabulary:
     """What experiments can be told apart by."""
-    texts: dict[str, Counter[str]] = {}
-    numbers: dict[str, list[float]] = {}
-    for conditions in store.conditions():
-        for name, value in conditions.items():
-            if isinstance(value, str):
-                texts.setdefault(name, Counter())[value] += 1
-            else:
-                numbers.setdefault(name, []).append(float(value))
     found = {}
-    for name in sorted({*texts, *numbers}):
-        words, values = texts.get(name, Counter()), numbers.get(name, [])
-        few = dict(sorted(words.items())) if len(words) <= MOST_VALUES else {}
-        low, high = (min(values), max(values)) if values else (None, None)
-        found[name] = Values(few, low, high, words.total() + len(values))
+    for name, known in sorted(store.conditions().items()):
+        few = dict(sorted(known.texts.items())) if len(known.texts) <= MOST_VALUES else {}
+        found[name] = Values(few, known.low, known.high, sum(known.texts.values()) + known.numbers)
     return Vocabulary(store.datasets(), store.flags(), found)
 
 
@@ -217,6 +207,7 @@ class Coverage(NamedTuple):
 
 PLACES: Final = ("start_x_m", "start_y_m", "start_angle_rad")
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
+_NUMBER: Final = (int, float)
 
 
 def coverage(store: Store, view: View, x: str | None = None, y: str | None = None) -> Coverage:
@@ -230,26 +221,25 @@ def coverage(store: Store, view: View, x: str | None = None, y: str | None = Non
         Columns or conditions with numbers; left out, offsets along x and y, or where the object
         began.
     """
+    noted = store.conditions()
     known = tuple(
         name
-        for name, values in vocabulary(store).conditions.items()
-        if values.low is not None and not name.startswith("truth_")
+        for name, values in sorted(noted.items())
+        if values.numbers and not name.startswith("truth_")
     )
     usual = OFFSETS if {*OFFSETS} <= {*known} else PLACES
     x, y = x or usual[0], y or usual[1]
-    rows = store.browse_columns(view, (x, y, "shape", "layout"))
-    pairs = [
-        (float(a), float(b))
-        for a, b, *_ in rows
-        if isinstance(a, int | float) and isinstance(b, int | float)
-    ]
-    points = np.array(pairs, dtype=np.float64).reshape(-1, 2)
+    tally = store.browse_tally(view, (x, y))
+    placed = [row for row in tally if isinstance(row[0], _NUMBER) and isinstance(row[1], _NUMBER)]
+    points = np.array(placed, dtype=np.float64).reshape(-1, 3)
     across, up = _axis(x, points[:, 0]), _axis(y, points[:, 1])
-    count, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(across.edges, up.edges))
-    shapes, layouts, table = _table([row[2:] for row in rows])
-    return Coverage(
-        across, up, count, shapes, layouts, table, (*PLACES, *known), len(rows) - len(points)
+    count, _, _ = np.histogram2d(
+        points[:, 0], points[:, 1], bins=(across.edges, up.edges), weights=points[:, 2]
     )
+    kinds = ("shape", "layout")
+    shapes, layouts, table = _table(store.browse_tally(view, kinds) if {*kinds} <= {*noted} else [])
+    without = sum(row[2] for row in tally) - sum(row[2] for row in placed)
+    return Coverage(across, up, count, shapes, layouts, table, (*PLACES, *known), without)
 
 
 def _axis(name: str, values: FloatArray) -> Axis:
@@ -268,10 +258,13 @@ def _axis(name: str, values: FloatArray) -> Axis:
 
 
 def _table(
-    rows: Sequence[tuple[Any, Any]],
+    rows: Sequence[tuple[Any, Any, int]],
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
     """How many of each shape in each layout."""
-    counted = Counter((str(s), str(p)) for s, p in rows if s is not None and p is not None)
+    counted: Counter[tuple[str, str]] = Counter()
+    for shape, layout, n in rows:
+        if shape is not None and layout is not None:
+            counted[_word(shape), _word(layout)] += n
     shapes = tuple(sorted({shape for shape, _ in counted}))
     layouts = tuple(sorted({layout for _, layout in counted}))
     if len(shapes) > MOST_VALUES or len(layouts) > MOST_VALUES:
@@ -280,3 +273,7 @@ def _table(
     for (shape, layout), n in counted.items():
         table[shapes.index(shape), layouts.index(layout)] = n
     return shapes, layouts, table
+
+
+def _word(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:g}"

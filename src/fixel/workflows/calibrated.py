@@ -22,6 +22,7 @@ from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.jobs import JOBS
+from fixel.workflows.readable import readable
 
 _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
@@ -134,7 +135,8 @@ def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -
     its job is gone."""
     path = project.folder / JOBS / str(one.record.method.get("job", "")) / "inputs" / REQUEST
     if path.is_file():
-        space = Request.model_validate_json(path.read_bytes()).space
+        with readable(path):
+            space = Request.model_validate_json(path.read_bytes()).space
     else:
         space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
     found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}

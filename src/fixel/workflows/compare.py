@@ -5,13 +5,14 @@ from __future__ import annotations
 import shlex
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 
 from fixel.calibration.target import scene_of
+from fixel.database.browsing import View
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
@@ -61,6 +62,13 @@ class Held(NamedTuple):
     wall_time: float | None  # of the simulation alone [s]
 
 
+class Simulated(NamedTuple):
+    """Experiments with a simulation that is new, and why others have none."""
+
+    stored: list[int]
+    refused: dict[int, str]
+
+
 @final
 class CompareDesk:
     """Experiments at hand, and simulations of them at once.
@@ -75,6 +83,7 @@ class CompareDesk:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._lock = threading.Lock()
+        self._keeping = threading.Lock()
         self._known: OrderedDict[int, Experiment] = OrderedDict()
         self._sliders: dict[int, tuple[Unknown, ...]] = {}
 
@@ -174,6 +183,23 @@ class CompareDesk:
         """Store such a simulation; returns its id."""
         answer = self._comparison(number, parameters, motion)
         return self._store.add_simulation(answer.record(number, command))
+
+    def keep_nominal(self, numbers: Sequence[int], folder: Path) -> Simulated:
+        """Store simulations with nominal values of those experiments that have none yet."""
+        stored: list[int] = []
+        refused: dict[int, str] = {}
+        with self._keeping:  # or two pages would do the same twice
+            wanted = set(self._store.browse_unsimulated(View())).intersection(numbers)
+            for number in sorted(wanted):
+                try:
+                    experiment = self._store.experiment(number)
+                    command = f"{command_of(experiment, folder, {}, DYNAMIC)} --save"
+                    answer = comparison(experiment, stepper=Adaptive(max_steps=MOST_STEPS))
+                    self._store.add_simulation(answer.record(number, command))
+                    stored.append(number)
+                except InvalidInput as problem:
+                    refused[number] = str(problem)
+        return Simulated(stored, refused)
 
 
 def warm_up() -> None:

@@ -145,7 +145,7 @@ def _database_file(project: Project, target: Path | None = None) -> Path:
     if not file.is_file():
         raise StoreRefused(
             f"there is no database {file}",
-            hint=f"{RESTORE}; or begin an empty one with: fixel db upgrade",
+            hint=f"{RESTORE}; or begin an empty one with: {project.upgrade_command}",
         )
     return file
 
@@ -191,19 +191,20 @@ def check(folder: Path) -> Checked:
         _database_file(project)
     engine = open_engine(project.url)
     try:
-        return _checked(engine, project.media)
+        return _checked(engine, project)
     finally:
         engine.dispose()
 
 
-def _checked(engine: sa.Engine, media: Path) -> Checked:
+def _checked(engine: sa.Engine, project: Project) -> Checked:
+    media = project.media
     troubles: list[Trouble] = []
     version: str | None = None
     counts: dict[str, int] = {}
     try:
         with reading(engine) as connection:
             troubles += _damage(connection)
-            schema.refuse_old(connection)
+            schema.refuse_old(connection, project.upgrade_command)
             version = schema.version_of(connection)
             counts = _counts(connection)
             troubles += _broken_references(connection)

@@ -54,7 +54,7 @@ class JobStatus:
     ----------
     folder : str
     state : str
-        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died.
+        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone.
     kept : int
         Answers in the journal, this session's and those before.
     status : Status
@@ -202,6 +202,8 @@ def status_of(folder: Path) -> JobStatus:
         state = "preparing"  # what stands there is of the one before
     elif owner is None and state not in (*files.ENDED, "queued"):
         state = LOST
+    elif state == "done" and not (folder / files.RESULT).is_file():
+        state = LOST  # of the result: the journal has all of it
     journal = folder / files.JOURNAL
     kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0
     return JobStatus(str(folder), state, kept, status)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, JobRefused
 from fixel.exchange import SceneFile
 from fixel.exchange.document import parse_json, parse_yaml, yaml_text
 from fixel.exchange.scene_file import scene_dict, scene_file_from_dict
@@ -108,7 +109,18 @@ def simulated(content: Any) -> Simulated:
 @functools.cache
 def beside() -> Bounded:
     """`simulated`, in a process of its own; one for all who ask."""
-    return Bounded(simulated, limit=LIMIT, ready=warm_up)
+    return Bounded(
+        simulated,
+        limit=LIMIT,
+        ready=warm_up,
+        hint="make it shorter or simpler, or run it with: fixel simulate",
+    )
+
+
+def get_ready() -> None:
+    """Start that process, so that the first who simulates need not wait for it."""
+    with suppress(JobRefused):  # whoever simulates is told
+        beside().start()
 
 
 def _refuse_large(file: SceneFile) -> None:

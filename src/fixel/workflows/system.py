@@ -8,6 +8,7 @@ import re
 import shutil
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -103,8 +104,11 @@ def room(project: Project) -> Room:
     for path in project.media.glob("??/*"):
         if files == MOST_FILES:
             break
-        files += 1
-        total += path.stat(follow_symlinks=False).st_size
+        with suppress(
+            FileNotFoundError
+        ):  # of somebody who is writing, and has just given it a name
+            total += path.stat(follow_symlinks=False).st_size
+            files += 1
     disk = shutil.disk_usage(project.folder)
     return Room(size, total, files, files < MOST_FILES, disk.free, disk.total)
 

@@ -39,9 +39,10 @@ def watchable(project: Project, video: Path) -> Watchable:
     if container is not None and open_video(video).codec in PLAYED:
         return Watchable(video, container)
     copy = project.folder / CACHE / f"video-{video.stem[:32]}.mp4"
-    with _one_at_a_time:
-        if not copy.is_file():
-            _write(video, copy)
+    if not copy.is_file():  # or who wants another one waits for all that is being written
+        with _one_at_a_time:
+            if not copy.is_file():
+                _write(video, copy)
     return Watchable(copy, "video/mp4")
 
 

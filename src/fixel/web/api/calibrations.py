@@ -100,6 +100,7 @@ class CalibrationsOut(BaseModel):
     calibrations: list[ListedOut]
     total: int
     running: list[RunningOut]
+    unreadable: list[str] = Field(description="why jobs of others cannot be shown")
 
 
 class RowOut(BaseModel):
@@ -260,12 +261,13 @@ def router(desk: Desk) -> APIRouter:
         limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
         offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> CalibrationsOut:
-        running = watch.unfinished()  # first: what is done becomes one of those stored
+        running, unreadable = watch.unfinished()  # first: what is done becomes one of those stored
         every = told.listed(desk.store)
         return CalibrationsOut(
             calibrations=[_listed(one) for one in every[offset : offset + limit]],
             total=len(every),
             running=[RunningOut(**_running(one, desk)) for one in running],
+            unreadable=[str(problem) for problem in unreadable],
         )
 
     @found.get("/offer", summary="What can be calibrated")
@@ -344,7 +346,10 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/{number}", summary="One of them")
     def calibration(number: Number) -> CalibrationOut:
-        return _whole(at_hand(number), desk)
+        one = at_hand(number)
+        if not one.complete:
+            at_hand.cache_clear()  # its job may be brought back
+        return _whole(one, desk)
 
     return found
 
@@ -384,7 +389,7 @@ def _running(one: Watched, desk: Desk) -> dict[str, Any]:
         "start": one.start,
         "started_utc": status.started_utc,
         "stored": one.stored,
-        "command": command_of(desk.project.folder.resolve(), request, keys),
+        "command": command_of(desk.folder, request, keys),
     }
 
 
@@ -423,7 +428,7 @@ def _whole(one: Told, desk: Desk) -> CalibrationOut:
         siblings=[SiblingOut(id=number, name=name) for number, name in one.siblings],
         complete=one.complete,
         command=record.provenance.command,
-        python=python_of(desk.project.folder.resolve(), one.id),
+        python=python_of(desk.folder, one.id),
     )
 
 

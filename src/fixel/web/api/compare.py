@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from fastapi import APIRouter
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fixel.model import Experiment
     from fixel.web.project import Desk
 
+MOST_AT_ONCE: Final = 50  # about a second of work
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
 # A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
 Finite = Annotated[float | None, BeforeValidator(plain_numbers)]
@@ -77,6 +78,21 @@ class ComparedOut(BaseModel):
     wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
 
 
+class SimulateIn(BaseModel):
+    """Experiments to simulate."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ids: list[Id] = Field(min_length=1, max_length=MOST_AT_ONCE)
+
+
+class SimulatedOut(BaseModel):
+    """What came of it; those that have such a simulation, or no scene, are in neither."""
+
+    stored: list[int] = Field(description="experiments")
+    refused: dict[int, str] = Field(description="experiments and reasons")
+
+
 class KeptOut(BaseModel):
     """A stored simulation."""
 
@@ -121,15 +137,22 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/experiments/{number}/simulations", summary="Keep such a simulation")
     def keep(number: Number, wanted: CompareIn) -> KeptOut:
         command = compare.command_of(
-            at_hand.experiment(number), desk.project.folder, wanted.parameters, wanted.motion
+            at_hand.experiment(number), desk.folder, wanted.parameters, wanted.motion
         )
+        command = f"{command} --save"
         return KeptOut(id=at_hand.keep(number, wanted.parameters, wanted.motion, command))
+
+    @found.post(
+        "/experiments/simulate", summary="Keep simulations with nominal values, where there is none"
+    )
+    def simulate(wanted: SimulateIn) -> SimulatedOut:
+        return SimulatedOut(**at_hand.keep_nominal(wanted.ids, desk.folder)._asdict())
 
     return found
 
 
 def _answered(held: compare.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
-    same = experiment, desk.project.folder, held.parameters, held.method
+    same = experiment, desk.folder, held.parameters, held.method
     return ComparedOut(
         motion=MotionOut.of(held.motion),
         position_rms_m=held.position_rms,

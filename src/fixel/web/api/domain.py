@@ -15,7 +15,7 @@ from fixel.applicability.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import Text
 from fixel.workflows import job_board, jobs
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import Kind, kept_and_not
 from fixel.workflows.domain import work
 from fixel.workflows.domain.desk import (
     MOST_GROUPS,
@@ -75,6 +75,7 @@ class MapsOut(BaseModel):
 
     maps: list[MapOut]
     jobs: list[DomainJobOut]
+    unreadable: list[str] = Field(description="why other maps and jobs cannot be shown")
     command: str = Field(description="what to type for the first")
 
 
@@ -176,6 +177,13 @@ class NextOut(BaseModel):
     command: str
 
 
+class FitOut(BaseModel):
+    """Whether a map can be shown."""
+
+    ready: bool
+    seconds: float = Field(description="for how long it has been fitted to these axes")
+
+
 class PictureOut(BaseModel):
     """A picture of an analysis."""
 
@@ -211,6 +219,7 @@ class AnalysesOut(BaseModel):
     """All of them, the newest first."""
 
     analyses: list[AnalysisOut]
+    unreadable: list[str] = Field(description="why others cannot be shown")
 
 
 class BeginIn(BaseModel):
@@ -230,9 +239,12 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/domain", summary="Kept maps")
     def maps() -> MapsOut:
+        kept_ones, bad_maps = at_hand.maps()
+        own_jobs, bad_jobs = work.jobs_of(desk.project)
         return MapsOut(
-            maps=[_listed(one) for one in at_hand.maps()],
-            jobs=[_job(one) for one in work.jobs_of(desk.project)],
+            maps=[_listed(one) for one in kept_ones],
+            jobs=[_job(one) for one in own_jobs],
+            unreadable=[str(problem) for problem in (*bad_maps, *bad_jobs)],
             command=_first_command(desk, ()),
         )
 
@@ -245,8 +257,8 @@ def router(desk: Desk) -> APIRouter:
 
     @found.post("/domain/jobs/{name}/stop", summary="Stop making a map; its fits are kept")
     def stop(name: str) -> DomainJobOut:
-        own = next((one for one in work.jobs_of(desk.project)
-                    if FilePath(one.folder).name == name), None)  # fmt: skip
+        own_jobs, _ = work.jobs_of(desk.project)
+        own = next((one for one in own_jobs if FilePath(one.folder).name == name), None)
         if own is None:
             raise NotStored(f"job {name!r}", hint="see the page Domain")
         return _job(jobs.cancel(FilePath(own.folder)))
@@ -254,6 +266,20 @@ def router(desk: Desk) -> APIRouter:
     @found.get("/domain/{name}", summary="A map for every threshold")
     def view(name: str, axis: AxisNames = None, measure: Measure | None = None) -> ViewOut:
         return _view(at_hand.view(name, tuple(axis or ()), measure))
+
+    @found.get(
+        "/domain/{name}/fit",
+        summary="Fit a map to other axes, or see whether that is done",
+        description="In a process beside, once for all who ask. It ends when nobody has asked for "
+        "two minutes. Until it is done, all else of the map is refused after two seconds.",
+    )
+    def fit(name: str, axis: AxisNames = None, measure: Measure | None = None) -> FitOut:
+        seconds = at_hand.fit(name, tuple(axis or ()), measure)
+        return FitOut(ready=seconds is None, seconds=seconds or 0.0)
+
+    @found.post("/domain/{name}/fit/stop", summary="Stop fitting it", status_code=204)
+    def stop_fit(name: str, axis: AxisNames = None, measure: Measure | None = None) -> None:
+        at_hand.stop(name, tuple(axis or ()), measure)
 
     @found.get("/domain/{name}/map", summary="The map at a threshold")
     def at_threshold(
@@ -278,7 +304,7 @@ def router(desk: Desk) -> APIRouter:
             inside=answer.inside[own].tolist(),
             count=answer.counts,
             sizes=answer.inside[own].sum(axis=1).tolist(),
-            command=command_of(desk.project.folder.resolve(), seen, answer.claim),
+            command=command_of(desk.folder, seen, answer.claim),
         )
 
     @found.get("/domain/{name}/next", summary="What to try next")
@@ -304,14 +330,18 @@ def router(desk: Desk) -> APIRouter:
                 )
                 for one in suggested(seen, claim)
             ],
-            command=command_of(desk.project.folder.resolve(), seen, claim),
+            command=command_of(desk.folder, seen, claim),
         )
 
     @found.get("/analyses", summary="Kept analyses", tags=["analyses"])
     def analyses(
-        kind: Literal["growth", "domain", "sensitivity", "uncertainty"] | None = None,
+        kind: Kind | None = None,
     ) -> AnalysesOut:
-        return AnalysesOut(analyses=[_analysis(one) for one in kept(desk.project, kind)])
+        every, unreadable = kept_and_not(desk.project, kind)
+        return AnalysesOut(
+            analyses=[_analysis(one) for one in every],
+            unreadable=[str(problem) for problem in unreadable],
+        )
 
     @found.get(
         "/analyses/{name}/{picture}.{ending}",
@@ -320,7 +350,8 @@ def router(desk: Desk) -> APIRouter:
         response_class=FileResponse,
     )
     def picture(name: str, picture: str, ending: str) -> FileResponse:
-        one = next((one for one in kept(desk.project) if one.folder.name == name), None)
+        every, _ = kept_and_not(desk.project)
+        one = next((one for one in every if one.folder.name == name), None)
         # Only what an analysis names itself: no part of an address becomes a path.
         own = None if one is None else next(
             (p.name for p in one.analysis.pictures if p.name == picture), None
@@ -338,7 +369,7 @@ def router(desk: Desk) -> APIRouter:
 def _first_command(desk: Desk, by: Any) -> str:
     import shlex
 
-    words = ["fixel", "domain", "--project", str(desk.project.folder.resolve())]
+    words = ["fixel", "domain", "--project", str(desk.folder)]
     return shlex.join([*words, "--by", ",".join(by)] if by else words)
 
 

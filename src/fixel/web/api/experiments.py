@@ -88,6 +88,13 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
         view = view_of(filter, sort=sort, descending=descending)
         return IdsOut(ids=desk.store.browse_ids(view))
 
+    @router.get(
+        "/experiments/unsimulated",
+        summary="Ids of those that match and could have a simulation with nominal values",
+    )
+    def unsimulated(filter: Filter = "") -> IdsOut:
+        return IdsOut(ids=desk.store.browse_unsimulated(view_of(filter)))
+
     @router.get("/vocabulary", summary="What experiments can be told apart by")
     def words() -> VocabularyOut:
         known = vocabulary(desk.store)

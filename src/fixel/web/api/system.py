@@ -189,7 +189,7 @@ def system_out(desk: Desk) -> SystemOut:
             size_bytes=room.database,
         ),
         disk=DiskOut(
-            folder=str(project.folder.resolve()),
+            folder=str(desk.folder),
             media_bytes=room.media,
             media_files=room.media_files,
             counted=room.counted,

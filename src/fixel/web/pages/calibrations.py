@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from fastapi import Request
 
+from fixel.errors import InvalidInput
 from fixel.web.app import Page
 from fixel.web.pages.experiment import Fact, number_in
 from fixel.workflows.calibration.watch import Watch
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
     from fixel.model.records import CalibrationRecord
     from fixel.web.project import Desk
 
+IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
 HIDDEN = ("how", "job", "nominal_error", "error_unit", "seconds", "ended")  # told elsewhere
 
 
@@ -40,9 +44,12 @@ def pages(desk: Desk) -> list[Page]:
 
     def new(request: Request) -> dict[str, Any]:
         asked = request.query_params
-        return {"filter": asked.get("filter", ""), "experiments": asked.get("experiments", "")}
+        ids = asked.get("experiments", "")
+        if ids and not IDS.fullmatch(ids):
+            raise InvalidInput("experiments", found=repr(ids), expected="ids with commas between")
+        return {"filter": asked.get("filter", ""), "experiments": ids}
 
-    context = {"folder": str(desk.project.folder.resolve())}
+    context = {"folder": shlex.quote(str(desk.folder))}
     return [
         Page(
             path="/calibrations",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from fastapi import Request
 
 from fixel.web.app import Page
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import kept_and_not
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -17,7 +18,7 @@ def pages(desk: Desk) -> list[Page]:
     """`/domain?map=NAME`; the newest map where left out."""
 
     def fill(request: Request) -> dict[str, Any]:
-        every = kept(desk.project)
+        every, unreadable = kept_and_not(desk.project)
         maps = [one for one in every if one.analysis.kind == "domain"]
         wanted = request.query_params.get("map", "")
         chosen = next((one for one in maps if one.folder.name == wanted), None)
@@ -27,7 +28,8 @@ def pages(desk: Desk) -> list[Page]:
             "chosen": None if chosen is None else chosen.analysis,
             "maps": [(one.folder.name, one.analysis) for one in maps],
             "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
-            "folder": str(desk.project.folder.resolve()),
+            "unreadable": [str(problem) for problem in unreadable],
+            "folder": shlex.quote(str(desk.folder)),
         }
 
     return [Page(path="/domain", title="Domain", template="domain.html", fill=fill, place=40)]

@@ -168,13 +168,13 @@ def _instant(iso: str) -> str:
 
 def command(desk: Desk, experiment: Experiment) -> str:
     """What to type for the same."""
-    folder = str(desk.project.folder.resolve())
+    folder = str(desk.folder)
     return shlex.join(["fixel", "show", experiment.key, "--project", folder, "--plot", "run.png"])
 
 
 def python(desk: Desk, experiment: Experiment) -> str:
     """What to write in a script for the same."""
-    folder = str(desk.project.folder.resolve())
+    folder = str(desk.folder)
     return (
         "from pathlib import Path\n\n"
         "from fixel.database.project import Project\n\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 from fixel.web.app import Page
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 def pages(desk: Desk) -> list[Page]:
     """`/experiments`."""
-    context = {"folder": str(desk.project.folder)}
+    context = {"folder": shlex.quote(str(desk.folder))}
     return [
         Page(
             path="/experiments",

@@ -13,5 +13,5 @@ if TYPE_CHECKING:
 
 def pages(desk: Desk) -> list[Page]:
     """`/jobs`; the name of the chosen job stands behind `#`."""
-    context = {"folder": shlex.quote(str(desk.project.folder.resolve()))}
+    context = {"folder": shlex.quote(str(desk.folder))}
     return [Page(path="/jobs", title="Jobs", template="jobs.html", context=context, place=60)]

@@ -23,7 +23,7 @@ def pages(desk: Desk) -> list[Page]:
 
     def fill(request: Request) -> dict[str, Any]:
         # Whoever opens the page will simulate: the process should be there by then.
-        Thread(target=scene_desk.beside().start, name="fixel-beside", daemon=True).start()
+        Thread(target=scene_desk.get_ready, name="fixel-beside", daemon=True).start()
         key = request.query_params.get("experiment", "")
         listed = desk.store.experiments(Query(), limit=OFFERED).summaries
         return {

@@ -91,8 +91,8 @@ export function column(packed, k) {
   return Float64Array.from({ length: packed.shape[0] }, (_, row) => all[row * width + k]);
 }
 
-/** @type {(() => void) | null} */
-let newestUndo = null;
+/** Of the messages that are there, the newest last. @type {(() => void)[]} */
+let undos = [];
 
 /**
  * Says something for a while, with a way back where there is one.
@@ -102,7 +102,7 @@ let newestUndo = null;
 export function toast(sentence, { undo, bad = false } = {}) {
   const close = () => {
     box.remove();
-    if (newestUndo === back) newestUndo = null;
+    undos = undos.filter((one) => one !== back);
   };
   const back = () => {
     close();
@@ -113,15 +113,15 @@ export function toast(sentence, { undo, bad = false } = {}) {
     undo ? make("button", { type: "button", class: "undo", onclick: back }, "Undo") : null,
     make("button", { type: "button", "aria-label": "Close", onclick: close }, "\u2715"));
   at("toasts").append(box);
-  if (undo) newestUndo = back;
+  if (undo) undos.push(back);
   setTimeout(close, bad ? 2 * SHOWN_FOR : SHOWN_FOR);
 }
 
 /** Takes back what the newest toast offers to; for Ctrl-Z. @returns {boolean} */
 export function undoNewest() {
-  if (!newestUndo) return false;
-  newestUndo();
-  return true;
+  const back = undos.at(-1);
+  back?.();
+  return back !== undefined;
 }
 
 /** Shows why something did not work. @param {unknown} problem */

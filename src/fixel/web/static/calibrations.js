@@ -12,10 +12,12 @@ import { several } from "./units.js";
 const PAGE = 100;
 const AGAIN = 2000; // [ms] until running ones are looked at again
 let asked = PAGE;
+let timer = 0;
 
 async function refresh() {
-  /** @type {{calibrations: Listed[], total: number, running: Running[]}} */
+  /** @type {{calibrations: Listed[], total: number, running: Running[], unreadable: string[]}} */
   const all = await get("/calibrations", { limit: asked });
+  at("unreadable").replaceChildren(...all.unreadable.map((sentence) => make("p", { class: "notice" }, sentence)));
   at("running").replaceChildren(...all.running.map(card));
   at("running-section").hidden = all.running.length === 0;
   at("rows").replaceChildren(...all.calibrations.map(row));
@@ -23,12 +25,13 @@ async function refresh() {
   at("nothing").hidden = all.calibrations.length + all.running.length > 0;
   at("more").hidden = all.calibrations.length >= all.total;
   at("calibrations").dataset.ready = "yes";
-  if (all.running.some((one) => !one.ended)) setTimeout(again, AGAIN);
+  clearTimeout(timer);
+  if (all.running.some((one) => !one.ended)) timer = window.setTimeout(again, AGAIN);
 }
 
 function again() {
-  if (document.hidden) setTimeout(again, AGAIN);
-  else refresh().catch(() => setTimeout(again, 5 * AGAIN));
+  if (document.hidden) timer = window.setTimeout(again, AGAIN);
+  else refresh().catch(() => { timer = window.setTimeout(again, 5 * AGAIN); });
 }
 
 /** @param {Running} one */

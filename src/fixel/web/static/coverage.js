@@ -42,10 +42,13 @@ export class Coverage {
     try {
       if (anew || question !== this.asked) {
         this.asked = question;
-        this.covered = /** @type {Covered} */ (await get("/coverage", { filter: rest, ...this.axes }));
+        const covered = /** @type {Covered} */ (await get("/coverage", { filter: rest, ...this.axes }));
+        if (question !== this.asked) return; // something else is wanted meanwhile
+        this.covered = covered;
       }
       this.#draw();
     } catch (problem) {
+      if (question === this.asked) this.asked = ""; // asked again when it is next wanted
       complain(problem);
     }
   }

@@ -27,6 +27,7 @@ const BLUE = [0, 95, 160];
 const MOST_MARKS = 4; // experiments drawn one by one in a cell
 const SETTLED = 350; // [ms] after which the next experiment is looked for
 const AGAIN = 1500;
+const FITTING = 700; // [ms] between two looks whether the map is fitted
 const STEPS = 1000;
 
 const root = at("domain");
@@ -40,15 +41,14 @@ let shown = null;
 let next = null;
 /** @type {{group: number, cell: number} | null} */
 let picked = null;
-/** @type {string[]} */
-let axes = [];
-/** @type {"absolute" | "relative" | ""} */
-let measure = "";
+/** @typedef {{axes: string[], measure: "absolute" | "relative" | ""}} Question axes and measure of a map; as it was made, where empty */
+/** Of the map that is shown. @type {Question} */
+let question = { axes: [], measure: "" };
 
 // --- asking ----------------------------------------------------------------------------------
 
-/** @param {Record<string, string | number>} [more] */
-function asking(more = {}) {
+/** @param {Question} own @param {Record<string, string | number>} [more] */
+function asking({ axes, measure }, more = {}) {
   const search = new URLSearchParams();
   for (const axis of axes) search.append("axis", axis);
   if (measure) search.set("measure", measure);
@@ -56,13 +56,43 @@ function asking(more = {}) {
   return search.size ? `?${search}` : "";
 }
 
-async function load() {
-  at("preparing").hidden = false;
+let newest = 0; // of the questions for a map
+
+/** Whether the map is fitted; not so where another is asked for meanwhile, or it is stopped. @param {Question} own */
+async function fitted(own) {
+  newest += 1;
+  const number = newest;
   try {
-    view = /** @type {View} */ (await get(address + asking()));
+    while (number === newest) {
+      /** @type {{ready: boolean, seconds: number}} */
+      const { ready, seconds } = await get(`${address}/fit${asking(own)}`);
+      if (ready) return number === newest;
+      if (number === newest) {
+        at("preparing-words").textContent = `Fitting the map to these axes, for ${seconds.toFixed(0)} s so far; with many cells it takes minutes.`;
+        at("preparing").hidden = false;
+        at("stop-fit").onclick = () => {
+          newest += 1;
+          at("preparing").hidden = true;
+          controls();
+          send(`${address}/fit/stop${asking(own)}`).catch(complain);
+        };
+      }
+      await new Promise((after) => setTimeout(after, FITTING));
+    }
+    return false;
   } finally {
-    at("preparing").hidden = true;
+    if (number === newest) at("preparing").hidden = true;
   }
+}
+
+/** Shows a map once it is fitted. @param {Question} own */
+async function load(own) {
+  if (!(await fitted(own))) return;
+  const number = newest;
+  const found = /** @type {View} */ (await get(address + asking(own)));
+  if (number !== newest) return;
+  question = own;
+  view = found;
   picked = null;
   at("trouble").hidden = true;
   at("board").hidden = false;
@@ -76,6 +106,7 @@ async function load() {
   build();
   await refresh();
   root.dataset.ready = "yes";
+  return true;
 }
 
 let wanted = 0; // [ms] when the newest threshold was set
@@ -98,7 +129,10 @@ async function refresh() {
       const since = wanted;
       wanted = 0;
       if (!(claim().threshold > 0)) break;
-      shown = /** @type {Shown} */ (await get(`${address}/map${asking(claim())}`));
+      const of = view;
+      const found = /** @type {Shown} */ (await get(`${address}/map${asking(question, claim())}`));
+      if (of !== view) continue; // of a map that is not shown any more
+      shown = found;
       paint();
       root.dataset.roundTrip = (performance.now() - since).toFixed(1);
     }
@@ -112,12 +146,14 @@ async function refresh() {
 }
 
 async function suggest() {
+  const of = view;
   try {
-    next = /** @type {Next} */ (await get(`${address}/next${asking(claim())}`));
+    next = /** @type {Next} */ (await get(`${address}/next${asking(question, claim())}`));
   } catch (problem) {
     complain(problem);
     return;
   }
+  if (of !== view) return;
   at("next").replaceChildren(...next.proposals.map((one) => make(
     "li", {},
     make("button", { type: "button", class: "quiet where", onclick: () => pick(view.groups.indexOf(one.group), one.cell, true) },
@@ -134,6 +170,7 @@ const onSlider = (threshold) => (STEPS * Math.log(threshold / view.low)) / Math.
 const offSlider = (place) => +(view.low * (view.high / view.low) ** (place / STEPS)).toPrecision(3);
 
 function controls() {
+  if (!view) return;
   const relative = view.measure === "relative";
   at("absolute").setAttribute("aria-pressed", String(!relative));
   at("relative").setAttribute("aria-pressed", String(relative));
@@ -148,34 +185,28 @@ function controls() {
     ...(none ? [make("option", { value: "", selected: !value }, none)] : []),
     ...view.axes.map(({ name: axis }) => make("option", { value: axis, selected: axis === value }, axis)),
   );
-  options("across", made ? "" : view.chosen[0], made || (axes.length ? "as it was made" : ""));
+  options("across", made ? "" : view.chosen[0], made || (question.axes.length ? "as it was made" : ""));
   options("up", made ? "" : view.chosen[1] ?? "", "\u2013");
 }
 
-async function changeAxes() {
-  const [across, up] = ["across", "up"].map((id) => /** @type {HTMLSelectElement} */ (at(id)).value);
-  const before = axes;
-  axes = across ? [across, ...(up && up !== across ? [up] : [])] : [];
+/** @param {Question} own */
+async function change(own) {
   try {
-    await load();
+    await load(own);
   } catch (problem) {
-    axes = before;
     controls();
     complain(problem);
   }
 }
 
-/** @param {"absolute" | "relative"} to */
-async function changeMeasure(to) {
-  if (view.measure === to) return;
-  const before = measure;
-  measure = to;
-  try {
-    await load();
-  } catch (problem) {
-    measure = before;
-    complain(problem);
-  }
+function changeAxes() {
+  const [across, up] = ["across", "up"].map((id) => /** @type {HTMLSelectElement} */ (at(id)).value);
+  return change({ ...question, axes: across ? [across, ...(up && up !== across ? [up] : [])] : [] });
+}
+
+/** @param {"absolute" | "relative"} measure */
+function changeMeasure(measure) {
+  return view.measure === measure ? undefined : change({ ...question, measure });
 }
 
 // --- the map ---------------------------------------------------------------------------------
@@ -453,7 +484,7 @@ if (name) {
   document.getElementById("which")?.addEventListener("change", (event) => {
     location.assign(`/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
   });
-  load().catch((problem) => {
+  load(question).catch((problem) => {
     at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);
     at("trouble").hidden = false;
     at("make").hidden = false;

@@ -1,11 +1,12 @@
 // @ts-check
 // The table of experiments: filter, sort, select, mark.
 
-import { complain, get, Refusal, undoNewest } from "./api.js";
+import { complain, get, Refusal, toast, undoNewest } from "./api.js";
 import { Coverage } from "./coverage.js";
 import { at, input, make, settled, typing } from "./dom.js";
 import { and, about, has, quoted, without } from "./filter.js";
 import * as marks from "./marks.js";
+import { Nominal } from "./nominal.js";
 import { awaited, COLUMNS, drawnRow, Rows, Window } from "./rows.js";
 import { count, several } from "./units.js";
 
@@ -27,6 +28,8 @@ const shown = new Window(at("scroll"), at("rows"), (index) => {
   return drawnRow(row, index, { selected: selected.has(row.id), active: index === active });
 });
 const coverage = new Coverage(at("coverage"), (filter) => search(filter), () => at("show-coverage").click());
+const nominal = new Nominal(() => ask({ keepPlace: true }));
+const MOST_CHOSEN = 2000; // experiments that an address can name
 
 // --- asking -------------------------------------------------------------------------------------
 
@@ -53,6 +56,7 @@ async function ask({ keepPlace = false } = {}) {
   shown.reset(rows.total);
   describe();
   if (!at("coverage").hidden) coverage.show(question.filter, keepPlace);
+  nominal.offer(question.filter).catch(complain);
 }
 
 /** @param {string} sentence why a filter cannot be */
@@ -82,6 +86,7 @@ function describe() {
   const deleted = has(question.filter, "is:deleted");
   at("act-delete").hidden = deleted;
   at("act-restore").hidden = !deleted;
+  at("act-calibrate").hidden = deleted;
   head();
   acts();
 }
@@ -195,6 +200,15 @@ function selectNone() {
   acts();
 }
 
+/** Opens the page on which a calibration of them is begun. @param {number[]} ids */
+function calibrate(ids) {
+  if (!ids.length || at("act-calibrate").hidden) return;
+  // An address holds so many ids and no more; all that match are named by the filter.
+  if (ids.length <= MOST_CHOSEN) location.assign(`/calibrations/new?experiments=${ids.sort((a, b) => a - b).join(",")}`);
+  else if (ids.length === rows.total) location.assign(`/calibrations/new?${new URLSearchParams({ filter: question.filter })}`);
+  else toast(`At most ${count(MOST_CHOSEN)} experiments can be chosen one by one: filter the table, and select all that match.`, { bad: true });
+}
+
 /** The selected ones, or the one that the keys are on. */
 const chosen = () => {
   const row = rows.at(active);
@@ -209,6 +223,7 @@ function changed() {
 
 at("act-flag").addEventListener("click", () => marks.flag([...selected], changed));
 at("act-note").addEventListener("click", () => marks.note([...selected], changed));
+at("act-calibrate").addEventListener("click", () => calibrate([...selected]));
 at("act-delete").addEventListener("click", () => marks.remove([...selected], changed));
 at("act-restore").addEventListener("click", () => marks.restore([...selected], changed));
 at("act-none").addEventListener("click", selectNone);
@@ -270,6 +285,7 @@ const KEYS = {
   },
   f: () => marks.flag(chosen(), changed),
   n: () => marks.note(chosen(), changed),
+  c: () => calibrate(chosen()),
   Delete: () => (has(question.filter, "is:deleted") ? marks.restore(chosen(), changed) : marks.remove(chosen(), changed)),
   "/": () => input("filter").focus(),
   "?": () => /** @type {HTMLDialogElement} */ (at("keys")).showModal(),

@@ -167,17 +167,26 @@ function placed(low, high, from, to, log) {
 function drawn(one, across, up) {
   const parts = [];
   let pen = false;
+  /** Places that have a point already: of a hundred thousand, few can be told apart. */
+  const taken = new Set();
+  let last = "";
   for (let k = 0; k < one.xs.length; k += 1) {
     if (!Number.isFinite(one.ys[k]) || !Number.isFinite(one.xs[k])) {
       pen = false;
       continue;
     }
     const [x, y] = [across(one.xs[k]).toFixed(1), up(one.ys[k]).toFixed(1)];
-    if (one.kind === "points") parts.push(`M${x} ${y}h0`);
+    const place = `${Math.round(+x)} ${Math.round(+y)}`;
+    if (one.kind === "points") {
+      if (!taken.has(place)) parts.push(`M${x} ${y}h0`);
+      taken.add(place);
+    }
     else if (one.kind === "crosses") parts.push(`M${x} ${y}m-3.5-3.5l7 7m0-7l-7 7`);
     else if (!pen) parts.push(`M${x} ${y}`);
+    else if (one.kind === "step" && place === last && k < one.xs.length - 1) continue;
     else parts.push(one.kind === "step" ? `H${x}V${y}` : `L${x} ${y}`);
     pen = true;
+    last = place;
   }
   return svg("path", { class: `${one.kind} ${one.name}`, d: parts.join("") });
 }

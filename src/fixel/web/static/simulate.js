@@ -277,12 +277,21 @@ at("add-pusher").addEventListener("click", () => {
 at("remove").addEventListener("click", () => {
   const { choice } = editor;
   if (!choice) return;
-  const name = editor.chosen?.name;
-  editor.scene[choice.kind].splice(choice.index, 1);
+  const [thing] = editor.scene[choice.kind].splice(choice.index, 1);
   editor.choice = null;
   editor.changed();
   editor.choose(null);
-  toast(`Removed ${name}.`, { undo: async () => editor.undo() });
+  const origin = at("origin").textContent;
+  toast(`Removed ${thing.name}.`, {
+    undo: async () => { // whatever has been changed since, but not in another scene
+      if (at("origin").textContent !== origin) throw new Error("Another scene is open.");
+      if (editor.things.some((one) => one.thing.name === thing.name)) return; // Ctrl-Z was faster
+      editor.scene[choice.kind] = [...(editor.scene[choice.kind] ?? []).slice(0, choice.index), thing, ...(editor.scene[choice.kind] ?? []).slice(choice.index)];
+      editor.choice = { ...choice, index: editor.scene[choice.kind].indexOf(thing) };
+      editor.changed();
+      editor.choose(editor.choice);
+    },
+  });
 });
 at("undo").addEventListener("click", () => editor.undo());
 at("redo").addEventListener("click", () => editor.redo());

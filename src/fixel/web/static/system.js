@@ -24,7 +24,8 @@ function onDemand(id, work) {
       complain(problem);
     }
     button.disabled = false;
-    button.focus();
+    // A button that is off has lost the keyboard; it gets it back unless it went elsewhere.
+    if (document.activeElement === document.body) button.focus();
   });
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Final
@@ -19,7 +18,8 @@ from fixel.model.space import ParameterSpace
 from fixel.workflows.calibration.outcome import DIRECT, STORED, SUBSET, Found, Outcome
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.retrace import Retraced, retraced
-from fixel.workflows.calibration.run import EXPERIMENTS, Calibration
+from fixel.workflows.calibration.run import Calibration
+from fixel.workflows.calibration.unattended import experiments_of
 from fixel.workflows.pictures import banner_of
 
 # Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
@@ -68,7 +68,7 @@ class Desk:
     def banners(self) -> list[str]:
         """What stands over a picture of each experiment; nothing where it is real."""
         folder = self.calibration.folder
-        ids: list[int] = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
+        ids = experiments_of(folder)
         with Project.open(folder.parents[1]).store() as store:
             listed = store.experiments(Query(flagged=True, replaced=True)).summaries
             real = {summary.id for summary in listed if summary.is_real}

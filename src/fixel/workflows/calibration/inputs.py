@@ -15,6 +15,7 @@ from fixel.exchange.scene_build import scene_of
 from fixel.exchange.scene_content import scene_content
 from fixel.exchange.scene_schema import SceneRecord
 from fixel.simulation.ensemble import Case
+from fixel.workflows.readable import readable
 
 TARGETS: Final = "targets.json"
 POSES: Final = "poses.npz"
@@ -40,6 +41,11 @@ def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
 
 def read_targets(folder: Path) -> list[Target]:
     """The other way round, bit by bit."""
+    with readable(folder):
+        return _read_targets(folder)
+
+
+def _read_targets(folder: Path) -> list[Target]:
     content = json.loads((folder / TARGETS).read_text(encoding="utf-8"))
     arrays = arrays_of((folder / POSES).read_bytes())
     ends = np.cumsum([entry["samples"] for entry in content])[:-1]

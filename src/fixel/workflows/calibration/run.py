@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -31,6 +32,7 @@ from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import Found, Outcome, outcome_of
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.readable import readable
 
 MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
@@ -221,7 +223,7 @@ def run(
     say: Callable[[str], None] | None = None,
 ) -> None:
     """Run or continue the job of a calibration; nothing to do where it is done."""
-    if files.read_status(folder).state == "done":
+    if jobs.status_of(folder).state == "done":
         return
     jobs.arrange(folder, workers=workers, site=site)
     jobs.run_here(folder, progress, say)
@@ -231,9 +233,12 @@ def collect(
     project: Project, folder: Path, command: str, left_out: Mapping[str, str]
 ) -> Calibration:
     """Store what a job found in its project, once, and give it back."""
-    inputs = folder / "inputs"
-    request = Request.model_validate_json((inputs / REQUEST).read_bytes())
-    outcome = outcome_of((folder / files.RESULT).read_bytes())
+    path = folder / "inputs" / REQUEST
+    with readable(path):
+        request = Request.model_validate_json(path.read_bytes())
+    path = folder / files.RESULT
+    with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
+        outcome = outcome_of(path.read_bytes())
     ids = _stored(project, folder, request, outcome, command)
     return Calibration(folder=folder, request=request, outcome=outcome, ids=ids, left_out=left_out)
 
@@ -249,15 +254,18 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
 def stored_ids(folder: Path) -> list[int]:
     """Of the stored calibrations that came of a job so far."""
     path = folder / STORED
-    known: list[int] = json.loads(path.read_text()) if path.is_file() else []
-    return known
+    if not path.is_file():
+        return []
+    with readable(path):
+        return [int(number) for number in json.loads(path.read_text())]
 
 
 def _stored(
     project: Project, folder: Path, request: Request, outcome: Outcome, command: str
 ) -> list[int]:
     path = folder / STORED
-    experiments = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
+    with readable(folder / "inputs" / EXPERIMENTS):
+        experiments = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
     known = stored_ids(folder)
     if len(known) == len(outcome.found):
         return known

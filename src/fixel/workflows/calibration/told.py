@@ -10,6 +10,7 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.database.store import Store
+from fixel.errors import FixelError
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import CalibrationRecord
 from fixel.workflows.calibrated import parted
@@ -106,12 +107,18 @@ class Told(NamedTuple):
 def tell(project: Project, store: Store, number: int) -> Told:
     """What there is to see of a stored calibration."""
     record = store.calibration(number)
-    calibration = reopened(project, record)
-    one = None
-    if calibration is not None and number in calibration.ids:
-        one = calibration.outcome.found[calibration.ids.index(number)]
-    desk = None if calibration is None else Desk(calibration)
-    starts = [] if desk is None or one is None else starts_of(desk, one)
+    calibration = one = desk = None
+    starts: list[Start] = []
+    trouble = ""
+    try:
+        calibration = reopened(project, record)
+        if calibration is not None and number in calibration.ids:
+            one = calibration.outcome.found[calibration.ids.index(number)]
+            desk = Desk(calibration)
+            starts = starts_of(desk, one)
+    except FixelError as problem:  # what is stored can be shown all the same
+        calibration = one = desk = None
+        trouble = str(problem)
     return Told(
         id=number,
         record=record,
@@ -124,7 +131,7 @@ def tell(project: Project, store: Store, number: int) -> Told:
         units={estimate.label: estimate.unit for estimate in record.estimates},
         level=0.95 if desk is None else desk.request.level,
         noise="" if one is None else one.noise,
-        note="" if one is None else one.note,
+        note=trouble if one is None else one.note,
         siblings=_siblings(calibration, store),
         complete=one is not None,
     )

@@ -19,6 +19,7 @@ from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.run import EXPERIMENTS, collect
 from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.readable import readable
 
 MODULE: Final = "fixel.workflows.calibration.unattended"
 
@@ -38,13 +39,16 @@ def collected(project: Project, folder: Path) -> list[int]:
 
 def request_of(folder: Path) -> Request:
     """What a calibration's job is to find."""
-    return Request.model_validate_json((folder / "inputs" / REQUEST).read_bytes())
+    path = folder / "inputs" / REQUEST
+    with readable(path, f"delete the folder {folder}"):
+        return Request.model_validate_json(path.read_bytes())
 
 
 def experiments_of(folder: Path) -> list[int]:
     """Ids of the experiments of a calibration's job."""
-    ids: list[int] = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
-    return ids
+    path = folder / "inputs" / EXPERIMENTS
+    with readable(path, f"delete the folder {folder}"):
+        return [int(number) for number in json.loads(path.read_text())]
 
 
 def main(arguments: list[str] | None = None) -> int:

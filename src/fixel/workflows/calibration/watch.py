@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.errors import JobRefused, NotStored
+from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.exchange.array_bytes import arrays_of
 from fixel.exchange.journal import read_journal
 from fixel.jobs import folder as files
@@ -120,12 +120,21 @@ class Watch:
             raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
         return found
 
-    def unfinished(self) -> list[Watched]:
-        """Calibrations that are not stored yet, the newest first; those that are done become so."""
-        open_still = [one for one in self._folders() if not stored_ids(one)]
-        made = {one: files.read_job(one).made_utc for one in open_still}
-        found = [self.look(one) for one in sorted(open_still, key=made.__getitem__, reverse=True)]
-        return [one for one in found if not one.stored]
+    def unfinished(self) -> tuple[list[Watched], list[FixelError]]:
+        """Calibrations that are not stored yet, the newest first, and why others cannot be read.
+
+        Those that are done become stored.
+        """
+        made = {one: files.read_job(one).made_utc for one in self._folders()}
+        found: list[Watched] = []
+        unreadable: list[FixelError] = []
+        for one in sorted(made, key=made.__getitem__, reverse=True):
+            try:
+                if not stored_ids(one) and not (seen := self.look(one)).stored:
+                    found.append(seen)
+            except FixelError as problem:
+                unreadable.append(problem)
+        return found, unreadable
 
     def look(self, folder: Path, since: int = 0) -> Watched:
         """How far one is; of the objective only what came after so many evaluations."""

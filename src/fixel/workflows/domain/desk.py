@@ -1,6 +1,8 @@
-"""A kept map, looked at under other thresholds and along other axes, at once.
+"""A kept map, looked at under other thresholds at once, and along other axes after a while.
 
-The fits are not made again: what was held out is read from where the analysis has kept it.
+The fits are not made again: what was held out is read from where the analysis has kept it. How
+errors vary over other axes has to be found anew, which takes from a second to minutes: in a process
+beside, once for all who ask, until nobody does any more.
 """
 
 from __future__ import annotations
@@ -20,14 +22,16 @@ from fixel.applicability.evidence import Evidence, Measure, value_of
 from fixel.applicability.next_experiment import Proposal, proposals
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import JobRefused, NotStored
+from fixel.errors import JobRefused, NotStored, StoreRefused
 from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.workflows.analysis import Kept, kept
+from fixel.workflows.analysis import Kept, kept_and_not
+from fixel.workflows.domain.fits import Fit, Fits
 from fixel.workflows.domain.gather import Gathered, gathered_before, mark_of
-from fixel.workflows.domain.mapped import spread_out
+from fixel.workflows.domain.mapped import is_fitted, refuse_axes, spread_out
 from fixel.workflows.domain.request import Asked, asked_again
 
-MOST_MAPS: Final = 12  # at hand; a new one takes a second or so
+MOST_MAPS: Final = 12  # at hand
+PATIENCE: Final = 2.0  # [s] that who asks for a map waits for it
 MOST_GROUPS: Final = 40
 MOST_ON_AXIS: Final = 60  # values of a text that may be an axis
 
@@ -122,6 +126,9 @@ class Shown(NamedTuple):
     counts: dict[str, int]
 
 
+Key = tuple[str, ...]
+
+
 @final
 class DomainDesk:
     """Kept maps of a project.
@@ -135,12 +142,13 @@ class DomainDesk:
     def __init__(self, project: Project, store: Store) -> None:
         self._project = project
         self._store = store
-        self._views: OrderedDict[tuple[str, ...], View] = OrderedDict()
-        self._lock = threading.Lock()
+        self._views: OrderedDict[Key, View] = OrderedDict()
+        self._fits: Fits[Key, tuple[DomainMap, int]] = Fits(_spread_out)
+        self._lock = threading.Lock()  # of the views; nothing is computed under it
 
-    def maps(self) -> list[Kept]:
-        """The newest first."""
-        return kept(self._project, "domain")
+    def maps(self) -> tuple[list[Kept], list[StoreRefused]]:
+        """The newest first, and why others cannot be read."""
+        return kept_and_not(self._project, "domain")
 
     def view(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> View:
         """A map along some axes, those it was made for where left out.
@@ -150,23 +158,60 @@ class DomainDesk:
         NotStored
             No such analysis.
         JobRefused
-            Its held-out errors are not there any more.
+            Its held-out errors are not there any more, or it is still being fitted to these axes.
         InvalidInput
             Axes or a measure that the experiments do not allow.
         """
-        one = next((one for one in self.maps() if one.folder.name == name), None)
+        found = self._looked_up(name, axes, measure)
+        if isinstance(found, Fit):
+            found.ended.wait(PATIENCE)
+            found = self._looked_up(name, axes, measure)
+        if isinstance(found, Fit):
+            raise JobRefused(
+                f"the map is being fitted to these axes, for {found.seconds:.0f} s so far",
+                hint="ask again in a while",
+            )
+        return found
+
+    def fit(
+        self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None
+    ) -> float | None:
+        """For how long a map has been fitted [s]; none where it is at hand.
+
+        Where nobody has, it is begun. Raises as `view` does.
+        """
+        found = self._looked_up(name, axes, measure)
+        return found.seconds if isinstance(found, Fit) else None
+
+    def stop(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> None:
+        """End the fit of a map, if there is one."""
+        self._fits.stop(self._key(self._named(name), axes, measure))
+
+    def _named(self, name: str) -> Kept:
+        one = next((one for one in self.maps()[0] if one.folder.name == name), None)
         if one is None:
             raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
-        key = (name, one.analysis.created, *axes, measure or "")
-        with self._lock:  # two who ask for the same wait for one answer
-            if key not in self._views:
-                self._views[key] = self._made(one, axes, measure)
-            self._views.move_to_end(key)
-            if len(self._views) > MOST_MAPS:
-                self._views.popitem(last=False)
-            return self._views[key]
+        return one
 
-    def _made(self, one: Kept, axes: tuple[str, ...], measure: Measure | None) -> View:
+    def _key(self, one: Kept, axes: tuple[str, ...], measure: Measure | None) -> Key:
+        return (one.folder.name, one.analysis.created, *axes, measure or "")
+
+    def _looked_up(self, name: str, axes: tuple[str, ...], measure: Measure | None) -> View | Fit:
+        """A map at hand, or on its way: two who ask for the same wait for one answer."""
+        one = self._named(name)
+        key = self._key(one, axes, measure)
+        fit = self._fits.joined(key)
+        if fit is not None:
+            return fit
+        with self._lock:  # after the fits: what ends becomes a view before it is gone from them
+            if key in self._views:
+                self._views.move_to_end(key)
+                return self._views[key]
+        return self._begun(key, one, axes, measure)
+
+    def _begun(
+        self, key: Key, one: Kept, axes: tuple[str, ...], measure: Measure | None
+    ) -> View | Fit:
         asked = asked_again(one.analysis.question)
         changed = bool(axes) or (measure or asked.measure) != asked.measure
         if axes:
@@ -174,6 +219,20 @@ class DomainDesk:
                                                        if k in axes})  # fmt: skip
         if measure is not None and measure != asked.measure:
             asked = replace(asked, measure=measure, threshold=None)
+        gathered = self._gathered(one, asked)
+        known = {} if changed else one.arrays
+        if is_fitted(known):
+            domain, aside = spread_out(gathered, asked, known)
+            return self._put(key, View(one, asked, gathered, domain, aside, _table(domain.cells)))
+        refuse_axes(gathered, asked)
+
+        def put(answer: tuple[DomainMap, int]) -> None:
+            domain, aside = answer
+            self._put(key, View(one, asked, gathered, domain, aside, _table(domain.cells)))
+
+        return self._fits.begun(key, (gathered, asked), put)
+
+    def _gathered(self, one: Kept, asked: Asked) -> Gathered:
         newest = next(iter(one.analysis.calibrations), None)
         mark = str(one.analysis.numbers.get("evidence", "")) or mark_of(self._store, asked, newest)
         gathered = gathered_before(self._project, self._store, asked, mark)
@@ -182,8 +241,18 @@ class DomainDesk:
                 "the errors this map rests on are not kept any more, or the project has changed",
                 hint=f"make it again with: {one.analysis.command or 'fixel domain'}",
             )
-        domain, aside = spread_out(gathered, asked, {} if changed else one.arrays)
-        return View(one, asked, gathered, domain, aside, _table(domain.cells))
+        return gathered
+
+    def _put(self, key: Key, view: View) -> View:
+        with self._lock:
+            self._views[key] = view
+            while len(self._views) > MOST_MAPS:
+                self._views.popitem(last=False)
+        return view
+
+
+def _spread_out(question: tuple[Gathered, Asked]) -> tuple[DomainMap, int]:
+    return spread_out(*question)
 
 
 def shown(view: View, threshold: float | None, level: float, confidence: float) -> Shown:

@@ -35,6 +35,7 @@ from fixel.workflows.domain.held_out import (
 )
 from fixel.workflows.domain.request import Asked, model_of, own_best
 from fixel.workflows.finished import Finished
+from fixel.workflows.readable import readable
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
@@ -79,7 +80,8 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
             content = _computed(project, store, asked, Finished(folder), progress)
             with written_whole(folder / WHOLE) as path:
                 path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-        gathered = _gathered(content, asked)
+        with readable(folder / WHOLE, f"delete the folder {folder}"):
+            gathered = _gathered(content, asked)
         if asked.measure == "relative":
             gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in summaries)
@@ -88,10 +90,12 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
 
 def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> Gathered | None:
     """Evidence out of a file that `gather` has kept; nothing is computed, none where it is gone."""
-    content = _read(project.folder / ANALYSES / FOLDER / mark / WHOLE) if mark else None
+    path = project.folder / ANALYSES / FOLDER / mark / WHOLE
+    content = _read(path) if mark else None
     if content is None:
         return None
-    gathered = _gathered(content, asked)
+    with readable(path, f"delete the folder {path.parent}, and make the map again"):
+        gathered = _gathered(content, asked)
     if asked.measure == "relative":
         gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in store.experiments(asked.query).summaries)

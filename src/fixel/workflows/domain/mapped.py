@@ -154,11 +154,21 @@ def spread_out(
     """
     evidence, cells, aside = _cut(gathered, asked)
     known = fitted or {}
-    if f"{SURFACE}mean" not in known:
+    if not is_fitted(known):
         return _spread(evidence, cells, asked), aside
     surface = Surface(**{field.name: known[f"{SURFACE}{field.name}"] for field in fields(Surface)})
     promised = known.get(PROMISED)
     return domain_map(evidence, cells, asked.measure, asked.seed, promised, surface), aside
+
+
+def is_fitted(known: Mapping[str, FloatArray]) -> bool:
+    """Whether among the numbers kept with a map is what takes long to find."""
+    return f"{SURFACE}mean" in known
+
+
+def refuse_axes(gathered: Gathered, asked: Asked) -> None:
+    """Refuse what no map can be made of, before anything is fitted."""
+    _cut(gathered, asked)
 
 
 def _fitted(domain: DomainMap) -> dict[str, Any]:

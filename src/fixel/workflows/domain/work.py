@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fixel.database.project import Project
+from fixel.errors import FixelError
 from fixel.exchange.atomic import written_whole
 from fixel.jobs import folder as files
 from fixel.jobs.work import Work
@@ -51,18 +52,25 @@ def begin(project: Project, asked: Asked, command: str) -> Path:
     return folder
 
 
-def jobs_of(project: Project) -> list[jobs.JobStatus]:
-    """Those of a project, the newest first."""
-    found = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
-    own = [one for one in found if files.made_by(one, MAKER)]
+def jobs_of(project: Project) -> tuple[list[jobs.JobStatus], list[FixelError]]:
+    """Those of a project, the newest first, and why others cannot be read."""
+    every = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
+    own = [one for one in every if files.made_by(one, MAKER)]
     own.sort(key=lambda one: files.read_job(one).made_utc, reverse=True)
-    return [jobs.status_of(one) for one in own]
+    found: list[jobs.JobStatus] = []
+    unreadable: list[FixelError] = []
+    for one in own:
+        try:
+            found.append(jobs.status_of(one))
+        except FixelError as problem:
+            unreadable.append(problem)
+    return found, unreadable
 
 
 def fits_done(folder: Path) -> tuple[int, int]:
     """How many fits of how many a job has made; zeros where it has not begun."""
     try:
         done, total = json.loads((folder / PROGRESS).read_text())
-    except (OSError, ValueError):
+        return int(done), int(total)
+    except (OSError, TypeError, ValueError):
         return 0, 0
-    return int(done), int(total)
