@@ -183,12 +183,18 @@ def calibrate(
     from fixel.cli.jobs import job_bar
     from fixel.jobs.site import load_site
 
-    run.run(
-        job,
-        workers=workers,
-        site=None if site is None else load_site(site),
-        progress=job_bar(),
-    )
+    try:
+        run.run(
+            job,
+            workers=workers,
+            site=None if site is None else load_site(site),
+            progress=job_bar(),
+        )
+    except KeyboardInterrupt:
+        from fixel.cli.screen import say
+
+        say(f"what is finished is kept in {job}; the same command goes on from there")
+        raise
     command = "fixel " + shlex.join(sys.argv[1:])
     done = run.collect(project, job, command, chosen.left_out)
     pictures = _draw(done, plot) if plot is not None else []
@@ -239,7 +245,7 @@ def _prepared(job: Path, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"job": str(job)}))
         return
-    typer.echo(f"prepared {job}")
+    typer.echo(f"prepared {job}; once it is done, this command without --prepare stores its result")
     typer.echo(f"Next: fixel jobs submit {shlex.quote(str(job))} --workers 2")
 
 
