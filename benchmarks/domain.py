@@ -15,6 +15,7 @@ from fixel.applicability.cells import cells_of
 from fixel.applicability.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
 from fixel.applicability.evidence import Evidence
 from fixel.calibration.objective import Comparer, MeanSquare
+from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.target import Target, targets_of
 from fixel.kernels.arrays import FloatArray
 from fixel.model import PlannedExperiment
@@ -23,7 +24,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.unknowns import default_unknowns
-from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
+from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import Apart, Model, calibrated_on, held_out
 from fixel.workflows.finished import Finished
 

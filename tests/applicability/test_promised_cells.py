@@ -60,3 +60,39 @@ def test_experiments_without_evidence_say_nothing():
         error_mm2=error,
     )
     assert np.isfinite(promised_cells(kept, _cells(kept), 0.9)).all()
+
+
+@pytest.mark.parametrize("repetitions", [1, 3])
+def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitions):
+    """Each cell has an error of its own, which repetitions meet again and neighbours do not."""
+    held = []
+    for seed in range(30):
+        random = np.random.default_rng(seed)
+        places = np.arange(41)
+        own = np.exp(0.5 * random.normal(size=41))
+        tried = np.sort(random.permutation(41)[:25])
+        at = np.repeat(tried, repetitions)
+        error = own[at] * np.exp(0.05 * random.normal(size=len(at)))
+        evidence = Evidence(
+            keys=tuple(f"e{k}" for k in range(len(at))),
+            ids=tuple(range(len(at))),
+            coordinates={"offset_y_m": tuple((1e-3 * at).tolist())},
+            error_mm2=error**2,
+        )
+        cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 1e-3})
+        (bound,) = promised_cells(evidence, cells, 0.9, seed)
+        number = {round(1e3 * c): k for k, c in enumerate(cells.axes[0].centres)}
+        new = [p for p in places if p not in set(tried.tolist()) and p in number]
+        promised = bound[[number[p] for p in new]]
+        assert np.isfinite(promised).any()
+        held.append((own[new] <= promised)[np.isfinite(promised)])
+    assert np.concatenate(held).mean() == pytest.approx(0.91, abs=0.04)
+
+
+def test_of_few_cells_repeated_nothing_follows_for_another():
+    evidence = _evidence(2)  # five cells: too few to say anything of a sixth
+    cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 0.5e-3})
+    (bound,) = promised_cells(evidence, cells, 0.9)
+    tried = np.unique(cells.find(evidence))
+    assert np.isfinite(bound[tried]).all()
+    assert np.isinf(np.delete(bound, tried)).all()

@@ -119,6 +119,34 @@ def test_the_noise_is_that_of_repetitions_where_there_are_some():
     assert repeated(comparer, np.arange(1)) is None
 
 
+def test_repetitions_of_last_poses_are_independent_measurements():
+    targets = []
+    for k in range(4):
+        one = target_of(_experiment(2, seed=k))
+        targets.append(one._replace(conditions={**one.conditions, "repetition": float(k)}))
+    comparer = Comparer(targets, _space(), EndPose())
+    noise = repeated(comparer, np.arange(4))
+    assert noise.correlation == 1.0
+    assert noise.freedom == 6.0  # x and y of three poses about their mean
+
+
+def test_intervals_do_not_widen_with_the_frames_that_are_left_out(monkeypatch):
+    # Its errors keep their sign for seconds: of forty frames, four say as much.
+    target = target_of(next(iter(SimulatedTestbed(seed=1).run([PLANNED[2]]))))
+    unknowns = [
+        Unknown(name="mu_pusher", low=0.02, high=1.0, nominal=0.1),
+        Unknown(name="tripod_radius", low=0.0016, high=0.08, nominal=0.057),
+    ]
+    comparer = Comparer([target], ParameterSpace(unknowns=unknowns), motion=QuasiStatic())
+    widths = []
+    for most in (1000, 120):
+        monkeypatch.setattr("fixel.calibration.assess.MOST_RESIDUALS", most)
+        found = assess(comparer, [0], comparer.space.nominal)
+        assert found.noise.correlation > 20.0
+        widths.append([v.high - v.low for v in found.verdicts])
+    np.testing.assert_allclose(widths[1], widths[0], rtol=0.2)
+
+
 def test_of_long_trajectories_some_frames_stand_for_all(monkeypatch):
     target = target_of(_experiment(2))
     comparer = Comparer([target], _space())

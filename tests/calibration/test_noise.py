@@ -8,6 +8,7 @@ from scipy import stats
 from tests.calibration.toys import TIMES, TRUTH, box, calibrated, decay
 
 from fixel.calibration.noise import (
+    LEAST_SCATTER,
     Dispersion,
     Noise,
     correlation_time,
@@ -139,6 +140,11 @@ def test_coverage_with_correlated_noise():
     assert (np.mean(inside, axis=0) >= 0.88).all(), np.mean(inside, axis=0)
 
 
+def test_exact_copies_scatter_by_what_simulations_are_exact_to():
+    copies = noise_from_repetitions([np.zeros((2, 5, 3))])
+    assert (copies.position_m, copies.angle_rad) == (LEAST_SCATTER, LEAST_SCATTER)
+
+
 def test_refusals():
     with pytest.raises(InvalidInput, match=r"noise\.position_m"):
         Noise(position_m=0.0, angle_rad=0.01)
@@ -150,7 +156,5 @@ def test_refusals():
         noise_from_repetitions([np.zeros((1, 5, 3))])
     with pytest.raises(InvalidInput, match=r"groups\[0\]"):
         noise_from_repetitions([np.zeros((2, 5))])
-    with pytest.raises(InvalidInput, match="scatter"):
-        noise_from_repetitions([np.zeros((2, 5, 3))])
     with pytest.raises(InvalidInput, match="level"):
         Dispersion(value=1.0).threshold(1.0)

@@ -87,6 +87,15 @@ def test_groups_of_neighbours_share_the_nominal_experiment():
     assert neighbours(conditions) == [[0, 1, 2], [0, 3], [4]]
 
 
+def test_a_mean_leaves_out_those_who_could_not_say():
+    points = np.array([[0.0, 3.0], [1.0, 9.0], [2.0, 5.0]])  # the second kept its start
+    informed = np.array([[True, True], [True, False], [True, True]])
+    found = weighted_mean(points, np.array([1.0, 0.1, 3.0]), informed)
+    plain = weighted_mean(points, np.array([1.0, 0.1, 3.0]))
+    assert found[0] == plain[0]
+    assert found[1] == pytest.approx((3.0 + 5.0 / 3.0) / (1.0 + 1.0 / 3.0))
+
+
 def test_the_mean_is_weighted_with_inverse_errors():
     points = np.array([[0.0, 1.0], [1.0, 3.0]])
     assert weighted_mean(points, np.array([1.0, 3.0])) == pytest.approx([0.25, 1.5])

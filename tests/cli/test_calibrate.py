@@ -73,6 +73,38 @@ def test_the_best_of_those_stored(capsys, project):
     assert "no stored calibration" in err
 
 
+def test_an_experiment_counts_once_under_whatever_names(capsys, project):
+    keys = (1, "testbed/001-square-collinear-tight-nominal")
+    code, out, _ = fixel(capsys, "calibrate", *keys, "-p", project, *QUICK, "--json")
+    assert code == 0
+    assert json.loads(out)["mode"] == "each"
+    assert len(json.loads(out)["experiments"]) == 1
+
+
+def test_the_next_command_is_the_worst_under_what_it_was_calibrated_with(capsys, project):
+    options = ("--mode", "each", "--fit", "mu_pusher", "--set", "mu_support=0.3")
+    more = ("--motion", "quasistatic", "--option", "threshold_delta=0.05")
+    code, out, _ = fixel(capsys, "calibrate", "-p", project, *options, *more)
+    assert code == 0
+    code, told, _ = fixel(capsys, "calibrate", "-p", project, *options, *more, "--json")
+    worst = max(json.loads(told)["found"], key=lambda one: one["errors"][0])
+    *_, verdicts, _, _, last = out.splitlines()
+    assert last.startswith(f"Next: fixel compare {worst['experiments'][0]} --set mu_pusher=")
+    assert f"--set mu_pusher={worst['parameters']['mu_pusher']:.4g} " in last
+    assert "--set mu_support=0.3 " in last
+    assert "--motion quasistatic" in last
+    assert verdicts.startswith("  mu_pusher: ")
+    assert " in 3" in verdicts or ", " in verdicts
+    assert worst["noise"].startswith("noise ")
+
+
+def test_a_campaign_lists_every_experiment_once(capsys, project):
+    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "campaign", *QUICK)
+    assert code == 0
+    listed = [line for line in out.splitlines() if line.startswith("testbed/")]
+    assert len(listed) == 3
+
+
 def test_a_job_to_submit_elsewhere(capsys, project):
     code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
     assert code == 0
@@ -96,6 +128,11 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--optimiser", "least-squares", "--mode", "each"), "--mode joint"),
         (("--noise-mm", "0.1"), "both, or neither"),
         (("nowhere",), "no experiment 'nowhere'"),
+        (("--level", "95"), "--level: found 95.0, expected a number between 0 and 1"),
+        (("--noise-mm", "-1", "--noise-mrad", "1"), "noise.position_m: found -0.001"),
+        (("--name", "../mine"), "--name: found '../mine'"),
+        (("--optimiser", "least-square"), "did you mean 'least-squares'"),
+        (("1", "--where", "shape=none"), "--where: found experiments by name too"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):

@@ -36,7 +36,8 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     lines = out.splitlines()
     assert lines[0].startswith("Within 4 mm for 90 % of new experiments:")
     assert any(line.startswith("map") and "offset_theta_rad [deg]" in line for line in lines)
-    assert lines[-1].startswith("Next: fixel domain")
+    assert lines[-1].startswith(f"Next: fixel domain --project {project} --fit mu_pusher")
+    assert lines[-1].endswith("--threshold-mm 2 --folds 2")
     names = {path.stem for path in plot.glob("*.png")}
     assert names == {"map-offset_x_m", "map-offset_theta_rad", "size"}
     (one, *_) = kept(Project.open(project), "domain")

@@ -15,6 +15,8 @@ from fixel.exchange.importers import importer_for
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Channel, Flag, Trajectory
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
 
 SOME = ParticleFilter(n_particles=200)
 FEW = ParticleFilter(n_particles=100)
@@ -163,3 +165,16 @@ def test_experiment_141_with_a_second_hidden(data_root):
     assert np.sqrt(np.mean(position[hidden] ** 2)) < 4e-3
     assert found.contact_mode == experiment.contact_mode == "010"
     assert found.uses_tactile
+
+
+def test_a_part_drawn_too_large_for_its_seat_teaches_no_friction():
+    """Most particles of the seated part have no simulation; who survives must not be a lottery."""
+    planned = thesis_plan().experiments[2]
+    (whole,) = SimulatedTestbed(seed=1).run([planned])
+    seated = replace(whole, effective=(9.6, 11.1))
+    found = run_filter(seated, ParticleFilter(n_particles=100), seed=1)
+    assert found.failed.sum() > 10 * len(found.time)
+    widths = found.quantiles[-1, :, 2] - found.quantiles[-1, :, 0]
+    assert (widths > 0.3 * (found.prior.high - found.prior.low)).all()
+    position, _, _ = found.errors(whole.trajectory)
+    assert position.max() < 1e-3

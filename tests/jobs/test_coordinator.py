@@ -169,6 +169,26 @@ def test_a_work_that_raises_is_a_failed_job_with_a_reason(tmp_path):
     assert "Traceback" in (folder / "log.txt").read_text()
 
 
+@pytest.mark.parametrize(
+    "left",
+    [(".inputs.ab12/one",), ("state.json", ".inputs.ab12/one"), ("state.json", "inputs/one")],
+)
+def test_what_a_crash_left_before_there_was_a_job_is_in_nobodys_way(tmp_path, left):
+    folder = tmp_path / "job"
+    for name in left:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("{}")
+    prepare_job(folder, maker=MAKER, inputs={"two": b"2"})
+    assert [path.name for path in (folder / "inputs").iterdir()] == ["two"]
+    assert files.read_status(folder).state == "queued"
+
+
+def test_inputs_alone_are_somebodys_own(tmp_path):
+    (tmp_path / "job" / "inputs").mkdir(parents=True)
+    with pytest.raises(InvalidInput, match="expected a new folder"):
+        prepare_job(tmp_path / "job", maker=MAKER)
+
+
 def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
     for maker in ("os:system", "fixel.testing.toy_work:nothing"):
         with pytest.raises(InvalidInput, match="function of a job"):

@@ -10,7 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.model.parameters import Parameters
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testing.scenes import grasp, micro_push, sliding_block
-from fixel.uncertainty.fan import fan_at, fan_of
+from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.outcomes import parted, sensitivity_of
 from fixel.uncertainty.starts import ASME, StartError
 
@@ -48,7 +48,7 @@ def test_no_room_is_no_outcome_with_a_reason():
     # The fixel stands right behind the puck, which the plate touches.
     scene = fork()
     far = np.array([[0.0, 0.0, 0.0], [0.034, 0.0, 0.0]])
-    fan = fan_at(scene, StartError(x=1e-4, y=1e-4, theta=0.0), far, motion=QuasiStatic())
+    fan = fan_of(scene, StartError(x=1e-4, y=1e-4, theta=0.0), drawn=far, motion=QuasiStatic())
     assert fan.ended.tolist() == [True, False]
     assert "fixel-1" in fan.reasons[1] or "no room" in fan.reasons[1]
 

@@ -5,7 +5,7 @@ import pytest
 
 from fixel.database.project import Project
 from fixel.drawing.calibration import SecondsChart
-from fixel.workflows.analysis import CONTENT, Analysis, TextTable, keep, kept
+from fixel.workflows.analysis import CONTENT, Analysis, TextTable, keep, kept, rounded
 from fixel.workflows.pictures import Picture
 
 
@@ -53,3 +53,9 @@ def test_one_that_was_not_finished_is_not_there(project):
     one = keep(project, _analysis())
     (one.folder / CONTENT).unlink()
     assert kept(project) == []
+
+
+def test_the_rounding_of_simulations_is_no_number():
+    assert rounded(1.2e-13) == "0"
+    assert rounded(-3e-9, 4) == "0"
+    assert rounded(0.20584, 4) == "0.2058"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibrated import calibrated, searched_space
 from fixel.workflows.calibration import run
+from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
 from fixel.workflows.calibration.request import Choice, Request, entry_of
@@ -233,6 +235,20 @@ def test_what_cannot_be_asked_for_is_refused_before_work_starts(project, chosen,
     with pytest.raises(InvalidInput, match=said):
         run.prepare(project, chosen, _request(chosen, **changes))
     assert not (project.folder / "jobs").exists()
+
+
+def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
+    request = _request(
+        chosen,
+        error=Choice(name="end-pose", options={"angle_scale": 0.05}),
+        noise_position=1e-4,
+        noise_angle=2e-3,
+        motion="quasistatic",
+    )
+    words = command_of(Path("lab"), request, ["3"])
+    for said in ("--error end-pose", "--angle-scale-mm 50", "--noise-mm 0.1", "--noise-mrad 2",
+                 "--motion quasistatic"):  # fmt: skip
+        assert said in words
 
 
 def test_parameters_that_no_experiment_could_inform(chosen):

@@ -17,7 +17,7 @@ from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.unknowns import fitted
-from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
+from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.gather import noise_floor
 from fixel.workflows.domain.held_out import Apart, Model, held_out, label_of, stepper_for
 from fixel.workflows.domain.request import Asked, model_of, own_best
@@ -139,7 +139,6 @@ def test_axes_are_conditions_and_geometry_but_nothing_a_laboratory_cannot_know()
     assert rows[0]["travel_m"] == pytest.approx(0.15, rel=2e-3)
     assert rows[0]["push_angle_rad"] == pytest.approx(0.0, abs=1e-9)
     assert not any(name.startswith("truth_") or name == "repetition" for name in rows[0])
-    assert same_configuration(targets[0]) != same_configuration(targets[1])
     assert label_of({"a": "x", "b": 2.0}, ("a", "b")) == "x 2"
 
 

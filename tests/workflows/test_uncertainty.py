@@ -66,7 +66,7 @@ def test_it_is_kept_as_an_analysis(folder, answered):
     numbers = one.analysis.numbers
     assert numbers["experiments"] == ["testbed/push-1"]
     assert set(numbers["parameters"]) == {"tripod_radius", "model_error"}
-    assert one.arrays["samples"].shape == (100, 2)
+    assert one.arrays["samples"].shape == (1000, 2)
     assert len(one.analysis.pictures) == 5
     own = numbers["parameters"]["tripod_radius"]
     assert own["prior"] == pytest.approx([0.02, 0.06])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,8 +20,8 @@ from fixel.calibration.noise import (
 )
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles, run_profiles
+from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
-from fixel.calibration.target import Target
 from fixel.calibration.verdict import Verdict, judge
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Fixel, Parameters, Pusher
@@ -30,10 +31,6 @@ from fixel.simulation.simulate import simulate
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MOST_RESIDUALS: Final = 30_000
-
-# Conditions that may differ between repetitions of an experiment.
-_OWN: Final = ("experiment", "repetition")
-_TRUTH: Final = "truth_"
 
 Excitation = Callable[[str], bool]
 
@@ -113,12 +110,14 @@ class Frames:
         self._members = members
         length = comparer.length(members)
         frames = np.arange(comparer.ensemble.n_sample)
+        self._stride = 1
         if isinstance(comparer.error, EndPose):
             seen = frames == length[:, None] - 1
         else:
-            stride = max(1, math.ceil(3 * int(length.sum()) / MOST_RESIDUALS))
+            self._stride = max(1, math.ceil(3 * int(length.sum()) / MOST_RESIDUALS))
             # Counted from the last frame, which says most of where a push ends.
-            seen = (frames < length[:, None]) & ((length[:, None] - 1 - frames) % stride == 0)
+            before_end = length[:, None] - 1 - frames
+            seen = (before_end >= 0) & (before_end % self._stride == 0)
         self._seen: BoolArray = np.asarray(seen)
 
     @property
@@ -131,6 +130,9 @@ class Frames:
         """Of the residuals at the best."""
         at_best = self.residuals(noise)(point[None])[0]
         deviance = float(at_best @ at_best) if np.isfinite(at_best).all() else math.inf
+        # Of frames so far apart, fewer say as much as one.
+        correlation = max(1.0, noise.correlation / self._stride)
+        noise = replace(noise, correlation=correlation)
         return dispersion_of(noise, deviance, len(at_best), len(point))
 
     def residuals(self, noise: Noise) -> Callable[[FloatArray], FloatArray]:
@@ -158,27 +160,9 @@ def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
 
 def repeated(comparer: Comparer, members: np.ndarray) -> Noise | None:
     """Noise from experiments that were done again under the same conditions; none without."""
-    groups: dict[str, list[Target]] = {}
-    for m in members.tolist():
-        target = comparer.targets[m]
-        if "repetition" in target.conditions:
-            groups.setdefault(_same(target), []).append(target)
-    tables = []
-    for group in groups.values():
-        if len(group) > 1:
-            n = min(len(target.pose) for target in group)
-            tables.append(np.array([target.pose[:n] for target in group]))
-    return noise_from_repetitions(tables) if tables else None
-
-
-def _same(target: Target) -> str:
-    """What repetitions of one experiment have in common."""
-    kept = {
-        name: value
-        for name, value in target.conditions.items()
-        if name not in _OWN and not name.startswith(_TRUTH)
-    }
-    return repr(sorted(kept.items()))
+    targets = [comparer.targets[m] for m in members.tolist()]
+    groups = repetitions(targets, ends=isinstance(comparer.error, EndPose))
+    return noise_from_repetitions(groups) if groups else None
 
 
 def excitation(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Excitation:

@@ -24,7 +24,7 @@ IMPROBABLE: Final = 0.01
 # Degrees of freedom that an estimate is given at least. With one, the 95 % threshold is 42 times
 # that of known noise: an honest "do not know" that is still a number.
 LEAST_FREEDOM: Final = 1.0
-# Scatter that a fit is given at least [m or rad]: simulations are not more exact than that.
+# Scatter that poses are given at least [m or rad]: simulations are not more exact than that.
 LEAST_SCATTER: Final = 1e-6
 
 
@@ -146,11 +146,9 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
         )
     variance = np.mean(np.concatenate(deviations) ** 2, axis=0)
     correlation = correlation_time(deviations)
-    if not variance.all():
-        raise InvalidInput("groups", found="no scatter at all", expected="measured poses")
     return Noise(
-        position_m=math.sqrt(variance[:2].mean()),
-        angle_rad=math.sqrt(variance[2]),
+        position_m=max(LEAST_SCATTER, math.sqrt(variance[:2].mean())),
+        angle_rad=max(LEAST_SCATTER, math.sqrt(variance[2])),
         source="repetitions",
         correlation=correlation,
         freedom=max(LEAST_FREEDOM, 2.0 * frames / correlation),

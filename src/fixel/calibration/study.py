@@ -19,6 +19,7 @@ from fixel.calibration.objective import Evaluated
 from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.fields import BoolArray
 from fixel.model.space import ParameterSpace
 
 T = TypeVar("T")
@@ -200,8 +201,16 @@ NOMINAL: Final = "nominal"  # axis of the experiment that all others of a layout
 LEAST_ERROR: Final = 1e-6
 
 
-def weighted_mean(points: FloatArray, errors: FloatArray) -> FloatArray:
+def weighted_mean(
+    points: FloatArray, errors: FloatArray, informed: BoolArray | None = None
+) -> FloatArray:
     """(n_free,) mean of points (n, n_free), each weighted with the inverse of its error (n,).
+
+    Parameters
+    ----------
+    points, errors : arrays
+    informed : (n, n_free) bool, optional
+        Which member could say anything of which unknown; the others have left it at its start.
 
     Source: RPI thesis, section 5.2.2.
     """
@@ -211,7 +220,13 @@ def weighted_mean(points: FloatArray, errors: FloatArray) -> FloatArray:
             "weighted mean", found="no calibrated member", expected="one with a finite error"
         )
     weight = 1.0 / np.maximum(errors[found], LEAST_ERROR)
-    return np.asarray(weight @ points[found] / weight.sum())
+    mean = np.asarray(weight @ points[found] / weight.sum())
+    if informed is not None:
+        some = informed[found]
+        for k in np.flatnonzero(some.any(axis=0) & ~some.all(axis=0)).tolist():
+            own = weight * some[:, k]
+            mean[k] = own @ points[found][:, k] / own.sum()
+    return mean
 
 
 class Pooled(NamedTuple):
@@ -222,9 +237,14 @@ class Pooled(NamedTuple):
     used: tuple[int, ...]  # places of the members whose parameters went in
 
 
-def weighted(members: Sequence[int], points: FloatArray, errors: FloatArray) -> Study[Pooled]:
+def weighted(
+    members: Sequence[int],
+    points: FloatArray,
+    errors: FloatArray,
+    informed: BoolArray | None = None,
+) -> Study[Pooled]:
     """The weighted mean of all single calibrations, and how every member does with it."""
-    mean = weighted_mean(points, errors)
+    mean = weighted_mean(points, errors, informed)
     found, _ = yield from at_points(members, mean[None])
     return Pooled(mean, found[0], tuple(np.flatnonzero(np.isfinite(errors)).tolist()))
 
@@ -237,6 +257,7 @@ def best_subset(
     seed: int = 0,
     candidates: int = 24,
     rounds: int = 20,
+    informed: BoolArray | None = None,
 ) -> Study[Pooled]:
     """The weighted mean of the subset of single calibrations that does best on all members.
 
@@ -247,13 +268,14 @@ def best_subset(
     set"; which combinations it does not say.
     """
     draw = np.random.default_rng(seed)
-    best = yield from weighted(members, points, errors)
+    said = np.ones(points.shape, bool) if informed is None else informed
+    best = yield from weighted(members, points, errors, said)
     value = float(combine(best.members[None])[0])
     for _ in range(rounds):
         subsets = _smaller(best.used, draw, candidates)
         if not subsets:
             break
-        means = np.array([weighted_mean(points[list(s)], errors[list(s)]) for s in subsets])
+        means = np.array([weighted_mean(points[s], errors[s], said[s]) for s in map(list, subsets)])
         found, _ = yield from at_points(members, means)
         values = combine(found)
         k = int(np.argmin(values))

@@ -24,8 +24,6 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.workflows.calibration.run import Calibration
 
-MOST_ROWS = 20
-
 
 def calibrate(
     experiments: Annotated[
@@ -90,7 +88,9 @@ def calibrate(
     optimiser: Annotated[
         str,
         typer.Option(
-            help="pattern-search, fixed-step, nelder-mead, cma-es or mads.", metavar="NAME"
+            help="pattern-search, fixed-step, nelder-mead, cma-es or mads; least-squares for one"
+            " set for many.",
+            metavar="NAME",
         ),
     ] = "pattern-search",
     option: Annotated[
@@ -132,6 +132,9 @@ def calibrate(
     from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
     from fixel.workflows.project import query_of
 
+    if experiments and (dataset or where):
+        given = "--dataset" if dataset else "--where"
+        raise InvalidInput(given, found="experiments by name too", expected="one of them")
     project = Project.open(folder)
     query = query_of(dataset=dataset, where=where or (), flagged=flagged)
     with project.store() as store:
@@ -180,19 +183,27 @@ def calibrate(
     from fixel.cli.jobs import job_bar
     from fixel.jobs.site import load_site
 
-    run.run(
-        job,
-        workers=workers,
-        site=None if site is None else load_site(site),
-        progress=job_bar(),
-    )
+    try:
+        run.run(
+            job,
+            workers=workers,
+            site=None if site is None else load_site(site),
+            progress=job_bar(),
+        )
+    except KeyboardInterrupt:
+        from fixel.cli.screen import say
+
+        say(f"what is finished is kept in {job}; the same command goes on from there")
+        raise
     command = "fixel " + shlex.join(sys.argv[1:])
     done = run.collect(project, job, command, chosen.left_out)
     pictures = _draw(done, plot) if plot is not None else []
     if as_json:
         typer.echo(json.dumps(done.summary() | {"pictures": [str(path) for path in pictures]}))
         return
-    for line in _lines(done, folder, pictures):
+    from fixel.cli.calibrate_said import lines_of
+
+    for line in lines_of(done, folder, pictures):
         typer.echo(line)
 
 
@@ -234,7 +245,7 @@ def _prepared(job: Path, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"job": str(job)}))
         return
-    typer.echo(f"prepared {job}")
+    typer.echo(f"prepared {job}; once it is done, this command without --prepare stores its result")
     typer.echo(f"Next: fixel jobs submit {shlex.quote(str(job))} --workers 2")
 
 
@@ -242,106 +253,3 @@ def _draw(done: "Calibration", folder: Path) -> list[Path]:
     from fixel.workflows.calibration.pictures import draw_all
 
     return draw_all(done, folder)
-
-
-# --- what is said -------------------------------------------------------------------------------
-
-
-def _lines(done: "Calibration", folder: Path, pictures: list[Path]) -> list[str]:
-    outcome = done.outcome
-    lines = []
-    if done.left_out:
-        lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
-    if outcome.alone:
-        lines += [*_alone_lines(done), ""]
-    for one in outcome.together:
-        lines += [*_together_lines(done, one), ""]
-    lines += [f"wrote {path}" for path in pictures]
-    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
-    ids = ", ".join(map(str, done.ids[:3])) + (", ..." if len(done.ids) > 3 else "")
-    lines.append(f"stored as calibration {ids}; job {done.folder}")
-    key = outcome.keys[int(outcome.nominal.argmax())]
-    best = outcome.together[-1] if outcome.together else outcome.alone[0]
-    values = done.request.space.values(best.point)
-    settings = " ".join(
-        f"--set {u.name}={values[u.label]:.4g}" for u in done.request.space.free if not u.where
-    )
-    lines.append(f"Next: fixel compare {shlex.quote(key)} {settings}{where}")
-    return lines
-
-
-def _alone_lines(done: "Calibration") -> list[str]:
-    from fixel.cli.screen import table
-
-    outcome, unit = done.outcome, done.request.made_error.unit
-    if len(outcome.alone) == 1:
-        return _together_lines(done, outcome.alone[0])
-    free = done.request.space.free
-    head = ("experiment", f"before [{unit}]", f"after [{unit}]", *(_headed(u) for u in free))
-    rows = [
-        (
-            outcome.keys[one.members[0]],
-            f"{outcome.nominal[one.members[0]]:.4g}",
-            f"{one.errors[0]:.4g}",
-            *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
-        )
-        for one in outcome.alone[:MOST_ROWS]
-    ]
-    more = len(outcome.alone) - len(rows)
-    return table(head, rows) + ([f"... and {more} more; --json has them all"] if more > 0 else [])
-
-
-def _together_lines(done: "Calibration", one: Any) -> list[str]:
-    from fixel.cli.screen import seconds, table
-
-    outcome, unit = done.outcome, done.request.made_error.unit
-    members = list(one.members)
-    before, after = outcome.nominal[members], one.errors
-    n = len(members)
-    of = outcome.keys[members[0]] if n == 1 else f"{n} experiments"
-    lines = [f"{of}, {one.how}: mean error {before.mean():.4g} -> {after.mean():.4g} {unit}"]
-    if n > 1:
-        lines[0] += f", largest {before.max():.4g} -> {after.max():.4g}"
-    if one.trace is not None:
-        lines.append(
-            f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
-        )
-    lines += [sentence for sentence in (one.note, one.noise) if sentence]
-    if len(one.solutions) > 1:
-        lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
-    free = done.request.space.free
-    rows = [_row(u, x, one) for u, x in zip(free, one.point.tolist(), strict=True)]
-    head = ("parameter", "found", "likeliest", "interval", "unit", "verdict")
-    lines += table(head, rows) if one.estimates else table(head[:2] + head[4:5], _bare(rows))
-    return lines + [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
-
-
-def _bare(rows: "list[tuple[str, ...]]") -> "list[tuple[str, ...]]":
-    """Without what a verdict says."""
-    return [(row[0], row[1], row[4]) for row in rows]
-
-
-def _row(unknown: Any, value: float, one: Any) -> tuple[str, ...]:
-    """What the search found, and what the measurements make most likely: they differ a little, as
-    the search's error and the noise weigh angles differently."""
-    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
-    likeliest, interval, verdict = "", "", ""
-    if estimate is not None:
-        ends = [estimate.low, estimate.high]
-        written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
-        likeliest = f"{_shown(unknown.unit, estimate.value):.4g}"
-        interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
-        verdict = estimate.verdict
-    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
-    found = f"{_shown(unknown.unit, value):.4g}"
-    return (unknown.label, found, likeliest, interval, unit, verdict)
-
-
-def _headed(unknown: Any) -> str:
-    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
-    return f"{unknown.label} [{unit}]"
-
-
-def _shown(unit: str, value: float) -> float:
-    """A value in the unit people read: mm and degrees."""
-    return value * {"m": 1e3, "rad": 57.29577951308232}.get(unit, 1.0)

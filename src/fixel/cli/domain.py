@@ -22,6 +22,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.workflows.domain.mapped import Mapped
+    from fixel.workflows.domain.request import Asked
 
 MOST_ROWS = 30
 
@@ -162,7 +163,7 @@ def domain(
     if as_json:
         typer.echo(json.dumps(_answer(done)))
         return
-    for line in _lines(done, folder):
+    for line in _lines(done, folder, asked):
         typer.echo(line)
 
 
@@ -205,7 +206,7 @@ def _answer(done: "Mapped") -> dict[str, object]:
     }
 
 
-def _lines(done: "Mapped", folder: Path) -> list[str]:
+def _lines(done: "Mapped", folder: Path, asked: "Asked") -> list[str]:
     from fixel.cli.screen import table
 
     analysis = done.kept.analysis
@@ -219,9 +220,22 @@ def _lines(done: "Mapped", folder: Path) -> list[str]:
     lines += [f"Warning: {sentence}." for sentence in analysis.warnings]
     lines += [f"wrote {path}" for path in done.files]
     lines.append(f"kept in {done.kept.folder}")
-    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
-    tighter = 0.5 * done.claim.threshold
-    option = "--threshold-mm" if done.claim.measure == "absolute" else "--relative"
-    nxt = f"fixel domain {option} {tighter:.2g}" if done.files else "fixel domain --plot domain"
-    lines.append(f"Next: {nxt}{where}")
+    lines.append(f"Next: {_next(done, folder, asked)}")
     return lines
+
+
+def _next(done: "Mapped", folder: Path, asked: "Asked") -> str:
+    """Pictures; then a tighter threshold, where the measurement itself allows one."""
+    from dataclasses import replace
+
+    from fixel.workflows.domain.commands import command_of
+
+    if not done.files:
+        return f"{command_of(folder, asked, done.claim)} --plot domain"
+    tighter = replace(done.claim, threshold=0.5 * done.claim.threshold)
+    floor = done.gathered.floor_mm
+    if floor is not None and tighter.measure == "absolute" and tighter.threshold < floor:
+        return "fixel report" + (
+            "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
+        )
+    return command_of(folder, asked, tighter)

@@ -1,9 +1,11 @@
 """What the commands share in speaking to people: sentences, tables, progress."""
 
+import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 Row = Sequence[str]
 
@@ -65,6 +67,18 @@ def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
             bar.update(task, completed=done, total=of, description=what)
 
         yield tell
+
+
+def compare_command(
+    key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
+) -> str:
+    """What to type to see an experiment beside its simulation."""
+    words = ["fixel", "compare", key]
+    for name, value in values.items():
+        words += ["--set", f"{name}={value:.4g}"]
+    words += [] if motion == "dynamic" else ["--motion", motion]
+    words += [] if folder == Path() else ["--project", str(folder)]
+    return shlex.join(words)
 
 
 def seconds(duration: float) -> str:

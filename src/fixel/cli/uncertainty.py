@@ -5,7 +5,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -156,12 +156,10 @@ def _lines(found: "Uncertainty", kept: "Kept", pictures: list[Path], folder: Pat
 
 def _next(found: "Uncertainty", folder: Path) -> str:
     """What the answer asks for: a comparison with the likeliest values."""
-    values: dict[str, Any] = dict(
-        zip(found.posterior.labels, found.posterior.best.tolist(), strict=True)
-    )
-    words = ["fixel", "compare", found.predicted[0].experiment.key]
-    for unknown in found.space.free:
-        if not unknown.where:
-            words += ["--set", f"{unknown.name}={values[unknown.label]:.4g}"]
-    words += [] if folder == Path() else ["--project", str(folder)]
-    return shlex.join(words)
+    from fixel.cli.screen import compare_command
+
+    first = found.predicted[0]
+    n = len(found.space.free)
+    columns = found.space.columns(found.posterior.best[None, :n], first.target.conditions)
+    values = {name: float(column[0]) for name, column in columns.items()}
+    return compare_command(first.target.key, values, found.motion, folder)

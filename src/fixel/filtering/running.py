@@ -100,12 +100,13 @@ class Estimate:
 class RunningFilter:
     """A particle filter at work: `step` once a frame.
 
-    A particle whose simulation fails, or ends where no push can have brought it, has no weight. The
-    object is *lost* when none has any, or when the nearest of them lies further than six standard
-    deviations from what was seen. Then the filter starts again, wider: poses about what is seen
-    now, or, while hidden, about where they were, with the spread of the start doubled every time in
-    a row; half of the particles keep parameters by the last weights, half draw theirs from the
-    prior. Such estimates are marked `recovered`.
+    A particle whose simulation fails, or ends where no push can have brought it, stays where it was
+    and keeps its weight: noise has squeezed it between head and fixel, which says nothing of its
+    parameters. The object is *lost* when all of them fail, or when the nearest lies further than
+    six standard deviations from what was seen. Then the filter starts again, wider: poses about
+    what is seen now, or, while hidden, about where they were, with the spread of the start doubled
+    every time in a row; half of the particles keep parameters by the last weights, half draw theirs
+    from the prior. Such estimates are marked `recovered`.
 
     Made by `ParticleFilter.start`.
     """
@@ -168,10 +169,10 @@ class RunningFilter:
         pushed = np.abs(moved - noisy).max(axis=1) > AT_REST * self._reach
         self._note(np.asarray(pushed & ~failed), np.asarray(touching.any(axis=1)), stalled)
         with np.errstate(divide="ignore"):
-            prior = np.where(failed, -np.inf, np.log(self._weight))
+            prior = np.log(self._weight)
         likelihood, near = self._likelihood(seen, gap, touches)
-        log_weight = prior + likelihood
-        lost = not np.isfinite(log_weight).any() or not near[np.isfinite(log_weight)].any()
+        alive = np.isfinite(prior + likelihood)
+        lost = bool(failed[alive].all() or not near[alive].any())
         if lost:
             self._start_again(seen, random)
             touching = self._touching()

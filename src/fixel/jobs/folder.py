@@ -48,6 +48,8 @@ JOURNAL: Final = "journal"
 RESULT: Final = "result"
 LOG: Final = "log.txt"
 CANCEL: Final = "cancel"
+STATE: Final = "state.json"
+UNFINISHED: Final = ".inputs."  # how the name of a folder of inputs begins until it has all
 
 
 class _Record(BaseModel):
@@ -155,14 +157,16 @@ def prepare(
         The folder is there, the maker is no function of fixel, or an input cannot be.
     """
     named_function(maker)
+    _clear_half_made(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidInput(str(folder), found="something there", expected="a new folder")
     folder.mkdir(parents=True, exist_ok=True)
-    unfinished = folder / f".inputs.{secrets.token_hex(4)}"
+    unfinished = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
     unfinished.mkdir()
     try:
         for name, content in inputs.items():
             _add_input(unfinished, name, content)
+        write_status(folder, Status())
         unfinished.rename(folder / "inputs")
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -176,7 +180,6 @@ def prepare(
         stamp=stamp(),
         made_utc=utc(),
     )
-    write_status(folder, Status())
     # Last, since this is what makes it a job.
     _write(folder / "job.json", job)
     return job
@@ -212,14 +215,14 @@ def write_run(folder: Path, run: Run) -> None:
 
 def read_status(folder: Path) -> Status:
     """How far the job says it is."""
-    path = folder / "state.json"
+    path = folder / STATE
     status: Status = _read(path, Status) if path.is_file() else Status()
     return status
 
 
 def write_status(folder: Path, status: Status) -> None:
     """Say how far the job is."""
-    _write(folder / "state.json", status.model_copy(update={"updated_utc": utc()}))
+    _write(folder / STATE, status.model_copy(update={"updated_utc": utc()}))
 
 
 def coordinator_of(folder: Path) -> Owner | None:
@@ -247,6 +250,18 @@ def utc() -> str:
     """The time of day, for people; nothing is decided by it."""
     now = datetime.datetime.fromtimestamp(time.time(), datetime.UTC)
     return now.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _clear_half_made(folder: Path) -> None:
+    """Away with what a crash has left before there was a job; nothing where anything else is."""
+    left = list(folder.iterdir()) if folder.is_dir() else []
+    ours = [path for path in left if path.name == STATE or path.name.startswith(UNFINISHED)]
+    if ours and all(path in ours or path.name == "inputs" for path in left):
+        for path in left:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
 
 def _add_input(folder: Path, name: str, content: bytes | Path) -> None:

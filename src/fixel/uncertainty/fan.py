@@ -102,6 +102,7 @@ def fan_of(
     error: StartError,
     n: int = 1000,
     *,
+    drawn: FloatArray | None = None,
     values: Mapping[str, ArrayLike] | None = None,
     times: ArrayLike | None = None,
     motion: AbstractMotionModel | None = None,
@@ -119,6 +120,8 @@ def fan_of(
     error : StartError
     n : int
         How many starts.
+    drawn : (n, 3) float64, optional
+        Their errors [m, m, rad], where they were drawn elsewhere; `n` does not count then.
     values : mapping of name to float or (n,) array_like, optional
         Parameters; one value for all starts, or one a start for what is uncertain itself.
     times : (n_time,) array_like, optional
@@ -134,34 +137,7 @@ def fan_of(
     InvalidInput
         A scene with several free bodies or pushers, or parameters it does not have.
     """
-    return fan_at(
-        scene,
-        error,
-        error.samples(n, seed),
-        values=values,
-        times=times,
-        motion=motion,
-        stepper=stepper,
-        seed=seed,
-        threads=threads,
-        progress=progress,
-    )
-
-
-def fan_at(
-    scene: Scene,
-    error: StartError,
-    drawn: FloatArray,
-    *,
-    values: Mapping[str, ArrayLike] | None = None,
-    times: ArrayLike | None = None,
-    motion: AbstractMotionModel | None = None,
-    stepper: AbstractStepper | None = None,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Fan:
-    """As `fan_of`, with errors (n, 3) of the start [m, m, rad] that were drawn elsewhere."""
+    drawn = error.samples(n, seed) if drawn is None else drawn
     n = len(drawn)
     instants = _instants(scene, times)
     # The last rollout has no error: the nominal one.

@@ -17,7 +17,7 @@ from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.uncertainty.fan import START, Fan, Progress, fan_at
+from fixel.uncertainty.fan import START, Fan, Progress, fan_of
 from fixel.uncertainty.starts import Kind, StartError
 
 OUTCOMES: Final = ("along", "across", "angle")
@@ -223,10 +223,10 @@ def indices_of(
     def ends(points: FloatArray) -> FloatArray:
         own = {f.name: points[:, k] for k, f in enumerate(factors)}
         drawn = np.column_stack([own.get(name, np.zeros(len(points))) for name in START])
-        fan = fan_at(
+        fan = fan_of(
             scene,
             error,
-            drawn,
+            drawn=drawn,
             values=held | {name: own[name] for name in ranges},
             times=[scene.duration],
             motion=motion,

@@ -45,6 +45,9 @@ DEAR: Final = 40
 MOST_RUNS: Final = 6
 # Share of the probability below which a cluster of samples is not a mode of its own.
 LEAST_MODE: Final = 0.01
+# Samples that come back at least, where there are as many effective ones: of fewer, those of one
+# mode are too far from one another to be seen as one.
+FEWEST_BACK: Final = 1000
 # How often progress is told [s].
 BETWEEN: Final = 0.2
 
@@ -133,7 +136,7 @@ class NestedSampling:
     Parameters
     ----------
     samples : int
-        Effective samples wanted, and the number of equal weight that come back.
+        Effective samples wanted; as many of equal weight come back, more where few are wanted.
     live : int, optional
         Live points; a third of the samples, 200 at least, where left out.
     remaining : float
@@ -191,7 +194,8 @@ class NestedSampling:
             if effective >= self.samples:
                 break
         dice = np.random.Generator(np.random.PCG64([seed, MOST_RUNS]))
-        rows = equal_weight(merged.importance_weights(), self.samples, dice)
+        count_back = max(self.samples, min(FEWEST_BACK, int(effective)))
+        rows = equal_weight(merged.importance_weights(), count_back, dice)
         samples, values = merged.samples[rows], merged.logl[rows]
         evidence = float(merged.logz[-1])
         information = _information(merged.importance_weights(), merged.logl, evidence)

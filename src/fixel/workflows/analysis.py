@@ -31,6 +31,7 @@ Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
+NOTHING: Final = 1e-7  # [mm or deg]
 
 
 class _Entry(BaseModel):
@@ -43,6 +44,12 @@ class TextTable(_Entry):
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+
+def rounded(value: float, digits: int = 3) -> str:
+    """A length [mm], an angle [deg] or a share as people read it; what is below any measurement,
+    and the rounding of simulations, is none."""
+    return f"{value if abs(value) >= NOTHING else 0.0:.{digits}g}"
 
 
 class Shown(_Entry):

@@ -13,7 +13,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Parameters
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
-from fixel.workflows.analysis import Analysis, TextTable
+from fixel.workflows.analysis import Analysis, TextTable, rounded
 from fixel.workflows.pictures import Picture
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def _headline(found: Sequence[Finding], request: SensitivityRequest) -> list[str
         own = finding.sensitivity
         said.append(
             f"{finding.subject.key}: {own.flag}: {MEANING[own.flag]}. Starts"
-            f" {request.error.written()} end {1e3 * own.after.position:.3g} mm and"
-            f" {math.degrees(own.after.angle):.3g} deg (rms) from their mean: the spread grows"
+            f" {request.error.written()} end {rounded(1e3 * own.after.position)} mm and"
+            f" {rounded(math.degrees(own.after.angle))} deg (rms) from their mean: the spread grows"
             f" {own.amplification:.2g} times, a small error up to {own.gain:.2g} times."
         )
         if len(own.share) > 1:
@@ -148,8 +148,8 @@ def _row(finding: Finding) -> tuple[str, ...]:
         own.flag,
         f"{own.amplification:.2f}",
         f"{own.gain:.2f}",
-        f"{1e3 * own.after.position:.4g}",
-        f"{math.degrees(own.after.angle):.4g}",
+        rounded(1e3 * own.after.position, 4),
+        rounded(math.degrees(own.after.angle), 4),
         " + ".join(f"{share:.0%}" for share in own.share),
         " ".join(f"{mode}: {share:.0%}" for mode, share in own.modes.items()),
     )
@@ -160,8 +160,8 @@ def _index_table(key: str, own: Indices) -> TextTable:
         (
             outcome,
             factor.name,
-            f"{own.first[k, j]:.3f} +- {own.first_error[k, j]:.3f}",
-            f"{own.total[k, j]:.3f} +- {own.total_error[k, j]:.3f}",
+            f"{own.first[k, j]:z.3f} +- {own.first_error[k, j]:.3f}",
+            f"{own.total[k, j]:z.3f} +- {own.total_error[k, j]:.3f}",
         )
         for k, outcome in enumerate(own.outcomes)
         for j, factor in enumerate(own.factors)

@@ -150,7 +150,7 @@ def find_uncertainty(
     with project.store() as store:
         one = None if request.calibration is None else calibrated(store, request.calibration)
         ids = _ids(store, request, one)
-        held = [store.find(key) for key in request.held_out]
+        held = list(dict.fromkeys(store.find(key) for key in request.held_out))
         if set(ids) & set(held):
             raise InvalidInput(
                 "--held-out",
@@ -189,7 +189,7 @@ def find_uncertainty(
 
 def _ids(store: Store, request: UncertaintyRequest, one: Calibrated | None) -> list[int]:
     if request.experiments:
-        return [store.find(key) for key in request.experiments]
+        return list(dict.fromkeys(store.find(key) for key in request.experiments))
     if one is not None:
         return sorted(one.members)
     listed = store.experiments(Query(), limit=2).summaries

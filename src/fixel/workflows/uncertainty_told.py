@@ -13,7 +13,7 @@ from fixel.drawing.chart import readable
 from fixel.kernels.arrays import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.analysis import Analysis, Kept, TextTable, keep
+from fixel.workflows.analysis import Analysis, Kept, TextTable, keep, rounded
 from fixel.workflows.uncertainty import Predicted, Uncertainty
 from fixel.workflows.uncertainty_pictures import curves_of, pictures_of, what_of
 
@@ -288,7 +288,7 @@ def _parts_table(found: Uncertainty) -> TextTable:
 
 
 def _spread(value: FloatArray) -> tuple[str, str, str]:
-    return f"{1e3 * value[0]:.3g}", f"{1e3 * value[1]:.3g}", f"{degrees(value[2]):.3g}"
+    return rounded(1e3 * value[0]), rounded(1e3 * value[1]), rounded(degrees(value[2]))
 
 
 def _bounds_table(found: Uncertainty) -> TextTable:

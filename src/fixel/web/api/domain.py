@@ -17,12 +17,12 @@ from fixel.web.api._values import Text
 from fixel.workflows import job_board, jobs
 from fixel.workflows.analysis import Kind, kept_and_not
 from fixel.workflows.domain import work
+from fixel.workflows.domain.commands import command_of
 from fixel.workflows.domain.desk import (
     MOST_GROUPS,
     DomainDesk,
     View,
     axes_offered,
-    command_of,
     held_out_mm,
     place_of,
     shown,
@@ -304,7 +304,7 @@ def router(desk: Desk) -> APIRouter:
             inside=answer.inside[own].tolist(),
             count=answer.counts,
             sizes=answer.inside[own].sum(axis=1).tolist(),
-            command=command_of(desk.folder, seen, answer.claim),
+            command=command_of(desk.folder, seen.asked, answer.claim),
         )
 
     @found.get("/domain/{name}/next", summary="What to try next")
@@ -330,7 +330,7 @@ def router(desk: Desk) -> APIRouter:
                 )
                 for one in suggested(seen, claim)
             ],
-            command=command_of(desk.folder, seen, claim),
+            command=command_of(desk.folder, seen.asked, claim),
         )
 
     @found.get("/analyses", summary="Kept analyses", tags=["analyses"])

@@ -11,7 +11,7 @@ from fixel.exchange.importers.rpi_2dgad import Rpi2dgad
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Experiment, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.model.fields import BoolArray
-from fixel.uncertainty.fan import fan_at
+from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 
 NAMES: Final = ("126", "127", "129", "130", "132", "134", "136")
@@ -57,7 +57,7 @@ class AlikeGroup(NamedTuple):
         }
         drawn = np.random.default_rng(10).standard_normal((n, 3)) * self.error.size
         scene = _scene(self.start.mean(axis=0))
-        fan = fan_at(scene, self.error, drawn, values=values, times=[scene.duration])
+        fan = fan_of(scene, self.error, drawn=drawn, values=values, times=[scene.duration])
         return fan.pose[:, -1], fan.ended
 
 

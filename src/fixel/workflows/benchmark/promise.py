@@ -73,7 +73,7 @@ def run(
     bench = Bench(read(folder), request, Finished(kept), progress)
     halvings = 1 if quick else HALVINGS
     bench.total = request.seeds * (len(bench.rows) + halvings * len(WHAT))
-    tables = _tables(bench)
+    tables, features = _tables(bench)
     names = [" ".join(key) for key in bench.rows]
     counted: dict[str, list[Counted]] = {what: [] for what in WHAT}
     model = ""
@@ -96,15 +96,15 @@ def run(
             "halvings": halvings,
             "model": model,
             "quick": quick,
-            "features": list(_feature_names(bench)),
+            "features": list(features),
         },
         picture=_picture(counted, groups, curve),
         seconds=clock.perf_counter() - begun,
     )
 
 
-def _tables(bench: Bench) -> list[Table]:
-    """One for each split."""
+def _tables(bench: Bench) -> tuple[list[Table], tuple[str, ...]]:
+    """One for each split; names of the features."""
     found: list[list[Evidence]] = [[] for _ in range(bench.request.seeds)]
     for key in bench.rows:
         group = bench.group(key)
@@ -113,7 +113,7 @@ def _tables(bench: Bench) -> list[Table]:
             fit = full_fit(bench, group, k, split)
             found[k].append(evidence_of(group, k, split, fit, speed))
             bench.tell(f"features {' '.join(key)}")
-    return [_table(own) for own in found]
+    return [_table(own) for own in found], found[0][0].features.names
 
 
 def _table(found: Sequence[Evidence]) -> Table:
@@ -124,13 +124,6 @@ def _table(found: Sequence[Evidence]) -> Table:
         np.concatenate([np.full(len(own.errors), k) for k, own in enumerate(found)]),
         np.concatenate(held),
     )
-
-
-def _feature_names(bench: Bench) -> tuple[str, ...]:
-    key = next(iter(bench.rows))
-    group, split = bench.group(key), bench.splits(key)[0]
-    fit = full_fit(bench, group, 0, split)
-    return evidence_of(group, 0, split, fit, bench.data.speed[group.rows]).features.names
 
 
 # --- halves -------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from fixel.exchange.importers.rpi_2dgad import Rpi2dgad
 from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
 from fixel.simulation import StewartTrinkle
-from fixel.uncertainty.fan import fan_at
+from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 from fixel.workflows.benchmark.alike_starts import HEAD_PLACE, alike_group
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
@@ -122,10 +122,10 @@ def _two_point(group: Group, groups: list[Group], worlds: int) -> Judged:
     n = group.runs
     values = _rigs(worlds, n)
     drawn = np.random.default_rng(7).standard_normal((worlds * n, 3)) * error.size
-    fan = fan_at(
+    fan = fan_of(
         group_scene(group),
         error,
-        drawn,
+        drawn=drawn,
         values=values,
         times=[group.duration],
         stepper=StewartTrinkle(step=STEP),

@@ -35,6 +35,11 @@ def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
             words += [f"--{name}", str(value)]
     if request.error.name != usual.error.name:
         words += ["--error", request.error.name]
+    if "angle_scale" in request.error.options:
+        words += ["--angle-scale-mm", f"{1e3 * request.error.options['angle_scale']:.9g}"]
+    if request.noise is not None:
+        words += ["--noise-mm", f"{1e3 * request.noise.position_m:.9g}"]
+        words += ["--noise-mrad", f"{1e3 * request.noise.angle_rad:.9g}"]
     words += ["--optimiser", request.optimiser.name]
     for name, value in request.optimiser.options.items():
         words += ["--option", f"{name}={value}"]

@@ -13,6 +13,7 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
 from fixel.errors import InvalidInput
+from fixel.model.fields import name_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import MOTION_MODELS
@@ -85,9 +86,9 @@ class Request(_Entry):
     starts: int = Field(default=1, ge=1)
     combine: Combine = "sum"
     seed: int = Field(default=0, ge=0)
-    noise_position: float | None = Field(default=None, gt=0.0)
-    noise_angle: float | None = Field(default=None, gt=0.0)
-    level: float = Field(default=0.95, gt=0.0, lt=1.0)
+    noise_position: float | None = None
+    noise_angle: float | None = None
+    level: float = 0.95
     verdicts: bool = True
     stored: list[list[float]] = []
 
@@ -140,6 +141,12 @@ class Request(_Entry):
 
     def check(self) -> None:
         """Refuse what cannot be, before any work starts."""
+        if self.name.startswith(".") or set(self.name) & set("/\\"):
+            expected = "one that a folder can have, without / and no dot in front"
+            raise InvalidInput("--name", found=repr(self.name), expected=expected)
+        name_of(self.name, "--name")
+        if not 0.0 < self.level < 1.0:
+            raise InvalidInput("--level", found=self.level, expected="a number between 0 and 1")
         if self.mode == "stored" and not self.stored:
             raise InvalidInput(
                 "--mode stored",
@@ -155,7 +162,7 @@ class Request(_Entry):
             self._check_squares()
         else:
             _ = self.made_optimiser
-        for _ in (self.space, self.made_error, self.made_motion):
+        for _ in (self.space, self.made_error, self.made_motion, self.noise):
             pass
 
     def _check_squares(self) -> None:
@@ -186,11 +193,12 @@ def _made(family: tuple[Any, ...], choice: Choice, where: str) -> Any:
     """A member of a family, by its name and options."""
     known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:
-        close = difflib.get_close_matches(choice.name, known, n=1)
+        names = [*known, *([LEAST_SQUARES] if family is OPTIMISERS else [])]
+        close = difflib.get_close_matches(choice.name, names, n=1)
         raise InvalidInput(
             where,
             found=repr(choice.name),
-            expected="one of " + ", ".join(known),
+            expected="one of " + ", ".join(names),
             hint=f"did you mean {close[0]!r}?" if close else None,
         )
     member = known[choice.name]

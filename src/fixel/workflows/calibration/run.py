@@ -61,9 +61,10 @@ class Chosen:
 def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
     """Experiments by name, or by what they have in common.
 
-    Named ones must be fit for it; of a listing, those that are not are left out with a reason.
+    Named ones must be fit for it, and count once under whatever names; of a listing, those that are
+    not are left out with a reason.
     """
-    ids = [store.find(key) for key in keys]
+    ids = list(dict.fromkeys(store.find(key) for key in keys))
     if not ids:
         ids = [summary.id for summary in store.experiments(query).summaries]
     found: list[int] = []
@@ -194,6 +195,8 @@ def _found(one: Found, number: int, outcome: Outcome) -> dict[str, Any]:
         "ended": "" if one.trace is None else one.trace.ended,
         "seconds": one.seconds,
         "note": one.note,
+        "noise": one.noise,
+        "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [_estimate(estimate) for estimate in one.estimates],
     }
 

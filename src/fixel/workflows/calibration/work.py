@@ -258,9 +258,11 @@ def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Round
     groups = neighbours([target.conditions for target in comparer.targets])
     better, least = yield from _asked(polished(points, errors, groups), "neighbours")
     combine = Objective(comparer, combine=request.combine).combined
-    pooled = yield from _asked(weighted(members, better, least), "weighted mean")
+    free = comparer.space.free
+    informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
+    pooled = yield from _asked(weighted(members, better, least, informed), "weighted mean")
     subset = yield from _asked(
-        best_subset(members, better, least, combine, request.seed), "subsets"
+        best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
     )
     start = subset.point
     direct = yield from _direct(request, comparer, members, start)

@@ -59,15 +59,3 @@ def _geometry(target: Target) -> dict[str, float]:
 
 def _short(angle: float) -> float:
     return float(wrapped(np.array([angle]))[0])
-
-
-def same_configuration(target: Target) -> str:
-    """What repetitions of one experiment have in common; its key where it counts none."""
-    if "repetition" not in target.conditions:
-        return target.key
-    kept = {
-        name: value
-        for name, value in target.conditions.items()
-        if name not in ("experiment", "repetition") and not name.startswith(_TRUTH)
-    }
-    return repr(sorted(kept.items()))

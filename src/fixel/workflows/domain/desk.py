@@ -7,11 +7,9 @@ beside, once for all who ask, until nobody does any more.
 
 from __future__ import annotations
 
-import shlex
 import threading
 from collections import OrderedDict
 from dataclasses import replace
-from pathlib import Path
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -295,34 +293,6 @@ def held_out_mm(view: View) -> FloatArray:
     """(n,) held-out errors in the unit of the threshold: mm, or a share above the own best."""
     scores = view.domain.scores
     return np.array([value_of(s, view.domain.measure) if np.isfinite(s) else s for s in scores])
-
-
-def command_of(folder: Path, view: View, claim: Claim) -> str:
-    """What to type for the same map."""
-    asked = view.asked
-    words = ["fixel", "domain", "--project", str(folder)]
-    if asked.query.dataset:
-        words += ["--dataset", asked.query.dataset]
-    for name, value in asked.query.conditions.items():
-        words += ["--where", f"{name}={value}"]
-    words += ["--flagged"] * asked.query.flagged
-    if asked.calibration is not None:
-        words += ["--calibration", str(asked.calibration)]
-    for setting in asked.fit:
-        words += ["--fit", setting]
-    for option, names in (("--axes", asked.axes), ("--by", asked.by), ("--apart", asked.apart)):
-        words += [option, ",".join(names)] if names else []
-    words += ["--leave-out", asked.leave_out] if asked.leave_out else []
-    if asked.nominal:
-        words += ["--nominal", ",".join(f"{k}={v}" for k, v in asked.nominal.items())]
-    for name, width in asked.steps.items():
-        words += ["--step", f"{name}={width}"]
-    option = "--threshold-mm" if claim.measure == "absolute" else "--relative"
-    words += [option, f"{claim.threshold:.4g}"]
-    words += ["--level", f"{claim.level:g}", "--confidence", f"{claim.confidence:g}"]
-    words += ["--folds", str(asked.folds)] if asked.folds else []
-    words += ["--seed", str(asked.seed)] if asked.seed else []
-    return shlex.join(words)
 
 
 def place_of(cells: Cells, c: int) -> dict[str, str | float]:

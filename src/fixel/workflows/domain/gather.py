@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -12,7 +13,9 @@ import numpy as np
 
 from fixel.applicability.evidence import Evidence, Value
 from fixel.applicability.folds import usual_folds
-from fixel.calibration.objective import ANGLE_SCALE
+from fixel.calibration.noise import noise_from_repetitions
+from fixel.calibration.objective import ANGLE_SCALE, EndPose
+from fixel.calibration.repetitions import repetitions, same_configuration
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.store import Store
@@ -22,7 +25,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibrated import newest
 from fixel.workflows.calibration.run import choose
-from fixel.workflows.domain.coordinates import coordinates_of, same_configuration
+from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import (
     MOST_TRAINING,
     SQUARES,
@@ -39,7 +42,7 @@ from fixel.workflows.readable import readable
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
-VERSION: Final = 1  # raise it when the same question no longer means the same numbers
+VERSION: Final = 2  # raise it when the same question no longer means the same numbers
 
 
 class Gathered(NamedTuple):
@@ -130,7 +133,9 @@ def _computed(
     folds = asked.folds or _usual(chosen.targets, asked)
     apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
     errors = held_out(chosen.targets, started.model, apart, finished, progress)
-    floor, source = noise_floor(chosen.targets, _scale(started.model))
+    floor, source = noise_floor(
+        chosen.targets, _scale(started.model), ends=isinstance(started.model.error, EndPose)
+    )
     return {
         "keys": [target.key for target in chosen.targets],
         "ids": chosen.ids,
@@ -219,16 +224,28 @@ def _with_own(project: Project, store: Store, asked: Asked, one: Gathered) -> Ga
 # --- what the measurement alone makes ----------------------------------------------------------
 
 
-def noise_floor(targets: Sequence[Target], scale: float) -> tuple[float | None, str]:
+def noise_floor(
+    targets: Sequence[Target], scale: float, *, ends: bool = False
+) -> tuple[float | None, str]:
     """Root mean square error of a perfect simulator [mm], and where that is known from.
 
     From repetitions; else from how measured poses scatter about smooth motion, frame by frame;
     None where there are too few frames.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    scale : float
+        What an angle counts as [m/rad].
+    ends : bool
+        Of last poses alone, where a map counts these.
     """
+    groups = repetitions(targets, ends=ends)
+    if groups:
+        noise = noise_from_repetitions(groups)
+        floor = 1e3 * math.hypot(noise.position_m, noise.position_m, scale * noise.angle_rad)
+        return floor, "repetitions"
     weights = np.array([1e3, 1e3, 1e3 * scale])
-    repeated = _repeated(targets, weights)
-    if repeated is not None:
-        return repeated, "repetitions"
     bends = [_bends(target.pose * weights) for target in targets if len(target.pose) > 8]
     if not bends:
         return None, ""
@@ -241,20 +258,3 @@ def _bends(pose: FloatArray) -> float:
     second = np.diff(pose, n=2, axis=0)
     middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
     return float(np.sqrt(middle.sum() / 6.0))
-
-
-def _repeated(targets: Sequence[Target], weights: FloatArray) -> float | None:
-    groups: dict[str, list[Target]] = {}
-    for target in targets:
-        groups.setdefault(same_configuration(target), []).append(target)
-    found, freedom = 0.0, 0
-    for group in groups.values():
-        if len(group) < 2:
-            continue
-        n = min(len(target.pose) for target in group)
-        rows = np.array([target.pose[:n] * weights for target in group])
-        rows[:, :, 2] = np.unwrap(rows[:, :, 2], axis=0, period=2.0 * np.pi * weights[2])
-        around = rows - rows.mean(axis=0)
-        found += float((around**2).sum(axis=2).mean(axis=1).sum())
-        freedom += len(group) - 1
-    return float(np.sqrt(found / freedom)) if freedom else None

@@ -19,6 +19,7 @@ from fixel.calibration.cost import Prior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
+from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
@@ -26,7 +27,6 @@ from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
-from fixel.workflows.domain.coordinates import same_configuration
 from fixel.workflows.finished import Finished
 
 Progress = Callable[[int, int], None]

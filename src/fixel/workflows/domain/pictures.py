@@ -37,8 +37,8 @@ def pictures_of(
 def _caption(claim: Claim, names: str) -> str:
     return (
         f"Where one parameter set predicts held-out experiments within {claim.text()}, by {names}."
-        f" Blue: at least {100.0 * claim.level:.0f} % of new experiments stay below, with"
-        f" {100.0 * claim.confidence:.0f} % confidence. Numbers count experiments; grey has none."
+        f" Blue: at least {100.0 * claim.level:g} % of new experiments stay below, with"
+        f" {100.0 * claim.confidence:g} % confidence. Numbers count experiments; grey has none."
         " The line surrounds D(tau), the ring is the nominal."
     )
 
@@ -46,8 +46,8 @@ def _caption(claim: Claim, names: str) -> str:
 def _size_caption(claim: Claim) -> str:
     return (
         "How far the domain of applicability D(tau) grows with the threshold tau that held-out"
-        f" errors have to stay below ({100.0 * claim.level:.0f} % of new experiments,"
-        f" {100.0 * claim.confidence:.0f} % confidence)."
+        f" errors have to stay below ({100.0 * claim.level:g} % of new experiments,"
+        f" {100.0 * claim.confidence:g} % confidence)."
     )
 
 
@@ -78,7 +78,7 @@ def _chart(
         across=_strip(across),
         up=Strip("", ("",)) if up is None else _strip(up),
         panels=tuple(panels),
-        heading=f"{said} within τ = {claim.text()} for {100.0 * claim.level:.0f} % of experiments",
+        heading=f"{said} within τ = {claim.text()} for {100.0 * claim.level:g} % of experiments",
         head=HEAD,
         rows=_rows(domain, claim, verdicts, inside),
     )

@@ -21,7 +21,7 @@ def headline(
     total = sum(count.values()) - count[NO_DATA] - count["predicted"]
     sizes = [len(own) for own in domain.domains(claim)]
     first = (
-        f"Within {claim.text()} for {100.0 * claim.level:.0f} % of new experiments:"
+        f"Within {claim.text()} for {100.0 * claim.level:g} % of new experiments:"
         f" {count['trusted']} of {total} cells with data are trusted, {count['doubtful']} doubtful,"
         f" {count['not trusted']} not trusted; {count[NO_DATA]} have no data."
     )
@@ -196,7 +196,8 @@ def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
         shown = [f"{x:.3g}" for x in ([] if few else [bound.min(), np.median(bound), bound.max()])]
         rows.append((group or "all", f"{np.median(own):.3g}", *(shown or ["nothing"] * 3)))
     head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
-    title = f"Promised for new experiments in these cells, with a probability of {claim.level:.0%}"
+    likely = f"{100.0 * claim.level:g} %"
+    title = f"Promised for new experiments in these cells, with a probability of {likely}"
     return [TextTable(title=title, head=head, rows=tuple(rows))]
 
 
@@ -218,8 +219,8 @@ def methods_of(gathered: Gathered, domain: DomainMap, claim: Claim) -> tuple[str
         f" of {', '.join(gathered.labels)} by least squares, {gathered.motion} motion,"
         f" {gathered.stepper} steps, started from {gathered.started}); repetitions of one"
         " configuration were held out together.",
-        f"A cell is trusted where at least {100.0 * claim.level:.0f} % of new experiments stay"
-        f" within {claim.text()} with a probability of {100.0 * claim.confidence:.0f} %: by"
+        f"A cell is trusted where at least {100.0 * claim.level:g} % of new experiments stay"
+        f" within {claim.text()} with a probability of {100.0 * claim.confidence:g} %: by"
         f" counting where it has {claim.needed} members, else by a Gaussian process on the"
         " logarithm of the error; a cell without experiments is never trusted. Bounds for new"
         " experiments are conformal (CV+), on the same held-out errors.",

@@ -1,0 +1,137 @@
+"""What `fixel calibrate` says: tables of parameters, verdicts, the next command."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fixel.cli.screen import compare_command, seconds, table
+from fixel.workflows.calibration.outcome import ALONE, Found
+from fixel.workflows.calibration.run import Calibration
+
+MOST_ROWS = 20
+
+
+def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]:
+    """What is printed."""
+    outcome = done.outcome
+    lines = []
+    if done.left_out:
+        lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
+    if outcome.alone:
+        lines += [*_alone_lines(done), ""]
+    for one in outcome.together:
+        lines += [*_together_lines(done, one), ""]
+    lines += [f"wrote {path}" for path in pictures]
+    ids = ", ".join(map(str, done.ids[:3])) + (", ..." if len(done.ids) > 3 else "")
+    lines.append(f"stored as calibration {ids}; job {done.folder}")
+    lines.append(f"Next: {_next(done, folder)}")
+    return lines
+
+
+def _next(done: Calibration, folder: Path) -> str:
+    """The worst experiment beside its simulation, under all that it was calibrated with."""
+    outcome, space = done.outcome, done.request.space
+    one = outcome.together[-1] if outcome.together else max(_best_alone(done), key=_worst)
+    target = done.targets[one.members[int(one.errors.argmax())]]
+    columns = space.columns(one.point[None], target.conditions)
+    values = {name: float(column[0]) for name, column in columns.items()}
+    return compare_command(target.key, values, done.request.motion, folder)
+
+
+def _worst(one: Found) -> float:
+    return float(one.errors.max())
+
+
+def _best_alone(done: Calibration) -> list[Found]:
+    """One set an experiment: its own, or a neighbour's, which comes later where it is better."""
+    return list({one.members: one for one in done.outcome.alone}.values())
+
+
+def _alone_lines(done: Calibration) -> list[str]:
+    outcome, unit = done.outcome, done.request.made_error.unit
+    alone = _best_alone(done)
+    if len(alone) == 1:
+        return _together_lines(done, alone[0])
+    free = done.request.space.free
+    head = ("experiment", f"before [{unit}]", f"after [{unit}]", *(_headed(u) for u in free))
+    rows = [
+        (
+            outcome.keys[one.members[0]] + ("" if one.how == ALONE else f" ({one.how})"),
+            f"{outcome.nominal[one.members[0]]:.4g}",
+            f"{one.errors[0]:.4g}",
+            *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
+        )
+        for one in alone[:MOST_ROWS]
+    ]
+    more = len(alone) - len(rows)
+    lines = table(head, rows) + ([f"... and {more} more; --json has them all"] if more > 0 else [])
+    return lines + _verdicts(outcome.alone, [u.label for u in free])
+
+
+def _verdicts(alone: Sequence[Found], labels: list[str]) -> list[str]:
+    """How often each parameter has which verdict."""
+    counts: dict[str, Counter[str]] = {label: Counter() for label in labels}
+    for estimate in (e for one in alone for e in one.estimates if e.label in counts):
+        counts[estimate.label][estimate.verdict.partition(" with ")[0]] += 1
+    return [
+        f"  {label}: " + ", ".join(f"{word} in {n}" for word, n in own.most_common())
+        for label, own in counts.items()
+        if own
+    ]
+
+
+def _together_lines(done: Calibration, one: Any) -> list[str]:
+    outcome, unit = done.outcome, done.request.made_error.unit
+    members = list(one.members)
+    before, after = outcome.nominal[members], one.errors
+    n = len(members)
+    of = outcome.keys[members[0]] if n == 1 else f"{n} experiments"
+    lines = [f"{of}, {one.how}: mean error {before.mean():.4g} -> {after.mean():.4g} {unit}"]
+    if n > 1:
+        lines[0] += f", largest {before.max():.4g} -> {after.max():.4g}"
+    if one.trace is not None:
+        lines.append(
+            f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
+        )
+    lines += [sentence for sentence in (one.note, one.noise) if sentence]
+    if len(one.solutions) > 1:
+        lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
+    free = done.request.space.free
+    rows = [_row(u, x, one) for u, x in zip(free, one.point.tolist(), strict=True)]
+    head = ("parameter", "found", "likeliest", "interval", "unit", "verdict")
+    lines += table(head, rows) if one.estimates else table(head[:2] + head[4:5], _bare(rows))
+    return lines + [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
+
+
+def _bare(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Without what a verdict says."""
+    return [(row[0], row[1], row[4]) for row in rows]
+
+
+def _row(unknown: Any, value: float, one: Any) -> tuple[str, ...]:
+    """What the search found, and what the measurements make most likely: they differ a little, as
+    the search's error and the noise weigh angles differently."""
+    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
+    likeliest, interval, verdict = "", "", ""
+    if estimate is not None:
+        ends = [estimate.low, estimate.high]
+        written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
+        likeliest = f"{_shown(unknown.unit, estimate.value):.4g}"
+        interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
+        verdict = estimate.verdict
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    found = f"{_shown(unknown.unit, value):.4g}"
+    return (unknown.label, found, likeliest, interval, unit, verdict)
+
+
+def _headed(unknown: Any) -> str:
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    return f"{unknown.label} [{unit}]"
+
+
+def _shown(unit: str, value: float) -> float:
+    """A value in the unit people read: mm and degrees."""
+    return value * {"m": 1e3, "rad": 57.29577951308232}.get(unit, 1.0)

@@ -1,0 +1,48 @@
+"""What to type for a map."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from fixel.applicability.domain import Claim
+from fixel.workflows.domain.request import Asked
+
+
+def command_of(folder: Path, asked: Asked, claim: Claim) -> str:
+    """What to type for the same map.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the project; left out where it is the one a shell is in.
+    asked : Asked
+    claim : Claim
+        In place of what was asked for.
+    """
+    words = ["fixel", "domain"]
+    words += [] if folder == Path() else ["--project", str(folder)]
+    if asked.query.dataset:
+        words += ["--dataset", asked.query.dataset]
+    for name, value in asked.query.conditions.items():
+        words += ["--where", f"{name}={value}"]
+    words += ["--all"] * asked.query.flagged
+    if asked.calibration is not None:
+        words += ["--calibration", str(asked.calibration)]
+    for setting in asked.fit:
+        words += ["--fit", setting]
+    for option, names in (("--axes", asked.axes), ("--by", asked.by), ("--apart", asked.apart)):
+        words += [option, ",".join(names)] if names else []
+    words += ["--leave-out", asked.leave_out] if asked.leave_out else []
+    if asked.nominal:
+        words += ["--nominal", ",".join(f"{k}={v}" for k, v in asked.nominal.items())]
+    for name, width in asked.steps.items():
+        words += ["--step", f"{name}={width}"]
+    option = "--threshold-mm" if claim.measure == "absolute" else "--relative"
+    words += [option, f"{claim.threshold:.4g}"]
+    for name in ("level", "confidence"):
+        value = getattr(claim, name)
+        words += [] if value == getattr(Asked(), name) else [f"--{name}", f"{value:g}"]
+    words += ["--folds", str(asked.folds)] if asked.folds else []
+    words += ["--seed", str(asked.seed)] if asked.seed else []
+    return shlex.join(words)
