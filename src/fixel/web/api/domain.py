@@ -1,21 +1,19 @@
-"""Where the simulator can be believed: kept maps at any threshold, and other kept analyses."""
+"""Where the simulator can be believed: kept maps at any threshold."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query
-from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from fixel.applicability.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import Text
 from fixel.workflows import job_board, jobs
-from fixel.workflows.analysis import Kind, kept_and_not
 from fixel.workflows.domain import work
 from fixel.workflows.domain.commands import command_of
 from fixel.workflows.domain.desk import (
@@ -44,8 +42,6 @@ Confidence = Annotated[float, Query(gt=0.5, lt=1.0)]
 AxisNames = Annotated[
     list[Text] | None, Query(alias="axis", max_length=3, description="those it was made for, else")
 ]
-ENDINGS: Final = ("png", "pdf", "csv")
-TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
 
 class MapOut(BaseModel):
@@ -184,44 +180,6 @@ class FitOut(BaseModel):
     seconds: float = Field(description="for how long it has been fitted to these axes")
 
 
-class PictureOut(BaseModel):
-    """A picture of an analysis."""
-
-    name: str
-    caption: str
-
-
-class TableOut(BaseModel):
-    """A table as people read it."""
-
-    title: str
-    head: list[str]
-    rows: list[list[str]]
-
-
-class AnalysisOut(BaseModel):
-    """A kept analysis."""
-
-    name: str
-    kind: str
-    title: str
-    created_utc: str
-    warnings: list[str]
-    headline: list[str]
-    pictures: list[PictureOut]
-    tables: list[TableOut]
-    methods: list[str]
-    command: str
-    calibrations: list[int]
-
-
-class AnalysesOut(BaseModel):
-    """All of them, the newest first."""
-
-    analyses: list[AnalysisOut]
-    unreadable: list[str] = Field(description="why others cannot be shown")
-
-
 class BeginIn(BaseModel):
     """A map to make."""
 
@@ -233,7 +191,7 @@ class BeginIn(BaseModel):
 
 
 def router(desk: Desk) -> APIRouter:
-    """`/domain` and `/analyses`."""
+    """`/domain`."""
     found = APIRouter(tags=["domain"])
     at_hand = DomainDesk(desk.project, desk.store)
 
@@ -333,36 +291,6 @@ def router(desk: Desk) -> APIRouter:
             command=command_of(desk.folder, seen.asked, claim),
         )
 
-    @found.get("/analyses", summary="Kept analyses", tags=["analyses"])
-    def analyses(
-        kind: Kind | None = None,
-    ) -> AnalysesOut:
-        every, unreadable = kept_and_not(desk.project, kind)
-        return AnalysesOut(
-            analyses=[_analysis(one) for one in every],
-            unreadable=[str(problem) for problem in unreadable],
-        )
-
-    @found.get(
-        "/analyses/{name}/{picture}.{ending}",
-        summary="A picture of an analysis, or the numbers behind it",
-        tags=["analyses"],
-        response_class=FileResponse,
-    )
-    def picture(name: str, picture: str, ending: str) -> FileResponse:
-        every, _ = kept_and_not(desk.project)
-        one = next((one for one in every if one.folder.name == name), None)
-        # Only what an analysis names itself: no part of an address becomes a path.
-        own = None if one is None else next(
-            (p.name for p in one.analysis.pictures if p.name == picture), None
-        )  # fmt: skip
-        if one is None or own is None or ending not in ENDINGS:
-            raise NotStored(f"picture {picture}.{ending} of {name}", hint="see /analyses")
-        path = one.picture(own, ending)
-        if not path.is_file():
-            raise NotStored(f"picture {picture}.{ending} of {name}", hint="make the analysis again")
-        return FileResponse(path, media_type=TYPES[ending])
-
     return found
 
 
@@ -452,26 +380,6 @@ def _panel(one: View, k: int) -> PanelOut:
 
 def _strip(axis: CellAxis) -> StripOut:
     return StripOut(name=axis.name, unit=axis.unit, ticks=[axis.text(k) for k in range(len(axis))])
-
-
-def _analysis(one: Kept) -> AnalysisOut:
-    analysis = one.analysis
-    return AnalysisOut(
-        name=one.folder.name,
-        kind=analysis.kind,
-        title=analysis.title,
-        created_utc=analysis.created,
-        warnings=list(analysis.warnings),
-        headline=list(analysis.headline),
-        pictures=[PictureOut(name=p.name, caption=p.caption) for p in analysis.pictures],
-        tables=[
-            TableOut(title=t.title, head=list(t.head), rows=[list(row) for row in t.rows])
-            for t in analysis.tables
-        ],
-        methods=list(analysis.methods),
-        command=analysis.command,
-        calibrations=list(analysis.calibrations),
-    )
 
 
 def _finite(value: float) -> float | None:
