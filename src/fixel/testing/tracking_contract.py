@@ -20,6 +20,7 @@ import pytest
 from fixel.model import pose_error
 from fixel.testing.painted import Painter, as_seen, moving
 from fixel.vision.frame import Frame
+from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import AbstractTracking
 from fixel.vision.tracking.follow import track
 
@@ -66,6 +67,22 @@ class TrackingContract:
             position, _ = pose_error(part.pose, [moving(time)[name] for time in tracked.time])
             assert part.good.all()
             assert position.max() < 2.0 * POSITION
+
+    def test_a_camera_of_another_response(
+        self, tracking: AbstractTracking, painter: Painter
+    ) -> None:
+        """Webcams show half of the light as three quarters of white, and lenses are blurred."""
+        frames = []
+        for k in range(FRAMES):
+            sharp = painter.picture(moving(k / RATE))
+            light = opencv().GaussianBlur(sharp, (0, 0), 1.2)
+            frames.append(Frame(k / RATE, as_seen(255.0 * (light / 255.0) ** (1.0 / 2.2), seed=k)))
+        tracked = track(frames, painter.rig, method=tracking)
+        for name, part in tracked.parts.items():
+            position, _ = pose_error(part.pose, [moving(time)[name] for time in tracked.time])
+            assert part.good.all()
+            assert position.max() < 2.0 * POSITION
+            assert part.residual.max() < 0.4
 
     def test_what_does_not_show_is_a_gap_with_a_reason(
         self, tracking: AbstractTracking, painter: Painter

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from tests.vision.rendered import SIZE, bare_scene, small_rig, still
 
 from fixel.model import Disk, Fixel
 from fixel.testing.scenes import FIXEL_RADIUS
@@ -12,7 +13,6 @@ from fixel.vision.frame import Frame
 from fixel.vision.render.looks import looks_named
 from fixel.vision.render.sensor import Sensor
 from fixel.vision.tracking.fixels import FixelFinder
-from tests.vision.rendered import SIZE, bare_scene, small_rig, still
 
 PLACES = ((0.08, 0.055), (0.085, -0.03), (0.215, 0.05), (0.15, 0.06))
 AWAY = np.array([0.9, 0.9, 0.0])

@@ -30,6 +30,17 @@ def test_a_sudden_start_is_no_outlier():
     assert judged("object", TIME, sightings(path())).good.all()
 
 
+@pytest.mark.parametrize("rate", [15.0, 30.0])
+def test_what_is_hit_or_turns_back_is_no_outlier(rate):
+    """120 mm/s and 2 rad/s at once, where it rested, and back the same way."""
+    time = np.arange(60) / rate
+    there, back = time[4] + 0.3 / rate, time[40] + 0.6 / rate
+    run = np.clip(time - there, 0.0, back - there) - np.maximum(time - back, 0.0)
+    pose = run[:, None] * [0.12, 0.0, 2.0]
+    pose += 5e-6 * np.random.default_rng(1).standard_normal((60, 3))
+    assert judged("object", time, sightings(pose)).good.all()
+
+
 def test_a_single_wrong_pose_is_found():
     pose = path()
     pose[50] += (1.2e-3, 0.0, 0.0)
@@ -38,6 +49,14 @@ def test_a_single_wrong_pose_is_found():
     assert np.flatnonzero(~part.good).tolist() == [50, 80]
     assert part.n_outliers == 2
     assert "outlier" in part.reason[50]
+
+
+def test_wrong_angles_do_not_turn_what_follows():
+    pose = path()
+    pose[50:52, 2] += (2.2, 4.2)  # the shortest way back from there is once around
+    part = judged("object", TIME, sightings(pose))
+    assert np.flatnonzero(~part.good).tolist() == [50, 51]
+    assert part.pose[part.good] == pytest.approx(pose[part.good])
 
 
 def test_a_run_of_wrong_poses_is_found():

@@ -68,7 +68,7 @@ class FixelFinder:
         """Where a ring is, and how wide."""
         assert isinstance(fixel.shape, Disk)
         share, dark = ring
-        pose = np.append(start, 0.0)
+        pose, fit = np.append(start, 0.0), None
         for _ in range(LOOKS):
             edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
             window = window_of(frame, self._camera, edges, pose, reach)
@@ -86,7 +86,7 @@ class FixelFinder:
             pose, reach = fit.pose, REACH
             if abs(wider) < SAME:
                 break
-        if fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
+        if fit is None or fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
             return None
         return fit, (share, dark)
 

@@ -147,14 +147,13 @@ class _Outlined:
             return Sighting(reason=f"too little of the outline of {self.name} shows")
         if fit.residual > MOST_RESIDUAL:
             return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
-        sd = np.sqrt(np.diag(fit.covariance))
-        if vague(sd, self._scale):
+        if vague(fit.deviations, self._scale):
             return Sighting(reason=f"too little of the outline of {self.name} shows")
         return Sighting(
             pose=fit.pose,
             residual=fit.residual,
             scale=self._scale,
-            sd=sd,
+            sd=fit.deviations,
             marks=int(fit.used.sum()),
             share=fit.share,
         )

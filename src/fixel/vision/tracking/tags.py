@@ -44,6 +44,8 @@ NEAR_BY: Final = 3.0  # [px] from where it is expected
 PARTLY: Final = 3.0  # how much wider its standard deviations are taken
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MOST_RESIDUAL: Final = 0.6  # [px]
+MOST_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
+WHOLE: Final = 0.8  # of its edges: where fewer show, a spread cannot be told from a shift
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 MARGIN: Final = 40  # [px] around the last place, in the others
 WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
@@ -112,6 +114,7 @@ class _TaggedPart:
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._prediction = Prediction()
+        self._spread = 0.0
         self._lost = 0
 
     def see(self, frame: Frame) -> Sighting:
@@ -146,10 +149,10 @@ class _TaggedPart:
         if window is None:
             return Sighting(reason="its tags are out of the picture")
         picture, corner = window
-        fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach, corner=corner)
+        fit = self._fitted(picture, corner, pose, reach)
         if fit is None:
             return Sighting(reason="too few edges of its tags are to be seen")
-        sd = np.sqrt(np.diag(fit.covariance))
+        sd = fit.deviations
         agreeing = self._agreeing(picture, corner, fit)
         if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
             agreeing = self._agreeing_partly(picture, corner, fit)
@@ -160,6 +163,7 @@ class _TaggedPart:
             return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
             return Sighting(reason="too little of its tags shows to tell a pose")
+        self._spread = fit.spread
         return Sighting(
             pose=fit.pose,
             residual=fit.residual,
@@ -168,6 +172,18 @@ class _TaggedPart:
             marks=agreeing,
             share=fit.share,
         )
+
+    def _fitted(
+        self, picture: Gray, corner: tuple[int, int], pose: FloatArray, reach: float
+    ) -> Fit | None:
+        """The pose, and how far dark spreads; as far as before where not all of the tags shows."""
+        for spread in (None, self._spread):
+            fit = fit_pose(
+                picture, self._camera, self._edges, pose, reach=reach, corner=corner, spread=spread
+            )
+            if fit is not None and fit.share > WHOLE and abs(fit.spread) < MOST_SPREAD:
+                break
+        return fit
 
     def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
         """How many tags read as they should, at a pose."""
