@@ -46,6 +46,14 @@ class TestTags(TrackingContract):
         with pytest.raises(InvalidInput, match="mm wide in the picture"):
             track([painter.frame(0.0)], rig)
 
+    def test_a_tag_that_is_there_twice_is_refused(self, painter):
+        picture = painter.picture(moving(0.0))
+        u, _ = painter.rig.camera.project_at(moving(0.0)["object"][:2], 0.0255).astype(int)
+        picture[:, 10:110] = picture[:, u - 50 : u + 50]
+        frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
+        with pytest.raises(InvalidInput, match="tag 1 is in the picture 2 times"):
+            track(frames, painter.rig)
+
     @pytest.mark.parametrize("side", range(4))
     def test_half_a_tag_is_enough(self, painter, side):
         """As long as two of its sides show that meet, and it was seen a moment ago."""
@@ -85,8 +93,9 @@ class TestStickers(TrackingContract):
         picture = painter.picture(moving(0.0))
         v, u = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
         picture[np.hypot(u - 60, v - 200) < 11.0] = PAINT["red"]
+        frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
         with pytest.raises(InvalidInput, match="2 things of one colour"):
-            track([Frame(0.0, as_seen(picture))], painter.rig)
+            track(frames, painter.rig)
 
 
 class TestPlate:

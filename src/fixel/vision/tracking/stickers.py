@@ -97,15 +97,17 @@ class _StickeredPart:
         self._place = np.array([sticker.place for sticker in own])
         self._prediction = Prediction()
         self._lost = 0
+        self._why_not = ""
 
     def see(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
-        sight = Sighting(reason="not found yet")
+        sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._fitted(frame, placed(self._place, expected))
         if sight.pose is None and worth_a_search(self._lost):
             found, reason = self._found(frame)
             sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
+            self._why_not = sight.reason
         if sight.pose is None:
             self._lost += 1
         else:

@@ -116,32 +116,25 @@ class _TaggedPart:
         self._prediction = Prediction()
         self._spread = 0.0
         self._lost = 0
+        self._why_not = ""
 
     def see(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
+        sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._followed(frame, expected, REACH)
-            if sight.pose is not None:
-                return self._took(frame, sight)
-        else:
-            sight = Sighting(reason=f"no tag of {self._name} found yet")
-        if not worth_a_search(self._lost):
-            self._lost += 1
-            return sight
-        read, reason = self._read(frame)
-        if read is None:
-            self._lost += 1
-            return Sighting(reason=reason or sight.reason)
-        sight = self._followed(frame, read, REACH_READ)
+        if sight.pose is None and worth_a_search(self._lost):
+            read, reason = self._read(frame)
+            if read is not None:
+                sight = self._followed(frame, read, REACH_READ)
+            elif reason or expected is None:
+                sight = Sighting(reason=reason or f"no tag of {self._name} in the picture")
+            self._why_not = sight.reason
         if sight.pose is None:
             self._lost += 1
-            return sight
-        return self._took(frame, sight)
-
-    def _took(self, frame: Frame, sight: Sighting) -> Sighting:
-        assert sight.pose is not None
-        self._lost = 0
-        self._prediction.seen(frame.time, sight.pose)
+        else:
+            self._lost = 0
+            self._prediction.seen(frame.time, sight.pose)
         return sight
 
     def _followed(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
