@@ -155,6 +155,30 @@ class TestPlate:
             assert position.max() < 0.3e-3
             assert angle.max() < 0.003
 
+    @pytest.mark.parametrize("by", [4, 40])
+    def test_what_is_seen_after_a_bump_is_not_believed(self, painter, by):
+        """The plate is looked at in every fifteenth frame, and in the last."""
+        still, bumped = painter.picture(moving(0.0)), painter.picture(moving(0.0))
+        bumped[by:] = still[:-by]
+        frames = [Frame(k / 30.0, as_seen(bumped if k > 19 else still)) for k in range(24)]
+        tracked = track(frames, painter.rig)
+        (remark,) = tracked.remarks
+        assert "moved during the film" in remark
+        assert "0.77 s" in remark
+        for part in tracked.parts.values():
+            assert np.flatnonzero(part.good).tolist() == list(range(16))
+            assert "was moved" in part.reason[17]
+
+    def test_a_tag_of_the_plate_that_is_covered_tells_nothing(self, painter):
+        picture = painter.picture(moving(0.0))
+        u, v = painter.rig.camera.project_at(painter.rig.plate[1].pose[:2], 0.0).astype(int)
+        picture[v - 24 : v + 6, u - 24 : u + 24] = 35.0
+        assert track([Frame(0.0, as_seen(picture))], painter.rig).remarks == ()
+        u, v = painter.rig.camera.project_at(painter.rig.plate[0].pose[:2], 0.0).astype(int)
+        picture[v - 25 : v + 25, u - 25 : u + 25] = 120.0
+        tracked = track([Frame(0.0, as_seen(picture))], painter.rig)
+        assert "nothing tells whether the camera has moved" in tracked.remarks[0]
+
     def test_half_a_turn_is_named(self, painter):
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()
         with pytest.raises(InvalidInput, match=r"half a turn|was moved"):

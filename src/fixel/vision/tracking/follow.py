@@ -9,14 +9,13 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Scene
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
 from fixel.vision.tracking.checks import (
-    MOVED,
-    plate_offsets,
+    UNWATCHED,
+    PlateWatch,
     refuse_flipped,
     refuse_moved,
     refuse_size,
@@ -35,7 +34,6 @@ METHODS: Final[Mapping[str, AbstractTracking]] = {
 AUTO: Final = "auto"
 
 FIXELS_EVERY: Final = 15  # frames
-PLATE_EVERY: Final = 60  # frames
 
 
 def track(
@@ -72,6 +70,7 @@ def track(
     things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []
     finder: FixelFinder | None = None
+    plate = PlateWatch(rig)
     sightings: dict[str, list[Sighting]] = {}
     times: list[float] = []
     remarks: list[str] = []
@@ -79,6 +78,7 @@ def track(
     for index, frame in enumerate(frames):
         if index == 0:
             rig, remarks = _checked(rig, frame, register=register)
+            plate = PlateWatch(rig)
             names, followers = followers_of(rig, things, method)
             sightings = {name: [] for name in names}
             finder = FixelFinder(rig, scene.fixels) if scene is not None else None
@@ -88,22 +88,22 @@ def track(
                 sightings[name].append(sight)
         if index == 0 and any(own[0].pose is None for own in sightings.values()):
             refuse_flipped(rig, frame.luma)
-        if finder is not None and index % FIXELS_EVERY == 0:
+        plate.see(frame, index)
+        if finder is not None and index % FIXELS_EVERY == 0 and plate.in_place:
             finder.see(frame)
-        if rig.plate and index and index % PLATE_EVERY == 0:
-            remarks += _moved(rig, frame)
         if progress is not None:
             progress(index + 1)
     if not times:
         raise InvalidInput("video", found="no frames", expected="at least one")
     _refuse_unseen(sightings)
     time = np.array(times)
+    doubted = plate.doubted(time)
     return Tracked(
         method=method if isinstance(method, str) else method.name,
         time=time,
-        parts={name: judged(name, time, sightings[name]) for name in names},
+        parts={name: judged(name, time, sightings[name], doubted) for name in names},
         fixels=finder.found() if finder is not None else (),
-        remarks=tuple(remarks[:5]),
+        remarks=(*remarks, *plate.remarks),
     )
 
 
@@ -117,8 +117,8 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
     """The rig, with its camera where it is now."""
     refuse_size(rig, frame)
     if not register:
-        refuse_moved(rig, frame)
-        return rig, []
+        watched = refuse_moved(rig, frame) or not rig.plate
+        return rig, [] if watched else [UNWATCHED]
     camera = registered(rig, frame)
     shift = float(np.hypot(*(camera.position - rig.camera.position)[:2]))
     remark = f"the camera was registered anew from the plate's tags, {shift * 1e3:.1f} mm away"
@@ -152,17 +152,6 @@ def followers_of(
             hint="give the scene with --scene, or marks in the rig file",
         )
     return tuple(names), followers
-
-
-def _moved(rig: Rig, frame: Frame) -> list[str]:
-    """A remark if the plate is no longer where it was."""
-    offsets: list[FloatArray] = list(plate_offsets(rig, frame).values())
-    if not offsets:
-        return []
-    off = float(np.hypot(*np.median(offsets, axis=0))) / rig.camera.metres_per_pixel()
-    if off <= MOVED:
-        return []
-    return [f"camera or plate moved during the film: {off:.1f} px off at {frame.time:.2f} s"]
 
 
 def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:

@@ -19,11 +19,14 @@ SCATTERS: Final = 8.0  # of the usual disagreement, beyond which a pose is an ou
 LEAST: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm a pixel, [rad]: smaller disagreements are none
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm a pixel, [rad]: nothing on the plate moves so at once
 USUAL_PIXEL: Final = 0.55e-3  # [m]
+ELSEWHERE: Final = "the camera or the plate was moved"
 BESIDE: Final = 3  # steps to either side that tell a speed
 AT_END: Final = 4  # poses likewise, at the end of a piece
 
 
-def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTrack:
+def judged(
+    name: str, time: FloatArray, sightings: Sequence[Sighting], doubted: BoolArray | None = None
+) -> PartTrack:
     """The track of a part, with poses that cannot be marked as such.
 
     Parameters
@@ -33,6 +36,8 @@ def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTr
         [s].
     sightings : sequence of Sighting
         One a frame.
+    doubted : (n,) bool, optional
+        When the camera may have been elsewhere.
     """
     seen = np.array([s.pose is not None for s in sightings], dtype=bool)
     nothing = np.full(3, np.nan)
@@ -41,6 +46,11 @@ def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTr
     scale = np.array([s.scale for s in sightings])
     reason = [s.reason for s in sightings]
     good = seen.copy()
+    if doubted is not None:
+        good &= ~doubted
+        reason = [
+            ELSEWHERE if s and d else why for s, d, why in zip(seen, doubted, reason, strict=True)
+        ]
     pixel = float(np.median(scale[seen])) if seen.any() else USUAL_PIXEL
     for find, why in (
         (_alone, "an outlier: it fits neither what came before nor what came after"),
