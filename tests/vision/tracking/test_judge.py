@@ -77,6 +77,26 @@ def test_the_steady_part_of_a_motion():
     assert 2.9 < motion.end < 3.3
 
 
+def test_an_actuator_that_goes_home_has_moved():
+    """The useful part ends before it goes back, and there is only one."""
+    along = np.interp(TIME, [0.0, 0.5, 2.5, 3.0, 3.8], [0.0, 0.0, 0.027, 0.027, 0.0])
+    noise = 1e-5 * np.random.default_rng(1).standard_normal((len(TIME), 2))
+    motion = motion_of(TIME, along[:, None] * [[0.8, 0.6]] + noise, 1e-5)
+    assert motion.moved
+    assert motion.travel == pytest.approx(0.027, abs=5e-5)
+    assert motion.cruise == pytest.approx(0.0135, rel=0.01)
+    assert motion.direction == pytest.approx([0.8, 0.6], abs=2e-3)
+    assert 2.1 < motion.end < 2.5
+    assert motion.back is None
+
+
+def test_an_actuator_that_pushes_twice_is_noticed():
+    along = np.interp(TIME, [0.5, 1.5, 2.0, 2.5, 3.5], [0.0, 0.0135, 0.0, 0.0, 0.0135])
+    motion = motion_of(TIME, along[:, None] * [[0.8, 0.6]], 1e-5)
+    assert motion.back == pytest.approx((1.5, 2.0), abs=0.2)
+    assert motion.end > 3.0
+
+
 def test_what_stands_does_not_move():
     still = 1e-5 * np.random.default_rng(1).standard_normal((len(TIME), 2))
     assert not motion_of(TIME, still, 1e-5).moved
