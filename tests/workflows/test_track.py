@@ -25,11 +25,14 @@ from fixel.model import (
     Scene,
     Tripod,
 )
+from fixel.model.shape import placed
 from fixel.testing.painted import moving, painted, tag_rig
 from fixel.vision.frame import Frame
+from fixel.vision.marks import Tag
 from fixel.vision.tracking import FoundFixel, Sighting, Tracked
 from fixel.vision.tracking.judge import judged
 from fixel.workflows.track import track_film
+from fixel.workflows.track_pictures import drawn
 from fixel.workflows.tracked_experiment import experiment_of
 
 N = 8
@@ -94,6 +97,35 @@ def test_a_film_becomes_an_experiment(film, tmp_path):
     json.dumps(answer.summary(), allow_nan=False)
 
 
+def test_outlines_of_a_registered_camera_lie_on_the_parts(tmp_path):
+    """Drawn where the film has them, not where they would be if the camera had not been moved."""
+    rig = tag_rig(plate=True)
+    corners = [(-0.063, 0.034), (0.066, 0.038), (0.066, -0.042), (-0.06, -0.055)]
+    plate = tuple(
+        Tag(id=20 + k, size=0.024, pose=(*place, 0.0), height=0.0)
+        for k, place in enumerate(corners)
+    )
+    painter = painted(replace(rig, plate=plate))
+    away = replace(rig.camera, translation=rig.camera.translation + np.array([0.006, 0, 0]))
+    save_rig(replace(painter.rig, camera=away), tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
+    with VideoWriter(tmp_path / "push.mp4", (320, 240)) as writer:
+        writer.write(painter.frame(0.0))
+    with pytest.raises(InvalidInput, match="was moved"):
+        track_film(tmp_path / "push.mp4")
+    answer = track_film(tmp_path / "push.mp4", register=True)
+    assert answer.experiment.conditions["camera"] == "registered anew"
+    (frame,) = answer.film.frames()
+    before, after = frame.picture.astype(int), drawn(frame, 0, scene(), answer.tracked).astype(int)
+    changed = np.abs(after - before).max(axis=-1)[32:] > 60  # but for the words
+    corner = painter.rig.camera.project_at(
+        placed(scene().bodies[0].shape.vertices, moving(0.0)["object"]), 0.0254
+    )
+    where = np.argwhere(changed)[:, ::-1] + (0, 32)
+    for pixel in corner:
+        assert np.hypot(*(where - pixel).T).min() < 3.0
+
+
 def test_what_the_fixels_felt_is_in_the_experiment(tmp_path):
     """Bit 0 is the third fixel; where no reading came, there is none."""
     painter = painted(tag_rig())
@@ -152,7 +184,7 @@ def pushed(along, first=0, fixels=()):
             own[:first] = [Sighting(reason="a hand")] * first
         parts[name] = judged(name, time, own)
     return experiment_of(
-        Tracked(method="tags", time=time, parts=parts, fixels=fixels),
+        Tracked(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),
         tag_rig(),
         scene(),
         None,

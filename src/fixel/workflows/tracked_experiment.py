@@ -33,6 +33,7 @@ MOST_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
 STILL: Final = 0.1e-3  # [m] that a resting object may seem to move
 STARTS: Final = 5  # frames that tell whether an object rests
 LAST: Final = 0.5  # [s] of readings that tell the contact mode
+CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig has it
 RESTLESS: Final = 0.2e-3  # [m] that places of a fixel may scatter by; 0.03 mm are usual
 MISPLACED: Final = 0.02  # [m] of a start from where the scene plans it
 
@@ -263,6 +264,8 @@ def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel
 
 def _conditions(tracked: Tracked, rig: Rig, motion: Motion | None) -> dict[str, str | float]:
     conditions: dict[str, str | float] = {"rig": rig.name, "tracked_by": tracked.method}
+    if tracked.rig.camera != rig.camera:
+        conditions[CAMERA] = "registered anew"
     if motion is not None and motion.moved:
         conditions |= {"speed_m_s": motion.cruise, "travel_m": motion.travel}
     for name, track in tracked.parts.items():

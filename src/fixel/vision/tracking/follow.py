@@ -100,6 +100,7 @@ def track(
     doubted = plate.doubted(time)
     return Tracked(
         method=method if isinstance(method, str) else method.name,
+        rig=rig,
         time=time,
         parts={name: judged(name, time, sightings[name], doubted) for name in names},
         fixels=finder.found() if finder is not None else (),
