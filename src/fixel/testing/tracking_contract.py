@@ -121,6 +121,11 @@ class TrackingContract:
         with pytest.raises(ValueError, match="in none of 2 frames"):
             track(frames, painter.rig, method=tracking)
 
+    def test_too_little_light_is_named(self, tracking: AbstractTracking, painter: Painter) -> None:
+        dark = as_seen(0.03 * painter.picture(moving(0.0)))
+        with pytest.raises(ValueError, match="more light"):
+            track([Frame(0.0, dark)], painter.rig, method=tracking)
+
     def test_frames_of_another_size_are_refused(
         self, tracking: AbstractTracking, painter: Painter
     ) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Pusher
+from fixel.model.trajectory import wrapped
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 
@@ -126,7 +127,9 @@ class Prediction:
         if self._last is not None:
             then, before = self._last
             if time - then < FORGET:
-                self._rate = (pose - before) / (time - then)
+                step = pose - before
+                step[2] = wrapped(step[2])  # angles that were read anew know of no turns
+                self._rate = step / (time - then)
         self._last = (time, pose)
 
 

@@ -23,6 +23,7 @@ MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
 ABOVE: Final = 0.03  # [m], about where marks are
 LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
+DARK, WHITE = 45.0, 234.0  # of brightness; videos may have 16 for black, and 235 for white
 PLATE_EVERY: Final = 15  # frames between two looks at the plate
 UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera has moved"
 VAGUE: Final = 0.5e-3  # [m] that a camera registered anew may be wrong by up there
@@ -44,6 +45,18 @@ def refuse_size(rig: Rig, frame: Frame) -> None:
         else "film at that resolution, or calibrate the camera at this one: a scaled calibration "
         "is a guess, since cameras crop",
     )
+
+
+def bad_light(frame: Frame) -> str:
+    """What to do about a picture that is nearly all dark, or white; empty where it is neither."""
+    level = np.percentile(frame.luma[::8, ::8], (50.0, 95.0))
+    if level[1] < DARK:
+        return f"95 of 100 pixels are darker than {level[1]:.0f} of 255: more light, or exposure"
+    if level[0] > WHITE:
+        return (
+            f"half of all pixels are brighter than {level[0]:.0f} of 255: less light, or exposure"
+        )
+    return ""
 
 
 def refuse_flipped(rig: Rig, picture: Gray) -> None:

@@ -16,6 +16,7 @@ from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sight
 from fixel.vision.tracking.checks import (
     UNWATCHED,
     PlateWatch,
+    bad_light,
     refuse_flipped,
     refuse_moved,
     refuse_size,
@@ -73,10 +74,12 @@ def track(
     plate = PlateWatch(rig)
     sightings: dict[str, list[Sighting]] = {}
     times: list[float] = []
+    first: Frame | None = None
     remarks: list[str] = []
     names: tuple[str, ...] = ()
     for index, frame in enumerate(frames):
-        if index == 0:
+        if first is None:
+            first = frame
             rig, remarks = _checked(rig, frame, register=register)
             plate = PlateWatch(rig)
             names, followers = followers_of(rig, things, method)
@@ -93,9 +96,9 @@ def track(
             finder.see(frame)
         if progress is not None:
             progress(index + 1)
-    if not times:
+    if first is None:
         raise InvalidInput("video", found="no frames", expected="at least one")
-    _refuse_unseen(sightings)
+    _refuse_unseen(sightings, first)
     time = np.array(times)
     doubted = plate.doubted(time)
     return Tracked(
@@ -155,7 +158,7 @@ def followers_of(
     return tuple(names), followers
 
 
-def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:
+def _refuse_unseen(sightings: Mapping[str, list[Sighting]], first: Frame) -> None:
     for name, own in sightings.items():
         if any(sight.pose is not None for sight in own):
             continue
@@ -164,5 +167,5 @@ def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:
             f"part {name!r}",
             found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}",
             expected="a part that shows",
-            hint="is this the rig the film was taken with?",
+            hint=bad_light(first) or "is this the rig the film was taken with?",
         )

@@ -138,13 +138,13 @@ class _StickeredPart:
         if wrong:
             return Sighting(reason=wrong)
         pose = rigid(own, seen)
-        sd = _spread(own, [fit.covariance[:2, :2] for _, fit in good])
+        sd = spread_of(seen, [fit.covariance[:2, :2] for _, fit in good])
         if vague(sd, self._scale):
             return Sighting(reason="too little of its stickers shows to tell a pose")
-        rest = float(np.sqrt(np.mean((placed(own, pose) - seen) ** 2))) / self._scale
+        off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
         return Sighting(
             pose=pose,
-            residual=max(rest, float(np.mean([fit.residual for _, fit in good]))),
+            residual=max(_rms(off), float(np.mean([fit.residual for _, fit in good]))),
             scale=self._scale,
             sd=sd,
             marks=len(good),
@@ -201,10 +201,14 @@ class _StickeredPart:
         return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
-def _spread(own: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
-    """(3,) standard deviations of a pose from those of its stickers."""
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def spread_of(seen: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
+    """(3,) standard deviations of a pose from places (n, 2) and their covariances (2, 2)."""
     information = np.zeros((3, 3))
-    for (x, y), covariance in zip(own - own.mean(0), covariances, strict=True):
+    for (x, y), covariance in zip(seen - seen.mean(0), covariances, strict=True):
         row = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
         information += row.T @ np.linalg.inv(covariance) @ row
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
