@@ -201,6 +201,22 @@ def test_the_microscope_scene():
     assert tracked.parts["probe"].pose[:, :2] == pytest.approx(probe[1:4, :2], abs=1e-6)
 
 
+def test_the_tab_of_a_fast_part_is_not_taken_for_its_side():
+    """It moves by the length of its tab from one frame to the next."""
+    scene, rig = micro_push(), rig_of("microscope")
+    time = np.arange(6) / 30.0
+    part = np.array([[0.0, 53e-6 * k, 0.0] for k in range(6)])
+    motion = {
+        "part": Trajectory(time=time, pose=part),
+        "probe": Trajectory(time=time, pose=np.tile(scene.pushers[0].pose, (6, 1))),
+    }
+    looks = replace(looks_named("microscope"), exposure=0.0)
+    tracked = track(film_scene(scene, motion, rig, looks, time, 1), rig, scene).parts["part"]
+    assert tracked.good.sum() > 3
+    off = np.hypot(*(tracked.pose - part)[tracked.good, :2].T)
+    assert off.max() < 1e-6
+
+
 def test_unknown_methods_are_refused():
     rig = tag_rig((96, 72))
     frame = Frame(0.0, np.zeros((72, 96, 3), np.uint8))

@@ -27,6 +27,8 @@ BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to
 SMALLEST: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
+MOST_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
+WHOLE: Final = 0.8  # of the edges: where fewer show, a spread cannot be told from a shift
 SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
 
 
@@ -161,6 +163,28 @@ def fit_pose(
     share = np.count_nonzero(used) / n
     spread = float(step[m]) if spread is None else spread
     return Fit(pose, full, float(residual), share, used, found, spread)
+
+
+def fit_spread(
+    picture: Gray,
+    camera: Camera,
+    edges: Edges,
+    pose: FloatArray,
+    *,
+    reach: float,
+    last: float,
+    rounds: int = 4,
+    corner: tuple[int, int] = (0, 0),
+) -> Fit | None:
+    """As `fit_pose`, and how far dark spreads: as far as last time [px], where not all shows."""
+    fit: Fit | None = None
+    for spread in (None, last):
+        fit = fit_pose(
+            picture, camera, edges, pose, reach=reach, rounds=rounds, corner=corner, spread=spread
+        )
+        if fit is not None and fit.share > WHOLE and abs(fit.spread) < MOST_SPREAD:
+            break
+    return fit
 
 
 def window_of(

@@ -27,7 +27,7 @@ from fixel.vision.tracking.base import (
 )
 from fixel.vision.tracking.loops import cells_right, cells_shown
 from fixel.vision.tracking.optics import optics_of
-from fixel.vision.tracking.outline import Edges, Fit, fit_pose, window_of
+from fixel.vision.tracking.outline import Edges, Fit, fit_spread, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
@@ -44,8 +44,6 @@ NEAR_BY: Final = 3.0  # [px] from where it is expected
 PARTLY: Final = 3.0  # how much wider its standard deviations are taken
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MOST_RESIDUAL: Final = 0.6  # [px]
-MOST_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
-WHOLE: Final = 0.8  # of its edges: where fewer show, a spread cannot be told from a shift
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 MARGIN: Final = 40  # [px] around the last place, in the others
 WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
@@ -142,7 +140,15 @@ class _TaggedPart:
         if window is None:
             return Sighting(reason="its tags are out of the picture")
         picture, corner = window
-        fit = self._fitted(picture, corner, pose, reach)
+        fit = fit_spread(
+            picture,
+            self._camera,
+            self._edges,
+            pose,
+            reach=reach,
+            last=self._spread,
+            corner=corner,
+        )
         if fit is None:
             return Sighting(reason="too few edges of its tags are to be seen")
         sd = fit.deviations
@@ -165,18 +171,6 @@ class _TaggedPart:
             marks=agreeing,
             share=fit.share,
         )
-
-    def _fitted(
-        self, picture: Gray, corner: tuple[int, int], pose: FloatArray, reach: float
-    ) -> Fit | None:
-        """The pose, and how far dark spreads; as far as before where not all of the tags shows."""
-        for spread in (None, self._spread):
-            fit = fit_pose(
-                picture, self._camera, self._edges, pose, reach=reach, corner=corner, spread=spread
-            )
-            if fit is not None and fit.share > WHOLE and abs(fit.spread) < MOST_SPREAD:
-                break
-        return fit
 
     def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
         """How many tags read as they should, at a pose."""
