@@ -299,7 +299,8 @@ def _flags(
     if motion is None:
         yield remark("no-actuator", "the path of the actuator was not tracked")
     elif not motion.moved:
-        yield remark("no-motion", f"the actuator moved {motion.travel * 1e3:.3f} mm only")
+        detail = f"no steady motion of the actuator, over {motion.travel * 1e3:.3f} mm"
+        yield remark("no-motion", detail)
     missing = {f.name for f in scene.fixels} - {f.name for f in tracked.fixels}
     if missing:
         yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " did not show")
