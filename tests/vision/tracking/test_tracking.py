@@ -17,7 +17,7 @@ from fixel.testing.scenes import micro_push
 from fixel.testing.tracking_contract import TrackingContract
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.vision.marks import Tag
+from fixel.vision.marks import MarkedPart, Tag
 from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
 
@@ -222,5 +222,11 @@ def test_unknown_methods_are_refused():
     frame = Frame(0.0, np.zeros((72, 96, 3), np.uint8))
     with pytest.raises(InvalidInput, match="auto, tags"):
         track([frame], rig, method="guess")
+    for method in ("stickers", "silhouette"):
+        with pytest.raises(InvalidInput, match=f"for {method}, "):
+            track([frame], rig, method=method)
+    bare = replace(rig, parts={name: MarkedPart(height=0.02) for name in rig.parts})
+    with pytest.raises(InvalidInput, match=r"for tags, .* for stickers, .* for silhouette, "):
+        track([frame], bare)
     with pytest.raises(InvalidInput, match="no frames"):
         track([], rig)

@@ -71,9 +71,16 @@ class AbstractTracking(ABC):
 
     Final members know what they look for from the rig and the outlines; what they find are poses in
     the plane, and a reason wherever there is none.
+
+    Attributes
+    ----------
+    name : str
+    needs : str
+        What a part must have to be followed, for people.
     """
 
     name: ClassVar[str]
+    needs: ClassVar[str]
 
     @abstractmethod
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
@@ -81,7 +88,7 @@ class AbstractTracking(ABC):
 
     @abstractmethod
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film.
+        """Begin a film of a rig with at least one part that can be followed.
 
         Parameters
         ----------
@@ -89,11 +96,6 @@ class AbstractTracking(ABC):
         things : dict of str to Thing
             Bodies and pushers of the scene, where there is one: what outlines they have, and about
             how they lie at the start.
-
-        Raises
-        ------
-        InvalidInput
-            There is nothing in the rig that it could look for.
         """
 
 

@@ -133,15 +133,10 @@ def followers_of(
     rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
 ) -> tuple[tuple[str, ...], list[AbstractFollower]]:
     """Which parts are followed, and by what."""
-    if method != AUTO:
-        chosen = METHODS.get(method) if isinstance(method, str) else method
-        if chosen is None:
-            raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
-        follower = chosen.follow(rig, things)
-        return chosen.parts(rig, things), [follower]
+    members = list(METHODS.values()) if method == AUTO else [_chosen(method)]
     names: list[str] = []
     followers = []
-    for member in METHODS.values():
+    for member in members:
         left = {name: part for name, part in rig.parts.items() if name not in names}
         own = replace(rig, parts=left)
         found = member.parts(own, things)
@@ -149,13 +144,22 @@ def followers_of(
             followers.append(member.follow(own, things))
             names += found
     if not names:
+        needs = "; ".join(f"for {member.name}, {member.needs}" for member in members)
         raise InvalidInput(
             f"rig {rig.name!r}",
-            found="parts without a tag, two stickers, or an outline in the scene",
-            expected="something to track them by",
-            hint="give the scene with --scene, or marks in the rig file",
+            found="no part that could be followed",
+            expected=f"a part with what is looked for: {needs}",
+            hint="describe its marks in the rig file, or choose another --method",
         )
     return tuple(names), followers
+
+
+def _chosen(method: str | AbstractTracking) -> AbstractTracking:
+    if not isinstance(method, str):
+        return method
+    if method not in METHODS:
+        raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
+    return METHODS[method]
 
 
 def _refuse_unseen(sightings: Mapping[str, list[Sighting]], first: Frame) -> None:

@@ -61,6 +61,7 @@ class Silhouette(AbstractTracking):
     """
 
     name: ClassVar[str] = "silhouette"
+    needs: ClassVar[str] = "no marks, and an outline in the scene under its name"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those without marks whose outline is known; the larger one is the part."""
@@ -70,13 +71,6 @@ class Silhouette(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no part without marks whose outline the scene tells",
-                expected="a part of the names in the scene",
-                hint="names of parts in the rig file are those of bodies and pushers in the scene",
-            )
         if len(names) > 2:
             raise InvalidInput(
                 f"rig {rig.name!r}",

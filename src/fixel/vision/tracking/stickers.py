@@ -9,7 +9,6 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
@@ -49,6 +48,7 @@ class Stickers(AbstractTracking):
     """
 
     name: ClassVar[str] = "stickers"
+    needs: ClassVar[str] = "two stickers, since one tells no angle"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least two stickers."""
@@ -57,13 +57,6 @@ class Stickers(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no part with two stickers",
-                expected="two stickers on each part to track: one tells no angle",
-                hint="use --method tags, or describe the stickers in the rig file",
-            )
         return _StickerFollower(rig, names)
 
 

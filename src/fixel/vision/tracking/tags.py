@@ -67,6 +67,7 @@ class Tags(AbstractTracking):
     """
 
     name: ClassVar[str] = "tags"
+    needs: ClassVar[str] = "a tag"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least one tag."""
@@ -77,13 +78,6 @@ class Tags(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no tag on any part",
-                expected="tags to track",
-                hint="use --method stickers, or describe the tags in the rig file",
-            )
         tags = {
             name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag)) for name in names
         }
