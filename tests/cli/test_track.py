@@ -23,7 +23,10 @@ def test_a_film_is_tracked_and_the_next_command_named(tmp_path, capsys):
     assert code == 0
     assert "residual [px]" in told
     assert "SIMULATED" in told
-    assert "Next: fixel track" in told
+    assert f"Next: fixel track {film}\n" in told
+    rig = tmp_path / "rig.yaml"
+    _, told, _ = fixel(capsys, "track", film, "--dry-run", "--rig", rig, "--method", "tags")
+    assert f"Next: fixel track {film} --rig {rig} --method tags\n" in told
     _, told, _ = fixel(capsys, "track", film, "--dry-run", "--json")
     answer = json.loads(told)
     assert answer["parts"]["object"]["frames"] == 4

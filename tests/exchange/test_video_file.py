@@ -61,6 +61,9 @@ def test_variable_rate_is_read_exactly_and_said(tmp_path):
     video = open_video(write(tmp_path / "film.mp4", times))
     assert [f.time for f in video.frames()] == pytest.approx(times, abs=1e-9)
     assert "variable frame rate: 1 of 6" in video.remarks[0]
+    video = open_video(write(tmp_path / "half.mp4", [0.0, 0.1, 0.3, 0.4, 0.6]))
+    assert len(list(video.frames())) == 5
+    assert "variable frame rate: 2 of 4 steps differ from the usual 100.00 ms" in video.remarks[0]
 
 
 @pytest.mark.parametrize("codec", ["h264", "ffv1", "mjpeg"])

@@ -42,6 +42,10 @@ def test_wrapped_angles_differ_by_whole_turns(angle):
     assert float(wrapped(turned)) == turned
 
 
+def test_what_is_no_angle_stays_none():
+    assert np.isnan(wrapped(np.array([np.nan, 0.1]))).tolist() == [True, False]
+
+
 @pytest.mark.parametrize(
     ("time", "pose", "where"),
     [

@@ -69,3 +69,9 @@ def test_a_rig_of_the_project_beside_a_broken_one(project):
     save_rig(replace(rig_of("thesis-tags"), name="ours"), folder / "b.yaml")
     assert rig_named(project, "ours").name == "ours"
     assert rig_named(project, "theirs") is None
+
+
+def test_from_where_the_rig_has_no_camera_nothing_is_drawn(project):
+    known = experiment()
+    moved = replace(known, conditions={**known.conditions, "camera": "registered anew"})
+    assert seen_in_video(project, moved) is None

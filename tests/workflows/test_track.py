@@ -14,10 +14,26 @@ from fixel.exchange.recording import RecordingHeader, RecordingWriter
 from fixel.exchange.rig_file import save_rig
 from fixel.exchange.scene_file import SceneFile, save_scene
 from fixel.exchange.video_file import VideoWriter
-from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.model import (
+    Body,
+    Disk,
+    Fixel,
+    LineDrive,
+    Polygon,
+    Provenance,
+    Pusher,
+    Scene,
+    Tripod,
+)
+from fixel.model.shape import placed
 from fixel.testing.painted import moving, painted, tag_rig
 from fixel.vision.frame import Frame
+from fixel.vision.marks import Tag
+from fixel.vision.tracking import FoundFixel, Sighting, Tracked
+from fixel.vision.tracking.judge import judged
 from fixel.workflows.track import track_film
+from fixel.workflows.track_pictures import drawn
+from fixel.workflows.tracked_experiment import experiment_of
 
 N = 8
 
@@ -81,6 +97,35 @@ def test_a_film_becomes_an_experiment(film, tmp_path):
     json.dumps(answer.summary(), allow_nan=False)
 
 
+def test_outlines_of_a_registered_camera_lie_on_the_parts(tmp_path):
+    """Drawn where the film has them, not where they would be if the camera had not been moved."""
+    rig = tag_rig(plate=True)
+    corners = [(-0.063, 0.034), (0.066, 0.038), (0.066, -0.042), (-0.06, -0.055)]
+    plate = tuple(
+        Tag(id=20 + k, size=0.024, pose=(*place, 0.0), height=0.0)
+        for k, place in enumerate(corners)
+    )
+    painter = painted(replace(rig, plate=plate))
+    away = replace(rig.camera, translation=rig.camera.translation + np.array([0.006, 0, 0]))
+    save_rig(replace(painter.rig, camera=away), tmp_path / "rig.yaml")
+    save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
+    with VideoWriter(tmp_path / "push.mp4", (320, 240)) as writer:
+        writer.write(painter.frame(0.0))
+    with pytest.raises(InvalidInput, match="was moved"):
+        track_film(tmp_path / "push.mp4")
+    answer = track_film(tmp_path / "push.mp4", register=True)
+    assert answer.experiment.conditions["camera"] == "registered anew"
+    (frame,) = answer.film.frames()
+    before, after = frame.picture.astype(int), drawn(frame, 0, scene(), answer.tracked).astype(int)
+    changed = np.abs(after - before).max(axis=-1)[32:] > 60  # but for the words
+    corner = painter.rig.camera.project_at(
+        placed(scene().bodies[0].shape.vertices, moving(0.0)["object"]), 0.0254
+    )
+    where = np.argwhere(changed)[:, ::-1] + (0, 32)
+    for pixel in corner:
+        assert np.hypot(*(where - pixel).T).min() < 3.0
+
+
 def test_what_the_fixels_felt_is_in_the_experiment(tmp_path):
     """Bit 0 is the third fixel; where no reading came, there is none."""
     painter = painted(tag_rig())
@@ -118,6 +163,65 @@ def test_what_was_rendered_is_never_real(tmp_path):
     with VideoWriter(path, (320, 240), note="SIMULATED by a test") as writer:
         writer.write(painter.frame(0.0))
     assert track_film(path).experiment.simulated_by == "SIMULATED by a test"
+
+
+def pushed(along, first=0, fixels=()):
+    """An experiment of an actuator at places along x, and an object ahead of it, seen from some
+    frame on."""
+    time = np.arange(len(along)) / 30.0
+    head, touch = moving(0.0)["actuator"], 0.005
+    sights = {
+        "actuator": head + np.outer(along, [1.0, 0.0, 0.0]),
+        "object": moving(0.0)["object"]
+        + np.outer(np.maximum.accumulate(np.maximum(along - touch, 0.0)), [1.0, 0.0, 0.0]),
+    }
+    parts = {}
+    for name, poses in sights.items():
+        own = [
+            Sighting(pose=pose, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5)) for pose in poses
+        ]
+        if name == "object":
+            own[:first] = [Sighting(reason="a hand")] * first
+        parts[name] = judged(name, time, own)
+    return experiment_of(
+        Tracked(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),
+        tag_rig(),
+        scene(),
+        None,
+        dataset="bench",
+        name="push",
+        provenance=Provenance(version="0", command="", source=""),
+    )
+
+
+PUSH = np.interp(np.arange(90) / 30.0, [0.5, 3.0], [0.0, 0.034])
+
+
+@pytest.mark.parametrize("first", [0, 20])
+def test_a_start_that_was_seen_makes_a_scene(first):
+    """Before it is touched, it does not matter when."""
+    experiment = pushed(PUSH, first)
+    assert experiment.scene is not None
+    assert experiment.scene.bodies[0].pose == pytest.approx(moving(0.0)["object"], abs=1e-4)
+
+
+def test_a_start_that_was_not_seen_makes_no_scene():
+    (flag,) = [flag for flag in pushed(PUSH, 45).flags if flag.name == "no-scene"]
+    assert "first seen at 1.50 s, when it moved already" in flag.detail
+
+
+def test_two_pushes_in_one_film_make_no_scene():
+    along = np.interp(np.arange(150) / 30.0, [0.5, 2.0, 2.5, 3.0, 4.5], [0.0, 0.02, 0.0, 0.0, 0.02])
+    (flag,) = [flag for flag in pushed(along).flags if flag.name == "no-scene"]
+    assert "goes back" in flag.detail
+    assert "one by one" in flag.detail
+
+
+def test_a_fixel_that_does_not_stand_still_is_told_of():
+    fixels = [FoundFixel(name=f"fixel-{k}", place=(0, 0), scatter=3e-4 * k, n=5) for k in (0, 1)]
+    (flag,) = [f for f in pushed(PUSH, fixels=tuple(fixels)).flags if "restless" in f.name]
+    assert flag.name == "fixel-1-restless"
+    assert "0.30 mm" in flag.detail
 
 
 def test_files_that_are_missing_are_named(film, tmp_path):

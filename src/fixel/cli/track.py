@@ -82,11 +82,21 @@ def track(
     )
     if as_json:
         typer.echo(json.dumps(answer.summary(), allow_nan=False))
-    else:
-        typer.echo("\n".join(_lines(answer, folder)))
+        return
+    options = {
+        "--rig": rig,
+        "--scene": scene or "",
+        "--method": method if method != "auto" else "",
+        "--project": folder if folder != Path() else "",
+        "--dataset": dataset if dataset != "bench" else "",
+        "--name": name,
+    }
+    again = ["fixel", "track", str(source), *(["--register"] if register else [])]
+    again += [word for key, value in options.items() if value for word in (key, str(value))]
+    typer.echo("\n".join(_lines(answer, folder, shlex.join(again))))
 
 
-def _lines(answer: "TrackAnswer", folder: Path) -> list[str]:
+def _lines(answer: "TrackAnswer", folder: Path, again: str) -> list[str]:
     from fixel.cli.screen import table
 
     experiment, tracked, motion = answer.experiment, answer.tracked, answer.motion
@@ -126,7 +136,7 @@ def _lines(answer: "TrackAnswer", folder: Path) -> list[str]:
     where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
     if answer.number is None:
         lines.append("stored nothing; leave out --dry-run to store it")
-        lines.append(f"Next: fixel track {shlex.quote(str(answer.film.path))}{where}")
+        lines.append(f"Next: {again}")
     else:
         verb = "stored as" if answer.new else "there already as"
         lines.append(f"{verb} experiment {answer.number}, {experiment.key}")

@@ -260,7 +260,7 @@ class _Clock:
         steps = np.diff(self.times)
         if len(steps) < 2:
             return []
-        usual = float(np.median(steps))
+        usual = float(np.percentile(steps, 50.0, method="lower"))
         if usual < 1.0 / MOST_FRAMES_A_SECOND:
             return [f"{1.0 / usual:.0f} frames a second: are these times in seconds?"]
         odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)

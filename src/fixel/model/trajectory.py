@@ -89,4 +89,4 @@ def wrapped(angle: ArrayLike) -> FloatArray:
     given = np.asarray(angle, dtype=np.float64)
     turned = np.mod(given + pi, 2.0 * pi) - pi
     inside = (given >= -pi) & (given < pi)
-    return np.where(inside, given, np.where(turned < pi, turned, -pi))
+    return np.where(inside, given, np.where(turned >= pi, -pi, turned))

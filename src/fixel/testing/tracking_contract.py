@@ -20,6 +20,7 @@ import pytest
 from fixel.model import pose_error
 from fixel.testing.painted import Painter, as_seen, moving
 from fixel.vision.frame import Frame
+from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import AbstractTracking
 from fixel.vision.tracking.follow import track
 
@@ -67,6 +68,22 @@ class TrackingContract:
             assert part.good.all()
             assert position.max() < 2.0 * POSITION
 
+    def test_a_camera_of_another_response(
+        self, tracking: AbstractTracking, painter: Painter
+    ) -> None:
+        """Webcams show half of the light as three quarters of white, and lenses are blurred."""
+        frames = []
+        for k in range(FRAMES):
+            sharp = painter.picture(moving(k / RATE))
+            light = opencv().GaussianBlur(sharp, (0, 0), 1.2)
+            frames.append(Frame(k / RATE, as_seen(255.0 * (light / 255.0) ** (1.0 / 2.2), seed=k)))
+        tracked = track(frames, painter.rig, method=tracking)
+        for name, part in tracked.parts.items():
+            position, _ = pose_error(part.pose, [moving(time)[name] for time in tracked.time])
+            assert part.good.all()
+            assert position.max() < 2.0 * POSITION
+            assert part.residual.max() < 0.4
+
     def test_what_does_not_show_is_a_gap_with_a_reason(
         self, tracking: AbstractTracking, painter: Painter
     ) -> None:
@@ -103,6 +120,11 @@ class TrackingContract:
         frames = [Frame(k / RATE, plain) for k in range(2)]
         with pytest.raises(ValueError, match="in none of 2 frames"):
             track(frames, painter.rig, method=tracking)
+
+    def test_too_little_light_is_named(self, tracking: AbstractTracking, painter: Painter) -> None:
+        dark = as_seen(0.03 * painter.picture(moving(0.0)))
+        with pytest.raises(ValueError, match="more light"):
+            track([Frame(0.0, dark)], painter.rig, method=tracking)
 
     def test_frames_of_another_size_are_refused(
         self, tracking: AbstractTracking, painter: Painter

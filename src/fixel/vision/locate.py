@@ -11,7 +11,7 @@ from fixel.model.fields import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import Sighting
-from fixel.vision.tracking.checks import plate_offsets, refuse_flipped, refuse_moved, refuse_size
+from fixel.vision.tracking.checks import UNWATCHED, refuse_flipped, refuse_moved, refuse_size
 from fixel.vision.tracking.fixels import LEAST, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
@@ -104,15 +104,13 @@ class Locator:
     def _what_stands(self, frame: Frame, seen: bool) -> Located:
         """Camera, plate and fixels."""
         try:
-            refuse_moved(self.rig, frame)
+            watched = refuse_moved(self.rig, frame)
             if not seen:
                 refuse_flipped(self.rig, frame.luma)
         except InvalidInput as problem:
             return Located(problems=(_told(problem),))
-        remarks = []
-        if self.rig.plate and not plate_offsets(self.rig, frame):
-            remarks.append("No plate tag is seen, so nothing tells whether the camera has moved")
-        return Located(fixels=self._fixels(frame), remarks=tuple(remarks))
+        remarks = (UNWATCHED,) if self.rig.plate and not watched else ()
+        return Located(fixels=self._fixels(frame), remarks=remarks)
 
     def _fixels(self, frame: Frame) -> dict[str, FloatArray]:
         """Places out of the last few frames; a fixel may be moved to another hole meanwhile."""

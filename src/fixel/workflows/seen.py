@@ -13,6 +13,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment
 from fixel.vision.marks import Rig
 from fixel.vision.outlines import outline_pixels
+from fixel.workflows.tracked_experiment import CAMERA
 
 RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
 MOST: Final = 600  # outlines; between them the part is drawn at the nearest
@@ -49,11 +50,12 @@ def rig_named(project: Project, name: str) -> Rig | None:
 
 
 def seen_in_video(project: Project, experiment: Experiment) -> Seen | None:
-    """Outlines of the measured object in its video; none without rig, scene or height."""
+    """Outlines of the measured object in its video; none without rig, scene or height, or
+    where the camera was not where the rig has it."""
     rig = rig_named(project, str(experiment.conditions.get("rig", "")))
     scene, part = experiment.scene, None if rig is None else rig.parts.get(experiment.object_name)
     height = experiment.height or (None if part is None else part.height)
-    if rig is None or scene is None or height is None:
+    if rig is None or scene is None or height is None or CAMERA in experiment.conditions:
         return None
     shape = next(b.shape for b in scene.bodies if b.name == experiment.object_name)
     track = experiment.trajectory

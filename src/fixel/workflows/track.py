@@ -202,7 +202,7 @@ def track_film(
         simulated_by=film.simulated_by,
         remarks=film.remarks(),
     )
-    _draw(film, marked, planned, tracked, experiment, files)
+    _draw(film, planned, tracked, experiment, files)
     number, new = None, False
     if opened is not None:
         with opened.store() as store:
@@ -270,7 +270,6 @@ def _provenance(film: Film) -> Provenance:
 
 def _draw(
     film: Film,
-    rig: Rig,
     scene: Scene,
     tracked: Tracked,
     experiment: Experiment,
@@ -280,9 +279,9 @@ def _draw(
     from fixel.workflows.track_pictures import write_overlay, write_sheet
 
     if "overlay" in files:
-        write_overlay(film.frames(), rig, scene, tracked, files["overlay"], film.simulated_by)
+        write_overlay(film.frames(), scene, tracked, files["overlay"], film.simulated_by)
     if "sheet" in files:
-        write_sheet(film.frames(), rig, scene, tracked, files["sheet"])
+        write_sheet(film.frames(), scene, tracked, files["sheet"])
     if "plot" in files:
         draw_track(tracked, files["plot"], experiment.effective)
 

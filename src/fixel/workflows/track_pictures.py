@@ -14,7 +14,6 @@ from fixel.exchange.atomic import written_whole
 from fixel.exchange.video_file import VideoWriter
 from fixel.model import Scene
 from fixel.vision.frame import Frame, Picture
-from fixel.vision.marks import Rig
 from fixel.vision.outlines import bgr, draw_outline, draw_words, outline_pixels
 from fixel.vision.tracking import Tracked
 from fixel.vision.tracking.follow import things_of
@@ -25,21 +24,19 @@ WIDTH: Final = 960  # [px] of each on a sheet, at most
 
 
 def write_overlay(
-    frames: Iterator[Frame], rig: Rig, scene: Scene, tracked: Tracked, path: Path, note: str = ""
+    frames: Iterator[Frame], scene: Scene, tracked: Tracked, path: Path, note: str = ""
 ) -> None:
     """The film again, with outlines of object, pusher and fixels at their heights."""
     step = float(np.median(np.diff(tracked.time))) if len(tracked.time) > 1 else 1.0 / 30.0
     zero = float(tracked.time[0])
-    size = tuple(2 * (side // 2) for side in rig.camera.lens.image_size)
+    size = tuple(2 * (side // 2) for side in tracked.rig.camera.lens.image_size)
     with VideoWriter(path, (size[0], size[1]), rate=1.0 / step, note=note) as writer:
         for index, frame in enumerate(frames):
-            picture = drawn(frame, index, rig, scene, tracked)
+            picture = drawn(frame, index, scene, tracked)
             writer.write(Frame(frame.time - zero, picture[: size[1], : size[0]]))
 
 
-def write_sheet(
-    frames: Iterator[Frame], rig: Rig, scene: Scene, tracked: Tracked, path: Path
-) -> None:
+def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: Tracked, path: Path) -> None:
     """A few frames of it on one picture."""
     from fixel.vision.opencv import opencv
 
@@ -49,7 +46,7 @@ def write_sheet(
     shown = []
     for index, frame in enumerate(frames):
         if index in wanted:
-            picture = drawn(frame, index, rig, scene, tracked)
+            picture = drawn(frame, index, scene, tracked)
             scale = min(1.0, WIDTH / picture.shape[1])
             shown.append(
                 cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -62,10 +59,10 @@ def write_sheet(
             raise InvalidInput(str(path), found="no room for it", expected="a file to write")
 
 
-def drawn(frame: Frame, index: int, rig: Rig, scene: Scene, tracked: Tracked) -> Picture:
+def drawn(frame: Frame, index: int, scene: Scene, tracked: Tracked) -> Picture:
     """A frame with what was measured in it."""
     picture = np.array(frame.picture)
-    camera = rig.camera
+    rig, camera = tracked.rig, tracked.rig.camera
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
     for fixel in scene.fixels:
         pose = np.append(places.get(fixel.name, fixel.pose[:2]), fixel.pose[2])

@@ -31,7 +31,10 @@ from fixel.vision.tracking.tracked import PartTrack, Tracked
 MOST_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
 MOST_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
 STILL: Final = 0.1e-3  # [m] that a resting object may seem to move
+STARTS: Final = 5  # frames that tell whether an object rests
 LAST: Final = 0.5  # [s] of readings that tell the contact mode
+CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig has it
+RESTLESS: Final = 0.2e-3  # [m] that places of a fixel may scatter by; 0.03 mm are usual
 MISPLACED: Final = 0.02  # [m] of a start from where the scene plans it
 
 
@@ -167,6 +170,7 @@ def _scene(
     moved: list[float],
 ) -> Scene:
     """The scene with what was measured in place of what was planned."""
+    _refuse_two_pushes(found)
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
     fixels = tuple(
         replace(fixel, pose=np.append(places[fixel.name], fixel.pose[2]))
@@ -179,6 +183,7 @@ def _scene(
         for member in scene.pushers
     )
     body = scene.bodies[0]
+    _refuse_late(body.name, trajectory, begins)
     start = _start(trajectory, begins)
     apart = _apart(body.shape, start, (*pushers, *fixels))
     if (apart != start).any():
@@ -201,6 +206,30 @@ def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
         drive=PathDrive(waypoints=path, force_limit=pusher.drive.force_limit),
         pose=path[0, 1:],
     )
+
+
+def _refuse_two_pushes(found: tuple[str, Motion] | None) -> None:
+    if found is None or found[1].back is None:
+        return
+    begin, end = found[1].back
+    raise InvalidInput(
+        "film",
+        found=f"{found[0]} goes back from {begin:.2f} to {end:.2f} s, and pushes again",
+        expected="one push",
+        hint="cut the film there, and track its parts one by one",
+    )
+
+
+def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
+    """Refuse an object whose start nobody saw: after the push has begun, and moving already."""
+    first = float(trajectory.time[0])
+    early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
+    if first > begins and np.hypot(*early.T).max() > STILL:
+        raise InvalidInput(
+            name,
+            found=f"it first seen at {first:.2f} s, when it moved already",
+            expected="its start in the film: a simulation begins there",
+        )
 
 
 def _start(trajectory: Trajectory, begins: float) -> FloatArray:
@@ -235,6 +264,8 @@ def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel
 
 def _conditions(tracked: Tracked, rig: Rig, motion: Motion | None) -> dict[str, str | float]:
     conditions: dict[str, str | float] = {"rig": rig.name, "tracked_by": tracked.method}
+    if tracked.rig.camera != rig.camera:
+        conditions[CAMERA] = "registered anew"
     if motion is not None and motion.moved:
         conditions |= {"speed_m_s": motion.cruise, "travel_m": motion.travel}
     for name, track in tracked.parts.items():
@@ -268,10 +299,15 @@ def _flags(
     if motion is None:
         yield remark("no-actuator", "the path of the actuator was not tracked")
     elif not motion.moved:
-        yield remark("no-motion", f"the actuator moved {motion.travel * 1e3:.3f} mm only")
+        detail = f"no steady motion of the actuator, over {motion.travel * 1e3:.3f} mm"
+        yield remark("no-motion", detail)
     missing = {f.name for f in scene.fixels} - {f.name for f in tracked.fixels}
     if missing:
         yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " did not show")
+    for fixel in tracked.fixels:
+        if fixel.scatter > RESTLESS:
+            detail = f"its places scatter by {fixel.scatter * 1e3:.2f} mm: was it hit, or hidden?"
+            yield remark(f"{_plain(fixel.name)}-restless", detail)
     off = float(np.hypot(*(track.trajectory.pose[0] - scene.bodies[0].pose)[:2]))
     if off > MISPLACED:
         detail = f"{track.name} starts {off * 1e3:.1f} mm from where the scene plans it"

@@ -30,6 +30,17 @@ def test_a_sudden_start_is_no_outlier():
     assert judged("object", TIME, sightings(path())).good.all()
 
 
+@pytest.mark.parametrize("rate", [15.0, 30.0])
+def test_what_is_hit_or_turns_back_is_no_outlier(rate):
+    """120 mm/s and 2 rad/s at once, where it rested, and back the same way."""
+    time = np.arange(60) / rate
+    there, back = time[4] + 0.3 / rate, time[40] + 0.6 / rate
+    run = np.clip(time - there, 0.0, back - there) - np.maximum(time - back, 0.0)
+    pose = run[:, None] * [0.12, 0.0, 2.0]
+    pose += 5e-6 * np.random.default_rng(1).standard_normal((60, 3))
+    assert judged("object", time, sightings(pose)).good.all()
+
+
 def test_a_single_wrong_pose_is_found():
     pose = path()
     pose[50] += (1.2e-3, 0.0, 0.0)
@@ -38,6 +49,14 @@ def test_a_single_wrong_pose_is_found():
     assert np.flatnonzero(~part.good).tolist() == [50, 80]
     assert part.n_outliers == 2
     assert "outlier" in part.reason[50]
+
+
+def test_wrong_angles_do_not_turn_what_follows():
+    pose = path()
+    pose[50:52, 2] += (2.2, 4.2)  # the shortest way back from there is once around
+    part = judged("object", TIME, sightings(pose))
+    assert np.flatnonzero(~part.good).tolist() == [50, 51]
+    assert part.pose[part.good] == pytest.approx(pose[part.good])
 
 
 def test_a_run_of_wrong_poses_is_found():
@@ -56,6 +75,26 @@ def test_the_steady_part_of_a_motion():
     assert motion.direction == pytest.approx([0.8, 0.6], abs=1e-6)
     assert 0.7 < motion.start < 1.1
     assert 2.9 < motion.end < 3.3
+
+
+def test_an_actuator_that_goes_home_has_moved():
+    """The useful part ends before it goes back, and there is only one."""
+    along = np.interp(TIME, [0.0, 0.5, 2.5, 3.0, 3.8], [0.0, 0.0, 0.027, 0.027, 0.0])
+    noise = 1e-5 * np.random.default_rng(1).standard_normal((len(TIME), 2))
+    motion = motion_of(TIME, along[:, None] * [[0.8, 0.6]] + noise, 1e-5)
+    assert motion.moved
+    assert motion.travel == pytest.approx(0.027, abs=5e-5)
+    assert motion.cruise == pytest.approx(0.0135, rel=0.01)
+    assert motion.direction == pytest.approx([0.8, 0.6], abs=2e-3)
+    assert 2.1 < motion.end < 2.5
+    assert motion.back is None
+
+
+def test_an_actuator_that_pushes_twice_is_noticed():
+    along = np.interp(TIME, [0.5, 1.5, 2.0, 2.5, 3.5], [0.0, 0.0135, 0.0, 0.0, 0.0135])
+    motion = motion_of(TIME, along[:, None] * [[0.8, 0.6]], 1e-5)
+    assert motion.back == pytest.approx((1.5, 2.0), abs=0.2)
+    assert motion.end > 3.0
 
 
 def test_what_stands_does_not_move():

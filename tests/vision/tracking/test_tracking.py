@@ -17,7 +17,7 @@ from fixel.testing.scenes import micro_push
 from fixel.testing.tracking_contract import TrackingContract
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.vision.marks import Tag
+from fixel.vision.marks import MarkedPart, Tag
 from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
 
@@ -45,6 +45,14 @@ class TestTags(TrackingContract):
         )
         with pytest.raises(InvalidInput, match="mm wide in the picture"):
             track([painter.frame(0.0)], rig)
+
+    def test_a_tag_that_is_there_twice_is_refused(self, painter):
+        picture = painter.picture(moving(0.0))
+        u, _ = painter.rig.camera.project_at(moving(0.0)["object"][:2], 0.0255).astype(int)
+        picture[:, 10:110] = picture[:, u - 50 : u + 50]
+        frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
+        with pytest.raises(InvalidInput, match="tag 1 is in the picture 2 times"):
+            track(frames, painter.rig)
 
     @pytest.mark.parametrize("side", range(4))
     def test_half_a_tag_is_enough(self, painter, side):
@@ -85,8 +93,9 @@ class TestStickers(TrackingContract):
         picture = painter.picture(moving(0.0))
         v, u = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
         picture[np.hypot(u - 60, v - 200) < 11.0] = PAINT["red"]
+        frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
         with pytest.raises(InvalidInput, match="2 things of one colour"):
-            track([Frame(0.0, as_seen(picture))], painter.rig)
+            track(frames, painter.rig)
 
 
 class TestPlate:
@@ -146,6 +155,30 @@ class TestPlate:
             assert position.max() < 0.3e-3
             assert angle.max() < 0.003
 
+    @pytest.mark.parametrize("by", [4, 40])
+    def test_what_is_seen_after_a_bump_is_not_believed(self, painter, by):
+        """The plate is looked at in every fifteenth frame, and in the last."""
+        still, bumped = painter.picture(moving(0.0)), painter.picture(moving(0.0))
+        bumped[by:] = still[:-by]
+        frames = [Frame(k / 30.0, as_seen(bumped if k > 19 else still)) for k in range(24)]
+        tracked = track(frames, painter.rig)
+        (remark,) = tracked.remarks
+        assert "moved during the film" in remark
+        assert "0.77 s" in remark
+        for part in tracked.parts.values():
+            assert np.flatnonzero(part.good).tolist() == list(range(16))
+            assert "was moved" in part.reason[17]
+
+    def test_a_tag_of_the_plate_that_is_covered_tells_nothing(self, painter):
+        picture = painter.picture(moving(0.0))
+        u, v = painter.rig.camera.project_at(painter.rig.plate[1].pose[:2], 0.0).astype(int)
+        picture[v - 24 : v + 6, u - 24 : u + 24] = 35.0
+        assert track([Frame(0.0, as_seen(picture))], painter.rig).remarks == ()
+        u, v = painter.rig.camera.project_at(painter.rig.plate[0].pose[:2], 0.0).astype(int)
+        picture[v - 25 : v + 25, u - 25 : u + 25] = 120.0
+        tracked = track([Frame(0.0, as_seen(picture))], painter.rig)
+        assert "nothing tells whether the camera has moved" in tracked.remarks[0]
+
     def test_half_a_turn_is_named(self, painter):
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()
         with pytest.raises(InvalidInput, match=r"half a turn|was moved"):
@@ -168,10 +201,32 @@ def test_the_microscope_scene():
     assert tracked.parts["probe"].pose[:, :2] == pytest.approx(probe[1:4, :2], abs=1e-6)
 
 
+def test_the_tab_of_a_fast_part_is_not_taken_for_its_side():
+    """It moves by the length of its tab from one frame to the next."""
+    scene, rig = micro_push(), rig_of("microscope")
+    time = np.arange(6) / 30.0
+    part = np.array([[0.0, 53e-6 * k, 0.0] for k in range(6)])
+    motion = {
+        "part": Trajectory(time=time, pose=part),
+        "probe": Trajectory(time=time, pose=np.tile(scene.pushers[0].pose, (6, 1))),
+    }
+    looks = replace(looks_named("microscope"), exposure=0.0)
+    tracked = track(film_scene(scene, motion, rig, looks, time, 1), rig, scene).parts["part"]
+    assert tracked.good.sum() > 3
+    off = np.hypot(*(tracked.pose - part)[tracked.good, :2].T)
+    assert off.max() < 1e-6
+
+
 def test_unknown_methods_are_refused():
     rig = tag_rig((96, 72))
     frame = Frame(0.0, np.zeros((72, 96, 3), np.uint8))
     with pytest.raises(InvalidInput, match="auto, tags"):
         track([frame], rig, method="guess")
+    for method in ("stickers", "silhouette"):
+        with pytest.raises(InvalidInput, match=f"for {method}, "):
+            track([frame], rig, method=method)
+    bare = replace(rig, parts={name: MarkedPart(height=0.02) for name in rig.parts})
+    with pytest.raises(InvalidInput, match=r"for tags, .* for stickers, .* for silhouette, "):
+        track([frame], bare)
     with pytest.raises(InvalidInput, match="no frames"):
         track([], rig)

@@ -11,7 +11,7 @@ from fixel.kernels.arrays import FloatArray
 SMOOTH: Final = 0.25  # [s] to either side, that a speed is told from
 STEADY: Final = 0.05  # of the cruising speed, that a steady one may differ by
 MOVING: Final = 0.3  # of the largest speed: below, it stands
-LEAST_TRAVEL: Final = 4.0  # standard deviations of a position, below which nothing moved
+LEAST_TRAVEL: Final = 8.0  # standard deviations of a position, below which nothing moved
 
 
 class Motion(NamedTuple):
@@ -26,10 +26,12 @@ class Motion(NamedTuple):
     direction : (2,) float64
         Of the whole travel [-].
     travel : float
-        [m].
+        From the first place to the farthest [m].
     start, end : float
         First instant after the start's unsteadiness, last before the final braking [s].
     moved : bool
+    back : (float, float) or None
+        When it went back between two pushes, if there is more than one [s].
     """
 
     speed: FloatArray
@@ -39,6 +41,7 @@ class Motion(NamedTuple):
     start: float
     end: float
     moved: bool
+    back: tuple[float, float] | None = None
 
 
 def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
@@ -59,8 +62,9 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
     end before it leaves it for good. Speeds are slopes of lines fitted over half a second, without
     the lag of the Kalman filter that was used there.
     """
-    way = place[-1] - place[0]
-    travel = float(np.hypot(*way))
+    away = np.hypot(*(place - place[0]).T)
+    farthest = int(np.argmax(away))  # where it ends, unless it goes home before the film ends
+    way, travel = place[farthest] - place[0], float(away[farthest])
     still = Motion(np.zeros(len(time)), 0.0, np.zeros(2), travel, time[0], time[-1], False)
     if len(time) < 8 or travel < LEAST_TRAVEL * noise:
         return still
@@ -74,8 +78,11 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
     steady = np.flatnonzero(moving & (np.abs(speed - cruise) <= slack))
     if not len(steady):
         return still
+    first, last = steady[0], steady[-1]
+    back = first + np.flatnonzero(speed[first:last] < -MOVING * cruise)
+    between = (float(time[back[0]]), float(time[back[-1]])) if len(back) else None
     return Motion(
-        speed, cruise, direction, travel, float(time[steady[0]]), float(time[steady[-1]]), True
+        speed, cruise, direction, travel, float(time[first]), float(time[last]), True, between
     )
 
 

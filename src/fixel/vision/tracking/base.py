@@ -11,6 +11,7 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Pusher
+from fixel.model.trajectory import wrapped
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 
@@ -70,9 +71,16 @@ class AbstractTracking(ABC):
 
     Final members know what they look for from the rig and the outlines; what they find are poses in
     the plane, and a reason wherever there is none.
+
+    Attributes
+    ----------
+    name : str
+    needs : str
+        What a part must have to be followed, for people.
     """
 
     name: ClassVar[str]
+    needs: ClassVar[str]
 
     @abstractmethod
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
@@ -80,7 +88,7 @@ class AbstractTracking(ABC):
 
     @abstractmethod
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film.
+        """Begin a film of a rig with at least one part that can be followed.
 
         Parameters
         ----------
@@ -88,11 +96,6 @@ class AbstractTracking(ABC):
         things : dict of str to Thing
             Bodies and pushers of the scene, where there is one: what outlines they have, and about
             how they lie at the start.
-
-        Raises
-        ------
-        InvalidInput
-            There is nothing in the rig that it could look for.
         """
 
 
@@ -126,7 +129,9 @@ class Prediction:
         if self._last is not None:
             then, before = self._last
             if time - then < FORGET:
-                self._rate = (pose - before) / (time - then)
+                step = pose - before
+                step[2] = wrapped(step[2])  # angles that were read anew know of no turns
+                self._rate = step / (time - then)
         self._last = (time, pose)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, final
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import BoolArray
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
@@ -22,6 +23,9 @@ MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
 ABOVE: Final = 0.03  # [m], about where marks are
 LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
+DARK, WHITE = 45.0, 234.0  # of brightness; videos may have 16 for black, and 235 for white
+PLATE_EVERY: Final = 15  # frames between two looks at the plate
+UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera has moved"
 VAGUE: Final = 0.5e-3  # [m] that a camera registered anew may be wrong by up there
 
 
@@ -43,6 +47,18 @@ def refuse_size(rig: Rig, frame: Frame) -> None:
     )
 
 
+def bad_light(frame: Frame) -> str:
+    """What to do about a picture that is nearly all dark, or white; empty where it is neither."""
+    level = np.percentile(frame.luma[::8, ::8], (50.0, 95.0))
+    if level[1] < DARK:
+        return f"95 of 100 pixels are darker than {level[1]:.0f} of 255: more light, or exposure"
+    if level[0] > WHITE:
+        return (
+            f"half of all pixels are brighter than {level[0]:.0f} of 255: less light, or exposure"
+        )
+    return ""
+
+
 def refuse_flipped(rig: Rig, picture: Gray) -> None:
     """Refuse pictures whose tags can be read only when they are flipped."""
     tags = [m for part in rig.parts.values() for m in part.marks if isinstance(m, Tag)]
@@ -62,51 +78,109 @@ def refuse_flipped(rig: Rig, picture: Gray) -> None:
         )
 
 
-def plate_offsets(rig: Rig, frame: Frame) -> dict[int, FloatArray]:
-    """(2,) how far tags of the plate are off their places, in the plane [m], by id."""
-    offsets: dict[int, FloatArray] = {}
-    for tag in rig.plate:
-        edges, pose = tag_edges(tag, 0), np.zeros(3)
-        window = window_of(frame, rig.camera, edges, pose, FOUND)
-        if window is None:
-            continue
-        fit = fit_pose(
-            window[0], rig.camera, edges, pose, reach=FOUND, turns=False, corner=window[1]
-        )
-        if fit is not None and fit.residual < 1.0:
-            offsets[tag.id] = fit.pose[:2]
-    return offsets
+@final
+class PlateWatch:
+    """Looks now and then, and at the end, whether the camera is still where it was."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._looks: list[tuple[float, float]] = []  # when [s], and how far off [px]
+        self._last: Frame | None = None
+
+    def see(self, frame: Frame, index: int) -> None:
+        """Take note of a frame of the film, the number of which is `index`."""
+        self._last = frame
+        if index % PLATE_EVERY == 0:
+            self._look(frame)
+
+    def doubted(self, time: FloatArray) -> BoolArray:
+        """(n,) at which instants [s] it may have been elsewhere: not in place before or after."""
+        if self._last is not None and (not self._looks or self._looks[-1][0] < self._last.time):
+            self._look(self._last)
+        when, off = np.array(self._looks).reshape(-1, 2).T
+        if not (off > MOVED).any():
+            return np.zeros(len(time), dtype=bool)
+        before = np.maximum(np.searchsorted(when, time, side="right") - 1, 0)
+        after = np.minimum(np.searchsorted(when, time, side="left"), len(when) - 1)
+        return np.asarray((off[before] > MOVED) | (off[after] > MOVED))
+
+    @property
+    def in_place(self) -> bool:
+        """Whether nothing spoke against it at the last look."""
+        return not self._looks or self._looks[-1][1] <= MOVED
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was noticed first, once all frames were seen."""
+        return [
+            f"camera or plate moved during the film: {off:.1f} px off at {when:.2f} s"
+            for when, off in self._looks
+            if off > MOVED
+        ][:1]
+
+    def _look(self, frame: Frame) -> None:
+        edges = [_by_its_edges(self._rig, frame, tag) for tag in self._rig.plate]
+        off = [each for each in edges if each is not None]
+        if not off or np.median(off) > MOVED:  # else there is no need to read them
+            off = [straight for straight, _ in _plate(self._rig, frame).values()]
+        if off:
+            self._looks.append((frame.time, float(np.median(off))))
 
 
-def refuse_moved(rig: Rig, frame: Frame) -> None:
-    """Refuse pictures in which the plate's own tags are not where they should be."""
+def _plate(rig: Rig, frame: Frame) -> dict[int, tuple[float, float]]:
+    """How far tags of the plate that can be read are off their places, by id, and how far they
+    would be in a picture turned by half a turn [px]."""
     if not rig.plate:
-        return
+        return {}
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
-    off = {}
-    turned = {}
-    width, height = rig.camera.lens.image_size
+    last = np.array(rig.camera.lens.image_size) - 1.0
+    offsets = {}
     for tag in rig.plate:
         quads = found.get((tag.family, tag.id), [])
         if not quads:
             continue
         should = rig.camera.project_at(tag_corners(tag), tag.height)
-        off[tag.id] = float(np.hypot(*(quads[0] - should).mean(0)))
-        opposite = np.array([width - 1.0, height - 1.0]) - quads[0]
-        turned[tag.id] = float(np.hypot(*(opposite - should).mean(0)))
-    if not off:
-        return
-    if max(turned.values()) < FOUND < max(off.values()):
+        rough, turned = (
+            float(np.hypot(*(quad - should).mean(0))) for quad in (quads[0], last - quads[0])
+        )
+        exact = _by_its_edges(rig, frame, tag) if rough < FOUND else None
+        offsets[tag.id] = rough if exact is None else exact, turned
+    return offsets
+
+
+def _by_its_edges(rig: Rig, frame: Frame, tag: Tag) -> float | None:
+    """How far a tag of the plate is off its place [px], to a few hundredths."""
+    edges, pose = tag_edges(tag, 0), np.zeros(3)
+    window = window_of(frame, rig.camera, edges, pose, FOUND)
+    if window is None:
+        return None
+    fit = fit_pose(window[0], rig.camera, edges, pose, reach=FOUND, turns=False, corner=window[1])
+    if fit is None or fit.residual > 1.0:
+        return None
+    return float(np.hypot(*fit.pose[:2])) / rig.camera.metres_per_pixel()
+
+
+def refuse_moved(rig: Rig, frame: Frame) -> bool:
+    """Refuse pictures in which the plate's own tags are not where they should be.
+
+    Returns
+    -------
+    bool
+        Whether any of them is seen, so that it would have been noticed.
+    """
+    offsets = _plate(rig, frame)
+    if not offsets:
+        return False
+    off = {id_: straight for id_, (straight, _) in offsets.items()}
+    if max(turned for _, turned in offsets.values()) < FOUND < max(off.values()):
         raise InvalidInput(
             "video",
             found="a picture turned by half a turn",
             expected=f"the picture as rig {rig.name!r} has it",
             hint="turn off rotation in the camera's settings, or calibrate the plate anew",
         )
-    exact = plate_offsets(rig, frame)
-    pixel = rig.camera.metres_per_pixel()
-    off |= {id_: float(np.hypot(*shift)) / pixel for id_, shift in exact.items()}
     if max(off.values()) > MOVED:
+        pixel = rig.camera.metres_per_pixel()
         worst = max(off, key=lambda id_: off[id_])
         raise InvalidInput(
             "camera",
@@ -116,6 +190,7 @@ def refuse_moved(rig: Rig, frame: Frame) -> None:
             hint="calibrate the plate anew, or track with --register to find the camera's new "
             "place from these tags",
         )
+    return True
 
 
 def registered(rig: Rig, frame: Frame) -> Camera:

@@ -11,14 +11,18 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Fixel
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.outline import Fit, circle_edges, fit_pose, window_of
+from fixel.vision.tracking.outline import Edges, Fit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.tracked import FoundFixel
 
 REACH_FIRST: Final = 10.0  # [px] from where the scene has it
 REACH: Final = 4.0
 # Radii of what one sees of a top, as shares of the fixel's: a turned end has rings, all about one
-# middle.
+# middle. How wide the one is that shows best is measured with its place: where the side of the
+# cylinder hides some of it, a wrong radius would push the middle away from there.
 RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
+WIDEST, NARROWEST = 1.1, 0.5
+LOOKS: Final = 4  # at a ring, each with the radius of the one before
+SAME: Final = 0.02  # [px] of a radius, below which another look adds nothing
 LEAST_SHARE: Final = 0.45  # of a ring
 MOST_RESIDUAL: Final = 0.5  # [px]
 LEAST: Final = 3  # frames that a place is worth something from
@@ -37,6 +41,7 @@ class FixelFinder:
     def __init__(self, rig: Rig, fixels: Sequence[Fixel]) -> None:
         self._camera = rig.camera
         self._height = rig.fixel_height
+        self._scale = rig.camera.metres_per_pixel(rig.fixel_height)
         self._fixels = [fixel for fixel in fixels if isinstance(fixel.shape, Disk)]
         self._found: dict[str, list[FloatArray]] = {f.name: [] for f in self._fixels}
         self._rings: dict[str, Ring] = {}
@@ -50,29 +55,40 @@ class FixelFinder:
             else:
                 rings = [(share, dark) for share in RINGS for dark in (True, False)]
                 start, reach = fixel.pose[:2], REACH_FIRST
-            fits = {ring: self._fit(frame, fixel, ring, start, reach) for ring in rings}
-            good = {ring: fit for ring, fit in fits.items() if fit is not None}
+            fits = [self._fit(frame, fixel, ring, start, reach) for ring in rings]
+            good = [fit for fit in fits if fit is not None]
             if good:
-                ring = max(good, key=lambda ring: good[ring].share - good[ring].residual)
+                fit, ring = max(good, key=lambda each: each[0].share - each[0].residual)
                 self._rings[fixel.name] = ring
-                places.append(good[ring].pose[:2])
+                places.append(fit.pose[:2])
 
     def _fit(
         self, frame: Frame, fixel: Fixel, ring: Ring, start: FloatArray, reach: float
-    ) -> Fit | None:
+    ) -> tuple[Fit, Ring] | None:
+        """Where a ring is, and how wide."""
         assert isinstance(fixel.shape, Disk)
         share, dark = ring
-        edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
-        pose = np.append(start, 0.0)
-        window = window_of(frame, self._camera, edges, pose, reach)
-        if window is None:
-            return None
-        fit = fit_pose(
-            window[0], self._camera, edges, pose, reach=reach, turns=False, corner=window[1]
-        )
+        pose, fit = np.append(start, 0.0), None
+        for _ in range(LOOKS):
+            edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
+            window = window_of(frame, self._camera, edges, pose, reach)
+            if window is None:
+                return None
+            fit = fit_pose(
+                window[0], self._camera, edges, pose, reach=reach, turns=False, corner=window[1]
+            )
+            if fit is None:
+                return None
+            wider = _wider(edges, fit) if dark else -_wider(edges, fit)
+            share += wider * self._scale / fixel.shape.radius
+            if not NARROWEST < share < WIDEST:
+                return None
+            pose, reach = fit.pose, REACH
+            if abs(wider) < SAME:
+                break
         if fit is None or fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
             return None
-        return fit
+        return fit, (share, dark)
 
     def found(self) -> tuple[FoundFixel, ...]:
         """Fixels that were measured often enough."""
@@ -84,3 +100,9 @@ class FixelFinder:
             scatter = float(np.sqrt(np.mean(np.sum((np.array(places) - place) ** 2, axis=1))))
             result.append(FoundFixel(name=name, place=place, scatter=scatter, n=len(places)))
         return tuple(result)
+
+
+def _wider(edges: Edges, fit: Fit) -> float:
+    """How far the edges of a circle lie beyond it, wherever its middle is [px]."""
+    slope = np.column_stack((np.ones(len(edges.outward)), edges.outward))[fit.used]
+    return float(np.linalg.lstsq(slope, fit.found[fit.used, 0], rcond=None)[0][0])

@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Scene
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
 from fixel.vision.tracking.checks import (
-    MOVED,
-    plate_offsets,
+    UNWATCHED,
+    PlateWatch,
+    bad_light,
     refuse_flipped,
     refuse_moved,
     refuse_size,
@@ -35,7 +35,6 @@ METHODS: Final[Mapping[str, AbstractTracking]] = {
 AUTO: Final = "auto"
 
 FIXELS_EVERY: Final = 15  # frames
-PLATE_EVERY: Final = 60  # frames
 
 
 def track(
@@ -72,13 +71,17 @@ def track(
     things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []
     finder: FixelFinder | None = None
+    plate = PlateWatch(rig)
     sightings: dict[str, list[Sighting]] = {}
     times: list[float] = []
+    first: Frame | None = None
     remarks: list[str] = []
     names: tuple[str, ...] = ()
     for index, frame in enumerate(frames):
-        if index == 0:
+        if first is None:
+            first = frame
             rig, remarks = _checked(rig, frame, register=register)
+            plate = PlateWatch(rig)
             names, followers = followers_of(rig, things, method)
             sightings = {name: [] for name in names}
             finder = FixelFinder(rig, scene.fixels) if scene is not None else None
@@ -88,22 +91,23 @@ def track(
                 sightings[name].append(sight)
         if index == 0 and any(own[0].pose is None for own in sightings.values()):
             refuse_flipped(rig, frame.luma)
-        if finder is not None and index % FIXELS_EVERY == 0:
+        plate.see(frame, index)
+        if finder is not None and index % FIXELS_EVERY == 0 and plate.in_place:
             finder.see(frame)
-        if rig.plate and index and index % PLATE_EVERY == 0:
-            remarks += _moved(rig, frame)
         if progress is not None:
             progress(index + 1)
-    if not times:
+    if first is None:
         raise InvalidInput("video", found="no frames", expected="at least one")
-    _refuse_unseen(sightings)
+    _refuse_unseen(sightings, first)
     time = np.array(times)
+    doubted = plate.doubted(time)
     return Tracked(
         method=method if isinstance(method, str) else method.name,
+        rig=rig,
         time=time,
-        parts={name: judged(name, time, sightings[name]) for name in names},
+        parts={name: judged(name, time, sightings[name], doubted) for name in names},
         fixels=finder.found() if finder is not None else (),
-        remarks=tuple(remarks[:5]),
+        remarks=(*remarks, *plate.remarks),
     )
 
 
@@ -117,8 +121,8 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
     """The rig, with its camera where it is now."""
     refuse_size(rig, frame)
     if not register:
-        refuse_moved(rig, frame)
-        return rig, []
+        watched = refuse_moved(rig, frame) or not rig.plate
+        return rig, [] if watched else [UNWATCHED]
     camera = registered(rig, frame)
     shift = float(np.hypot(*(camera.position - rig.camera.position)[:2]))
     remark = f"the camera was registered anew from the plate's tags, {shift * 1e3:.1f} mm away"
@@ -129,15 +133,10 @@ def followers_of(
     rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
 ) -> tuple[tuple[str, ...], list[AbstractFollower]]:
     """Which parts are followed, and by what."""
-    if method != AUTO:
-        chosen = METHODS.get(method) if isinstance(method, str) else method
-        if chosen is None:
-            raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
-        follower = chosen.follow(rig, things)
-        return chosen.parts(rig, things), [follower]
+    members = list(METHODS.values()) if method == AUTO else [_chosen(method)]
     names: list[str] = []
     followers = []
-    for member in METHODS.values():
+    for member in members:
         left = {name: part for name, part in rig.parts.items() if name not in names}
         own = replace(rig, parts=left)
         found = member.parts(own, things)
@@ -145,27 +144,25 @@ def followers_of(
             followers.append(member.follow(own, things))
             names += found
     if not names:
+        needs = "; ".join(f"for {member.name}, {member.needs}" for member in members)
         raise InvalidInput(
             f"rig {rig.name!r}",
-            found="parts without a tag, two stickers, or an outline in the scene",
-            expected="something to track them by",
-            hint="give the scene with --scene, or marks in the rig file",
+            found="no part that could be followed",
+            expected=f"a part with what is looked for: {needs}",
+            hint="describe its marks in the rig file, or choose another --method",
         )
     return tuple(names), followers
 
 
-def _moved(rig: Rig, frame: Frame) -> list[str]:
-    """A remark if the plate is no longer where it was."""
-    offsets: list[FloatArray] = list(plate_offsets(rig, frame).values())
-    if not offsets:
-        return []
-    off = float(np.hypot(*np.median(offsets, axis=0))) / rig.camera.metres_per_pixel()
-    if off <= MOVED:
-        return []
-    return [f"camera or plate moved during the film: {off:.1f} px off at {frame.time:.2f} s"]
+def _chosen(method: str | AbstractTracking) -> AbstractTracking:
+    if not isinstance(method, str):
+        return method
+    if method not in METHODS:
+        raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
+    return METHODS[method]
 
 
-def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:
+def _refuse_unseen(sightings: Mapping[str, list[Sighting]], first: Frame) -> None:
     for name, own in sightings.items():
         if any(sight.pose is not None for sight in own):
             continue
@@ -174,5 +171,5 @@ def _refuse_unseen(sightings: Mapping[str, list[Sighting]]) -> None:
             f"part {name!r}",
             found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}",
             expected="a part that shows",
-            hint="is this the rig the film was taken with?",
+            hint=bad_light(first) or "is this the rig the film was taken with?",
         )

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import BoolArray
+from fixel.model.trajectory import wrapped
 from fixel.vision.tracking.base import Sighting
 from fixel.vision.tracking.tracked import PartTrack
 
@@ -17,9 +19,14 @@ SCATTERS: Final = 8.0  # of the usual disagreement, beyond which a pose is an ou
 LEAST: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm a pixel, [rad]: smaller disagreements are none
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm a pixel, [rad]: nothing on the plate moves so at once
 USUAL_PIXEL: Final = 0.55e-3  # [m]
+ELSEWHERE: Final = "the camera or the plate was moved"
+BESIDE: Final = 3  # steps to either side that tell a speed
+AT_END: Final = 4  # poses likewise, at the end of a piece
 
 
-def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTrack:
+def judged(
+    name: str, time: FloatArray, sightings: Sequence[Sighting], doubted: BoolArray | None = None
+) -> PartTrack:
     """The track of a part, with poses that cannot be marked as such.
 
     Parameters
@@ -29,24 +36,32 @@ def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTr
         [s].
     sightings : sequence of Sighting
         One a frame.
+    doubted : (n,) bool, optional
+        When the camera may have been elsewhere.
     """
     seen = np.array([s.pose is not None for s in sightings], dtype=bool)
     nothing = np.full(3, np.nan)
     pose = np.array([nothing if s.pose is None else s.pose for s in sightings]).reshape(-1, 3)
-    pose[seen, 2] = np.unwrap(pose[seen, 2])
     residual = np.where(seen, [s.residual for s in sightings], np.nan)
     scale = np.array([s.scale for s in sightings])
     reason = [s.reason for s in sightings]
     good = seen.copy()
+    if doubted is not None:
+        good &= ~doubted
+        reason = [
+            ELSEWHERE if s and d else why for s, d, why in zip(seen, doubted, reason, strict=True)
+        ]
     pixel = float(np.median(scale[seen])) if seen.any() else USUAL_PIXEL
     for find, why in (
         (_alone, "an outlier: it fits neither what came before nor what came after"),
         (_between_jumps, "an outlier: nothing moves to there and back at once"),
     ):
         rows = np.flatnonzero(good)
+        pose[:, 2] = _continuous(pose[:, 2], good)
         for row in rows[find(time[rows], pose[rows], pixel / USUAL_PIXEL)]:
             good[row] = False
             reason[row] = why
+    pose[:, 2] = _continuous(pose[:, 2], good)
     return PartTrack(
         name=name,
         time=time,
@@ -60,6 +75,18 @@ def judged(name: str, time: FloatArray, sightings: Sequence[Sighting]) -> PartTr
         share=np.array([s.share for s in sightings], dtype=np.float64),
         reason=tuple("" if ok else why for ok, why in zip(good, reason, strict=True)),
     )
+
+
+def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
+    """(n,) angles that go on from one good one to the next [rad], others nearest to the last."""
+    rows = np.flatnonzero(good)
+    if not len(rows):
+        return angle
+    smooth = np.unwrap(angle[rows])
+    last = smooth[np.maximum(np.searchsorted(rows, np.arange(len(angle)), side="right") - 1, 0)]
+    result = last + wrapped(angle - last)
+    result[rows] = smooth
+    return np.asarray(result)
 
 
 def _alone(time: FloatArray, pose: FloatArray, scale: float) -> BoolArray:
@@ -84,7 +111,7 @@ def _disagreement(
     index = np.arange(n)[:, None] + offsets
     inside = (index >= 0) & (index < n)
     index = np.clip(index, 0, n - 1)
-    enough = inside.sum(1) >= min(3, len(offsets))
+    enough = inside.sum(1) >= 2
     t, p = time[index], np.where(inside[..., None], pose[index], np.nan)
     slopes = np.diff(p, axis=1) / np.maximum(np.diff(t, axis=1), 1e-9)[..., None]
     p[~enough] = 0.0
@@ -103,30 +130,58 @@ def _between_jumps(time: FloatArray, pose: FloatArray, scale: float) -> BoolArra
     bad = np.zeros(n, dtype=bool)
     if n < 3:
         return bad
-    rate = np.diff(pose, axis=0) / np.diff(time)[:, None]
-    # What the part did over a step by the usual speed around it, not by this step itself.
-    around = np.stack([np.roll(rate, k, axis=0) for k in (-3, -2, -1, 1, 2, 3)])
-    off = (rate - np.median(around, axis=0)) * np.diff(time)[:, None]
-    jump = (np.hypot(off[:, 0], off[:, 1]) > JUMP[0] * scale) | (np.abs(off[:, 2]) > JUMP[1])
+    step = np.diff(time)
+    rate = np.diff(pose, axis=0) / step[:, None]
+    limit = np.array([JUMP[0] * scale, JUMP[1]])
+    off = _beyond(rate, *_beside(rate)) * step[:, None]
     # Over a gap it may have gone anywhere it had time for.
-    step = float(np.median(np.diff(time)))
-    jump &= np.diff(time) < 4.0 * step
+    jump = (off > limit).any(axis=1) & (step < 4.0 * float(np.median(step)))
     if not jump.any():
         return bad
     piece = np.concatenate(([0], np.cumsum(jump)))
     longest = int(np.bincount(piece).argmax())
     good = piece == longest
-    limit = np.array([JUMP[0] * scale, JUMP[1]])
     for k in (*range(longest + 1, piece[-1] + 1), *range(longest - 1, -1, -1)):
         own, kept = np.flatnonzero(piece == k), np.flatnonzero(good)
-        forward = own[0] > kept[-1]
-        here, there = (own[0], kept[-1]) if forward else (own[-1], kept[0])
-        near = kept[-4:] if forward else kept[:4]
-        speed = np.median(np.diff(pose[near], axis=0) / np.diff(time[near])[:, None], axis=0)
+        if own[0] < kept[0]:
+            own, kept = own[::-1], kept[::-1]
+        here, there = own[0], kept[-1]
+        speed = _speed(time, pose, kept[-AT_END:])
+        its_own = _speed(time, pose, own[:AT_END]) if len(own) >= AT_END else speed
         passed = time[here] - time[there]
-        off = pose[here] - pose[there] - speed * passed
+        off = _beyond((pose[here] - pose[there]) / passed, speed, its_own) * abs(passed)
         # The longer it was away, the less its speed then says.
         slack = limit + 0.5 * abs(passed) * np.array([np.hypot(*speed[:2]), abs(speed[2])])
-        if np.hypot(*off[:2]) < slack[0] and abs(off[2]) < slack[1]:
+        if (off < slack).all():
             good |= piece == k
     return np.asarray(~good)
+
+
+def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) usual speeds over the steps before each, and over those after it; at ends, both."""
+    n = len(rate)
+    before = [np.median(rate[max(k - BESIDE, 0) : k], axis=0) for k in range(1, n)]
+    after = [np.median(rate[k + 1 : k + 1 + BESIDE], axis=0) for k in range(n - 1)]
+    return np.array([after[0], *before]), np.array([*after, before[-1]])
+
+
+def _beyond(rate: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
+    """(..., 2) how far speeds (..., 3) are from lying between two others [m/s, rad/s].
+
+    What is hit, let go or turns back has one speed before and another after, and between them any
+    mixture of the two.
+    """
+    way = other - one
+    length = np.maximum((way[..., :2] ** 2).sum(-1), 1e-30)
+    share = np.clip(((rate - one) * way)[..., :2].sum(-1) / length, 0.0, 1.0)
+    off = (rate - one)[..., :2] - share[..., None] * way[..., :2]
+    turn = np.clip(rate[..., 2], *np.sort((one[..., 2], other[..., 2]), axis=0)) - rate[..., 2]
+    return np.stack((np.hypot(off[..., 0], off[..., 1]), np.abs(turn)), axis=-1)
+
+
+def _speed(time: FloatArray, pose: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
+    """(3,) usual speed over some poses; none of a single one."""
+    if len(rows) < 2:
+        return np.zeros(3)
+    rates = np.diff(pose[rows], axis=0) / np.diff(time[rows])[:, None]
+    return np.asarray(np.median(rates, axis=0))

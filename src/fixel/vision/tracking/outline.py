@@ -27,6 +27,8 @@ BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to
 SMALLEST: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
+MOST_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
+WHOLE: Final = 0.8  # of the edges: where fewer show, a spread cannot be told from a shift
 SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
 
 
@@ -74,6 +76,8 @@ class Fit(NamedTuple):
         Which these are.
     found : (n, 3) float64
         Offset, darkness and brightness of each in the last look.
+    spread : float
+        How far dark reaches over into bright, all along the edges [px].
     """
 
     pose: FloatArray
@@ -82,6 +86,12 @@ class Fit(NamedTuple):
     share: float
     used: BoolArray
     found: FloatArray
+    spread: float
+
+    @property
+    def deviations(self) -> FloatArray:
+        """(3,) standard deviations of the pose [m, m, rad]."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def fit_pose(
@@ -94,6 +104,7 @@ def fit_pose(
     turns: bool = True,
     rounds: int = 4,
     corner: tuple[int, int] = (0, 0),
+    spread: float | None = 0.0,
 ) -> Fit | None:
     """Move a pose until the edges lie where the picture has them.
 
@@ -112,38 +123,68 @@ def fit_pose(
         Looks at the picture, at most.
     corner : (int, int)
         Where the upper left of `picture` is in the camera's, if it is a window of that [px].
+    spread : float, optional
+        How far dark reaches over into bright [px]; None, to find that too. Ink runs, and a camera
+        whose grey levels are not in proportion to light makes all that is dark smaller.
 
     Returns
     -------
     Fit, or None where too few edges are to be seen to tell a pose.
     """
     n, m = len(edges.point), 3 if turns else 2
+    free = m + (spread is None)
     optics = optics_of(camera)
     origin = np.array(corner, dtype=np.float64)
     pose = np.array(pose, dtype=np.float64)
-    pixel, normal, slope = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, m))
+    pixel, normal, slope = np.empty((n, 2)), np.empty((n, 2)), np.ones((n, free))
     found, room = np.empty((n, 3)), np.empty((4, n))
     clear, usable, used = (np.empty(n, dtype=np.bool_) for _ in range(3))
-    step, covariance, square = np.empty(m), np.empty((m, m)), np.empty((m + 2, m))
+    step, covariance = np.empty(free), np.empty((free, free))
+    square = np.empty((free + 2, free))
     residual = 0.0
     for look in range(rounds):
         if not edges_expected(optics, origin, edges.thing, pose, pixel, normal, slope):
             return None
         edges_along(picture, pixel, normal, min(reach, NEAR) if look else reach, found, clear)
+        found[:, 0] -= spread or 0.0
         count = plausible(found, edges.group, clear, usable)
-        if count < LEAST_SHARE * n or count < 2 * m + 2:
+        if count < LEAST_SHARE * n or count < 2 * free + 2:
             return None
         residual = solve_robustly(
             slope, found, usable, LEAST_SCATTER, ROBUST, step, covariance, used, room, square
         )
         if residual < 0.0:
             return None
-        pose[:m] += step
-        if np.abs(slope @ step).max() < (SETTLED if look else FORESEEN):
+        pose[:m] += step[:m]
+        if np.abs(slope[:, :m] @ step[:m]).max() < (SETTLED if look else FORESEEN):
             break
     full = np.zeros((3, 3))
-    full[:m, :m] = covariance
-    return Fit(pose, full, float(residual), np.count_nonzero(used) / n, used, found)
+    full[:m, :m] = covariance[:m, :m]
+    share = np.count_nonzero(used) / n
+    spread = float(step[m]) if spread is None else spread
+    return Fit(pose, full, float(residual), share, used, found, spread)
+
+
+def fit_spread(
+    picture: Gray,
+    camera: Camera,
+    edges: Edges,
+    pose: FloatArray,
+    *,
+    reach: float,
+    last: float,
+    rounds: int = 4,
+    corner: tuple[int, int] = (0, 0),
+) -> Fit | None:
+    """As `fit_pose`, and how far dark spreads: as far as last time [px], where not all shows."""
+    fit: Fit | None = None
+    for spread in (None, last):
+        fit = fit_pose(
+            picture, camera, edges, pose, reach=reach, rounds=rounds, corner=corner, spread=spread
+        )
+        if fit is not None and fit.share > WHOLE and abs(fit.spread) < MOST_SPREAD:
+            break
+    return fit
 
 
 def window_of(

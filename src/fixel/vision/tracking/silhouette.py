@@ -28,7 +28,7 @@ from fixel.vision.tracking.base import (
     vague,
 )
 from fixel.vision.tracking.needle import NeedleFollower
-from fixel.vision.tracking.outline import Edges, fit_pose
+from fixel.vision.tracking.outline import Edges, fit_spread
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
@@ -36,6 +36,7 @@ REACH: Final = 8.0  # [px] from where an outline is expected
 REACH_FIRST: Final = 20.0  # [px] from where moments put it
 MOST_RESIDUAL: Final = 0.7  # [px]
 LEAST_SHARE: Final = 0.3
+DOUBTFUL: Final = 0.8  # of an outline: where less shows it may be elsewhere, and is looked for
 ALIKE: Final = 0.1  # [-] of shares and [px] of residuals, that do not tell two poses apart
 NEEDLE: Final = 0.3  # of the part's narrower side: what is thinner is taken for the probe
 CONTRAST: Final = 25.0  # of 255 between part and field
@@ -60,6 +61,7 @@ class Silhouette(AbstractTracking):
     """
 
     name: ClassVar[str] = "silhouette"
+    needs: ClassVar[str] = "no marks, and an outline in the scene under its name"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those without marks whose outline is known; the larger one is the part."""
@@ -69,13 +71,6 @@ class Silhouette(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no part without marks whose outline the scene tells",
-                expected="a part of the names in the scene",
-                hint="names of parts in the rig file are those of bodies and pushers in the scene",
-            )
         if len(names) > 2:
             raise InvalidInput(
                 f"rig {rig.name!r}",
@@ -104,9 +99,9 @@ class _SilhouetteFollower(AbstractFollower):
     def see(self, frame: Frame) -> dict[str, Sighting]:
         part = self._part.followed(frame)
         dark: NDArray[np.uint8] | None = None
-        if part.pose is None:
+        if part.pose is None or part.share < DOUBTFUL:
             dark = _dark(frame.luma)
-            part = self._part.found(frame, dark)
+            part = self._part.found(frame, dark, part)
         sights = {self._part.name: part}
         if self._probe is not None:
             outline = None if part.pose is None else self._part.in_picture(part.pose)
@@ -131,6 +126,7 @@ class _Outlined:
         self._scale = rig.camera.metres_per_pixel(self._height)
         self._edges = outline_edges(thing.shape, self._height, CORNER * self._scale)
         self._prediction = Prediction()
+        self._spread = 0.0
 
     def followed(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
@@ -142,35 +138,46 @@ class _Outlined:
         return sight
 
     def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
-        fit = fit_pose(frame.luma, self._camera, self._edges, pose, reach=reach, rounds=6)
+        fit = fit_spread(
+            frame.luma,
+            self._camera,
+            self._edges,
+            pose,
+            reach=reach,
+            last=self._spread,
+            rounds=6,
+        )
         if fit is None or fit.share < LEAST_SHARE:
             return Sighting(reason=f"too little of the outline of {self.name} shows")
         if fit.residual > MOST_RESIDUAL:
             return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
-        sd = np.sqrt(np.diag(fit.covariance))
-        if vague(sd, self._scale):
+        if vague(fit.deviations, self._scale):
             return Sighting(reason=f"too little of the outline of {self.name} shows")
+        self._spread = fit.spread
         return Sighting(
             pose=fit.pose,
             residual=fit.residual,
             scale=self._scale,
-            sd=sd,
+            sd=fit.deviations,
             marks=int(fit.used.sum()),
             share=fit.share,
         )
 
-    def found(self, frame: Frame, dark: NDArray[np.uint8]) -> Sighting:
-        """The part, looked for in the whole picture."""
+    def found(self, frame: Frame, dark: NDArray[np.uint8], followed: Sighting) -> Sighting:
+        """The part, looked for in the whole picture, where it could not be followed well."""
         blob, reason = self._blob(dark)
         if blob is None:
-            return Sighting(reason=reason)
-        best = Sighting(reason="nothing in the picture has its outline")
+            return Sighting(reason=reason) if followed.pose is None else followed
+        best = followed
         for start in self._starts(blob):
             sight = self._fitted(frame, start, REACH_FIRST)
             if sight.pose is not None and self._better(sight, best):
                 best = sight
-        self._prediction = Prediction()
-        if best.pose is not None:
+        if best is not followed or best.pose is None:
+            self._prediction = Prediction()
+        if best.pose is None:
+            return Sighting(reason="nothing in the picture has its outline")
+        if best is not followed:
             self._prediction.seen(frame.time, best.pose)
         return best
 

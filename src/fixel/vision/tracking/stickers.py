@@ -9,7 +9,6 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
@@ -49,6 +48,7 @@ class Stickers(AbstractTracking):
     """
 
     name: ClassVar[str] = "stickers"
+    needs: ClassVar[str] = "two stickers, since one tells no angle"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least two stickers."""
@@ -57,13 +57,6 @@ class Stickers(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no part with two stickers",
-                expected="two stickers on each part to track: one tells no angle",
-                hint="use --method tags, or describe the stickers in the rig file",
-            )
         return _StickerFollower(rig, names)
 
 
@@ -97,15 +90,17 @@ class _StickeredPart:
         self._place = np.array([sticker.place for sticker in own])
         self._prediction = Prediction()
         self._lost = 0
+        self._why_not = ""
 
     def see(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
-        sight = Sighting(reason="not found yet")
+        sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._fitted(frame, placed(self._place, expected))
         if sight.pose is None and worth_a_search(self._lost):
             found, reason = self._found(frame)
             sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
+            self._why_not = sight.reason
         if sight.pose is None:
             self._lost += 1
         else:
@@ -136,13 +131,13 @@ class _StickeredPart:
         if wrong:
             return Sighting(reason=wrong)
         pose = rigid(own, seen)
-        sd = _spread(own, [fit.covariance[:2, :2] for _, fit in good])
+        sd = spread_of(seen, [fit.covariance[:2, :2] for _, fit in good])
         if vague(sd, self._scale):
             return Sighting(reason="too little of its stickers shows to tell a pose")
-        rest = float(np.sqrt(np.mean((placed(own, pose) - seen) ** 2))) / self._scale
+        off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
         return Sighting(
             pose=pose,
-            residual=max(rest, float(np.mean([fit.residual for _, fit in good]))),
+            residual=max(_rms(off), float(np.mean([fit.residual for _, fit in good]))),
             scale=self._scale,
             sd=sd,
             marks=len(good),
@@ -199,10 +194,14 @@ class _StickeredPart:
         return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
-def _spread(own: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
-    """(3,) standard deviations of a pose from those of its stickers."""
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def spread_of(seen: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
+    """(3,) standard deviations of a pose from places (n, 2) and their covariances (2, 2)."""
     information = np.zeros((3, 3))
-    for (x, y), covariance in zip(own - own.mean(0), covariances, strict=True):
+    for (x, y), covariance in zip(seen - seen.mean(0), covariances, strict=True):
         row = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
         information += row.T @ np.linalg.inv(covariance) @ row
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))

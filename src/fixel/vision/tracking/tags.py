@@ -27,7 +27,7 @@ from fixel.vision.tracking.base import (
 )
 from fixel.vision.tracking.loops import cells_right, cells_shown
 from fixel.vision.tracking.optics import optics_of
-from fixel.vision.tracking.outline import Edges, Fit, fit_pose, window_of
+from fixel.vision.tracking.outline import Edges, Fit, fit_spread, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
@@ -67,6 +67,7 @@ class Tags(AbstractTracking):
     """
 
     name: ClassVar[str] = "tags"
+    needs: ClassVar[str] = "a tag"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Those with at least one tag."""
@@ -77,13 +78,6 @@ class Tags(AbstractTracking):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Begin a film; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
-        if not names:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found="no tag on any part",
-                expected="tags to track",
-                hint="use --method stickers, or describe the tags in the rig file",
-            )
         tags = {
             name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag)) for name in names
         }
@@ -112,33 +106,27 @@ class _TaggedPart:
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._prediction = Prediction()
+        self._spread = 0.0
         self._lost = 0
+        self._why_not = ""
 
     def see(self, frame: Frame) -> Sighting:
         expected = self._prediction.at(frame.time)
+        sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._followed(frame, expected, REACH)
-            if sight.pose is not None:
-                return self._took(frame, sight)
-        else:
-            sight = Sighting(reason=f"no tag of {self._name} found yet")
-        if not worth_a_search(self._lost):
-            self._lost += 1
-            return sight
-        read, reason = self._read(frame)
-        if read is None:
-            self._lost += 1
-            return Sighting(reason=reason or sight.reason)
-        sight = self._followed(frame, read, REACH_READ)
+        if sight.pose is None and worth_a_search(self._lost):
+            read, reason = self._read(frame)
+            if read is not None:
+                sight = self._followed(frame, read, REACH_READ)
+            elif reason or expected is None:
+                sight = Sighting(reason=reason or f"no tag of {self._name} in the picture")
+            self._why_not = sight.reason
         if sight.pose is None:
             self._lost += 1
-            return sight
-        return self._took(frame, sight)
-
-    def _took(self, frame: Frame, sight: Sighting) -> Sighting:
-        assert sight.pose is not None
-        self._lost = 0
-        self._prediction.seen(frame.time, sight.pose)
+        else:
+            self._lost = 0
+            self._prediction.seen(frame.time, sight.pose)
         return sight
 
     def _followed(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
@@ -146,10 +134,18 @@ class _TaggedPart:
         if window is None:
             return Sighting(reason="its tags are out of the picture")
         picture, corner = window
-        fit = fit_pose(picture, self._camera, self._edges, pose, reach=reach, corner=corner)
+        fit = fit_spread(
+            picture,
+            self._camera,
+            self._edges,
+            pose,
+            reach=reach,
+            last=self._spread,
+            corner=corner,
+        )
         if fit is None:
             return Sighting(reason="too few edges of its tags are to be seen")
-        sd = np.sqrt(np.diag(fit.covariance))
+        sd = fit.deviations
         agreeing = self._agreeing(picture, corner, fit)
         if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
             agreeing = self._agreeing_partly(picture, corner, fit)
@@ -160,6 +156,7 @@ class _TaggedPart:
             return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
             return Sighting(reason="too little of its tags shows to tell a pose")
+        self._spread = fit.spread
         return Sighting(
             pose=fit.pose,
             residual=fit.residual,

@@ -12,6 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Trajectory
 from fixel.model.fields import BoolArray, Comparable, frozen, settle
+from fixel.vision.marks import Rig
 
 
 @final
@@ -120,6 +121,8 @@ class Tracked(Comparable):
     Attributes
     ----------
     method : str
+    rig : Rig
+        With its camera where the film has it, see `--register`.
     time : (n,) float64
         Of all frames [s].
     parts : dict of str to PartTrack
@@ -130,6 +133,7 @@ class Tracked(Comparable):
     """
 
     method: str
+    rig: Rig
     time: FloatArray
     parts: dict[str, PartTrack]
     fixels: tuple[FoundFixel, ...] = ()

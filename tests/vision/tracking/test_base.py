@@ -1,0 +1,23 @@
+"""What all methods share: predictions, and how sure a pose is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fixel.vision.tracking.base import Prediction
+from fixel.vision.tracking.stickers import spread_of
+
+
+def test_half_a_turn_is_passed_at_any_rate():
+    prediction = Prediction()
+    prediction.seen(0.0, np.array([0.0, 0.0, 3.1]))
+    prediction.seen(0.04, np.array([0.0, 0.0, 3.2 - 2.0 * np.pi]))
+    assert prediction.at(0.1)[2] == pytest.approx(3.2 - 2.0 * np.pi + 2.5 * 0.06)
+
+
+def test_how_sure_an_angle_is_depends_on_what_is_across_it():
+    """Stickers one above the other: what they leave open along y does not turn the part."""
+    seen = np.array([[0.3, -0.035], [0.3, 0.035]])
+    sd = spread_of(seen, [np.diag([1e-5, 1e-4]) ** 2] * 2)
+    assert sd == pytest.approx([1e-5 / np.sqrt(2), 1e-4 / np.sqrt(2), 1e-5 / 0.035 / np.sqrt(2)])
