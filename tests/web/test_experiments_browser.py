@@ -153,7 +153,7 @@ def test_errors_before_are_made_for_those_that_have_none(table, server):
     table.click(f"#simulate:has-text('Simulate {len(wanted)} experiments')")
     table.wait_for_selector(f"text=Simulated {len(wanted)} experiments", timeout=60_000)
     table.wait_for_selector("#simulate", state="hidden")
-    assert table.locator("td.before.unknown").count() == 0
+    table.wait_for_function("() => !document.querySelector('td.before.unknown')")
     assert server.desk.store.browse_unsimulated(view_of("shape=square")) == []
 
 
