@@ -19,12 +19,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from fixel.database.project import Project
-from fixel.errors import StoreRefused
+from fixel.errors import FixelError
 from fixel.exchange.array_bytes import arrays_of, bytes_of
 from fixel.exchange.atomic import written_whole
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.pictures import ENDINGS, Picture, make_folder, write_picture
-from fixel.workflows.readable import readable
+from fixel.workflows.readable import each_readable, readable
 
 Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 
@@ -187,21 +187,17 @@ def kept(project: Project, kind: Kind | None = None) -> list[Kept]:
     return found
 
 
-def kept_and_not(
-    project: Project, kind: Kind | None = None
-) -> tuple[list[Kept], list[StoreRefused]]:
+def kept_and_not(project: Project, kind: Kind | None = None) -> tuple[list[Kept], list[FixelError]]:
     """Analyses of a project, the newest first, and why others cannot be read."""
-    found, unreadable = [], []
-    for path in sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}")):
-        try:
-            with readable(path, f"delete the folder {path.parent}, and make the analysis again"):
-                one = Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
-        except StoreRefused as problem:
-            unreadable.append(problem)
-            continue
-        if kind in (None, one.analysis.kind):
-            found.append(one)
+    paths = sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}"))
+    every, unreadable = each_readable(_kept, paths)
+    found = [one for one in every if kind in (None, one.analysis.kind)]
     return sorted(found, key=lambda one: one.analysis.created, reverse=True), unreadable
+
+
+def _kept(path: Path) -> Kept:
+    with readable(path, f"delete the folder {path.parent}, and make the analysis again"):
+        return Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
 
 
 def _name_of(analysis: Analysis) -> str:

@@ -18,11 +18,10 @@ from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.workflows.calibration.outcome import ALONE, GROWTH, NEIGHBOUR
-from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.run import request_of
 from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.jobs import JOBS
-from fixel.workflows.readable import readable
 
 _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
@@ -133,10 +132,9 @@ def newest(store: Store, experiment: int | None = None) -> int | None:
 def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -> ParameterSpace:
     """The box that a calibration searched, started at what it found; the usual one of scenes where
     its job is gone."""
-    path = project.folder / JOBS / str(one.record.method.get("job", "")) / "inputs" / REQUEST
-    if path.is_file():
-        with readable(path):
-            space = Request.model_validate_json(path.read_bytes()).space
+    folder = project.folder / JOBS / str(one.record.method.get("job", ""))
+    if (folder / "inputs" / REQUEST).is_file():
+        space = request_of(folder).space
     else:
         space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
     found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}

@@ -18,8 +18,7 @@ from fixel.model.space import ParameterSpace
 from fixel.workflows.calibration.outcome import DIRECT, STORED, SUBSET, Found, Outcome
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.retrace import Retraced, retraced
-from fixel.workflows.calibration.run import Calibration
-from fixel.workflows.calibration.unattended import experiments_of
+from fixel.workflows.calibration.run import Calibration, experiments_of
 from fixel.workflows.pictures import banner_of
 
 # Axes of a sampling plan, with the units of their offsets among an experiment's conditions.

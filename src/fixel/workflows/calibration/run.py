@@ -236,9 +236,7 @@ def collect(
     project: Project, folder: Path, command: str, left_out: Mapping[str, str]
 ) -> Calibration:
     """Store what a job found in its project, once, and give it back."""
-    path = folder / "inputs" / REQUEST
-    with readable(path):
-        request = Request.model_validate_json(path.read_bytes())
+    request = request_of(folder)
     path = folder / files.RESULT
     with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
         outcome = outcome_of(path.read_bytes())
@@ -254,6 +252,20 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
     return collect(project, folder, record.provenance.command, {})
 
 
+def request_of(folder: Path) -> Request:
+    """What a calibration's job is to find."""
+    path = folder / "inputs" / REQUEST
+    with readable(path, f"delete the folder {folder}"):
+        return Request.model_validate_json(path.read_bytes())
+
+
+def experiments_of(folder: Path) -> list[int]:
+    """Ids of the experiments of a calibration's job."""
+    path = folder / "inputs" / EXPERIMENTS
+    with readable(path, f"delete the folder {folder}"):
+        return [int(number) for number in json.loads(path.read_text())]
+
+
 def stored_ids(folder: Path) -> list[int]:
     """Of the stored calibrations that came of a job so far."""
     path = folder / STORED
@@ -267,8 +279,7 @@ def _stored(
     project: Project, folder: Path, request: Request, outcome: Outcome, command: str
 ) -> list[int]:
     path = folder / STORED
-    with readable(folder / "inputs" / EXPERIMENTS):
-        experiments = json.loads((folder / "inputs" / EXPERIMENTS).read_text())
+    experiments = experiments_of(folder)
     known = stored_ids(folder)
     if len(known) == len(outcome.found):
         return known

@@ -6,7 +6,6 @@ die at any moment: whoever goes on with the job, or looks at it, does the rest.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Final
@@ -16,10 +15,7 @@ from fixel.errors import FixelError
 from fixel.jobs import coordinator
 from fixel.jobs import folder as files
 from fixel.workflows.calibration.commands import command_of
-from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.run import EXPERIMENTS, collect
-from fixel.workflows.calibration.work import REQUEST
-from fixel.workflows.readable import readable
+from fixel.workflows.calibration.run import collect, experiments_of, request_of
 
 MODULE: Final = "fixel.workflows.calibration.unattended"
 
@@ -35,20 +31,6 @@ def collected(project: Project, folder: Path) -> list[int]:
     request, ids = request_of(folder), experiments_of(folder)
     command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
     return collect(project, folder, command, {}).ids
-
-
-def request_of(folder: Path) -> Request:
-    """What a calibration's job is to find."""
-    path = folder / "inputs" / REQUEST
-    with readable(path, f"delete the folder {folder}"):
-        return Request.model_validate_json(path.read_bytes())
-
-
-def experiments_of(folder: Path) -> list[int]:
-    """Ids of the experiments of a calibration's job."""
-    path = folder / "inputs" / EXPERIMENTS
-    with readable(path, f"delete the folder {folder}"):
-        return [int(number) for number in json.loads(path.read_text())]
 
 
 def main(arguments: list[str] | None = None) -> int:

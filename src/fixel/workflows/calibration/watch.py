@@ -21,9 +21,10 @@ from fixel.kernels.arrays import FloatArray
 from fixel.workflows import jobs
 from fixel.workflows.calibration.outcome import found_of
 from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.run import MAKER, stored_ids
-from fixel.workflows.calibration.unattended import collected, experiments_of, request_of
+from fixel.workflows.calibration.run import MAKER, experiments_of, request_of, stored_ids
+from fixel.workflows.calibration.unattended import collected
 from fixel.workflows.calibration.work import ROLLOUTS_A_CHUNK
+from fixel.workflows.readable import each_readable
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
 ALONE: Final = "alone"
@@ -126,15 +127,12 @@ class Watch:
         Those that are done become stored.
         """
         made = {one: files.read_job(one).made_utc for one in self._folders()}
-        found: list[Watched] = []
-        unreadable: list[FixelError] = []
-        for one in sorted(made, key=made.__getitem__, reverse=True):
-            try:
-                if not stored_ids(one) and not (seen := self.look(one)).stored:
-                    found.append(seen)
-            except FixelError as problem:
-                unreadable.append(problem)
-        return found, unreadable
+        newest = sorted(made, key=made.__getitem__, reverse=True)
+        found, unreadable = each_readable(self._look_if_open, newest)
+        return [seen for seen in found if seen is not None and not seen.stored], unreadable
+
+    def _look_if_open(self, folder: Path) -> Watched | None:
+        return None if stored_ids(folder) else self.look(folder)
 
     def look(self, folder: Path, since: int = 0) -> Watched:
         """How far one is; of the objective only what came after so many evaluations."""

@@ -20,7 +20,7 @@ from fixel.applicability.evidence import Evidence, Measure, value_of
 from fixel.applicability.next_experiment import Proposal, proposals
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import JobRefused, NotStored, StoreRefused
+from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.workflows.analysis import Kept, kept_and_not
 from fixel.workflows.domain.fits import Fit, Fits
@@ -144,7 +144,7 @@ class DomainDesk:
         self._fits: Fits[Key, tuple[DomainMap, int]] = Fits(_spread_out)
         self._lock = threading.Lock()  # of the views; nothing is computed under it
 
-    def maps(self) -> tuple[list[Kept], list[StoreRefused]]:
+    def maps(self) -> tuple[list[Kept], list[FixelError]]:
         """The newest first, and why others cannot be read."""
         return kept_and_not(self._project, "domain")
 

@@ -16,6 +16,7 @@ from fixel.jobs.work import Work
 from fixel.workflows import jobs
 from fixel.workflows.domain.mapped import map_domain
 from fixel.workflows.domain.request import Asked, asked_again
+from fixel.workflows.readable import each_readable
 
 MAKER: Final = "fixel.workflows.domain.work:domain_work"
 PROGRESS: Final = "fits.json"  # how many fits of how many are done
@@ -57,14 +58,7 @@ def jobs_of(project: Project) -> tuple[list[jobs.JobStatus], list[FixelError]]:
     every = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
     own = [one for one in every if files.made_by(one, MAKER)]
     own.sort(key=lambda one: files.read_job(one).made_utc, reverse=True)
-    found: list[jobs.JobStatus] = []
-    unreadable: list[FixelError] = []
-    for one in own:
-        try:
-            found.append(jobs.status_of(one))
-        except FixelError as problem:
-            unreadable.append(problem)
-    return found, unreadable
+    return each_readable(jobs.status_of, own)
 
 
 def fits_done(folder: Path) -> tuple[int, int]:
