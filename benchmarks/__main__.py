@@ -21,6 +21,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "steps": ("step_cost", "run", "where the time of a grasp goes"),
     "batch": ("batch", "run_grasps", "grasps with random parameters on two cores"),
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
+    "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
@@ -34,7 +35,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "tracking", "coverage", "domain", "sbc", "camera", "web")
+ONLY_WHEN_ASKED = ("peers", "varied", "tracking", "coverage", "domain", "sbc", "camera", "web")
 
 
 def main(arguments: list[str] | None = None) -> int:

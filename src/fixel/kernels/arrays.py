@@ -59,6 +59,7 @@ class State(NamedTuple):
     pose: FloatArray  # (n_body, 3) of the centre of mass (free) or shape frame (driven, fixed)
     velocity: FloatArray  # (n_dof + 2,)
     path_time: FloatArray  # (n_driven,) each pusher's own clock; lags behind when its drive stalls
+    middle: FloatArray  # (n_dof + 2,) velocity at the middle of the last step
 
 
 class Problem(NamedTuple):
@@ -78,7 +79,10 @@ class Problem(NamedTuple):
     )
     contact_key: IntArray  # (n_contact,) names the pair of features, the same from step to step
     contact_body: IntArray  # (n_contact, 2)
-    contact_place: FloatArray  # (n_contact, 5) gap, normal x, y (into the first body), point x, y
+    # (n_contact, 9) gap, normal x, y (into the first body), point x, y; overlap to take back apart
+    # from the velocities, part of the bias that is restitution, part that is prescribed motion, how
+    # often less was given back
+    contact_place: FloatArray
     normal: FloatArray  # (n_contact, 6) row of the normal velocity, three columns a body
     tangent: FloatArray  # (n_contact, 6)
     bias: FloatArray  # (n_contact, 2) normal (gap / step and prescribed motion), tangential

@@ -12,6 +12,9 @@ STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
 THROWN: Final = 7
 
+# What a stepper answers when it wants its last step taken back.
+UNDO: Final = -2
+
 STATUS_NAMES: Final = (
     "converged",
     "jammed",

@@ -61,3 +61,58 @@ def path_direction(
             return dx / length, dy / length, da / length, 0.0
         k -= 1
     return 1.0, 0.0, 0.0, 0.0
+
+
+@large_kernel
+def straight_time(
+    path_start: IntArray, path: FloatArray, driven: int, time: float, step: float, slack: float
+) -> float:
+    """Return the longest time from `time`, at most `step`, over which a path is straight.
+
+    Up to there no waypoint lies further than `slack` from uniform motion between both ends, in x,
+    y or angle. Where that is shorter than `step`, it ends at a waypoint. One pass: each waypoint
+    narrows the interval of velocities that pass all waypoints before it closely enough.
+    """
+    first = path_start[driven]
+    last = path_start[driven + 1] - 1
+    if path[last, 0] <= time or path[first, 0] >= time + step:
+        return step
+    x, y, a = path_pose(path_start, path, driven, time)
+    low = first - 1  # the last waypoint that is not ahead
+    high = last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if path[middle, 0] <= time:
+            low = middle
+        else:
+            high = middle
+    low_x = low_y = low_a = -math.inf
+    high_x = high_y = high_a = math.inf
+    longest = step
+    found = False
+    for k in range(high, last + 1):
+        ahead = path[k, 0] - time
+        if ahead >= step:
+            break
+        vx = (path[k, 1] - x) / ahead
+        vy = (path[k, 2] - y) / ahead
+        va = (path[k, 3] - a) / ahead
+        if not found or (low_x <= vx <= high_x and low_y <= vy <= high_y and low_a <= va <= high_a):
+            longest = ahead
+            found = True
+        wide = slack / ahead
+        low_x = max(low_x, vx - wide)
+        low_y = max(low_y, vy - wide)
+        low_a = max(low_a, va - wide)
+        high_x = min(high_x, vx + wide)
+        high_y = min(high_y, vy + wide)
+        high_a = min(high_a, va + wide)
+        if low_x > high_x or low_y > high_y or low_a > high_a:
+            return longest
+    dx, dy, da = path_pose(path_start, path, driven, time + step)
+    vx = (dx - x) / step
+    vy = (dy - y) / step
+    va = (da - a) / step
+    if low_x <= vx <= high_x and low_y <= vy <= high_y and low_a <= va <= high_a:
+        return step
+    return longest

@@ -18,13 +18,14 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.contacts import place_bodies
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
-from fixel.kernels.path import path_direction, path_pose
+from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE, locked, solve
-from fixel.kernels.step import RECOVERY, move, prepare_step
+from fixel.kernels.step import RECOVERY, creates_energy, move, prepare_step
 
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
 CAUTION = 0.9  # aim at this part of the tolerance
+EVENT = 10.0  # tolerances: where something happens, inside a step, need not be known better
 JUMP = 0.1  # of the velocity: a change from step to step that is no smooth motion's
 # Of the change from a velocity expected on a line, times half the step: what a second-order step is
 # wrong by. A twelfth for equal steps; twice that to be safe.
@@ -96,12 +97,15 @@ def rollout(
     problem, work = allocate(model, method.max_contacts)
     wide = problem.momentum.size
     n_driven = model.force_limit.size
-    state = State(start.copy(), np.zeros(wide), np.zeros(n_driven))
-    before = State(start.copy(), np.zeros(wide), np.zeros(n_driven))
+    state = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
+    before = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
+    older = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
     rows = start.copy()
     guess = np.zeros(wide)
     begin(model, state, velocity, pace.step, problem, work)
-    return _run(model, state, before, guess, rows, problem, work, method, pace, record, every_step)
+    return _run(
+        model, state, before, older, guess, rows, problem, work, method, pace, record, every_step
+    )
 
 
 @kernel
@@ -117,6 +121,8 @@ def begin(
             state.velocity[model.drive_dof[d]] = path_direction(
                 model.path_start, model.path, d, 0.0, 1e-3 * step
             )[3]
+    for i in range(state.velocity.size):
+        state.middle[i] = state.velocity[i]
     for i in range(model.piece_body.size):
         work.extent[i, 2] = model.piece_bound[i, 2]
     for e in range(model.element_body.size):
@@ -130,6 +136,7 @@ def _run(
     model: Model,
     state: State,
     before: State,
+    older: State,
     guess: FloatArray,
     rows: FloatArray,
     problem: Problem,
@@ -141,25 +148,40 @@ def _run(
 ) -> int:
     time = 0.0
     step = min(pace.step, pace.duration)
-    last_step = 0.0  # the step whose impulses the problem holds
+    staggered = method.adaptive == 1 and method.motion == codes.DYNAMIC
+    jumped = False
+    span = 0.0  # the time over which forces act before the velocity that is solved for
+    last_span = 0.0  # of the impulses that the problem holds
     n_dof = problem.momentum.size - 2
     elastic = False
     for a in range(model.restitution.shape[0]):
         for b in range(model.restitution.shape[1]):
             elastic = elastic or model.restitution[a, b] > 0.0
+    elastic = elastic and method.motion == codes.DYNAMIC
     worst = 0.0
     status = codes.CONVERGED
     taken = 0
+    undone = 0
     last_taken = 0.0
     earlier_taken = 0.0
+    eventful = True  # whether it is known that something happens where the step begins
+    careful = math.inf  # longest step until `careful_until`, after a step was undone
+    careful_until = 0.0
+    time_before = 0.0
+    sample_before = 0
+    rows_before = 0
     sample = write_samples(
         model, before, state, time, time, step, problem, record, 0, every_step, pace.duration
     )
     while time < pace.duration * (1.0 - 1e-12):
-        if taken == method.max_steps:
+        if taken + undone >= method.max_steps:
             status = codes.MAX_STEPS
             break
+        if time < careful_until - pace.smallest:
+            step = min(step, careful)
         left = pace.duration - time
+        if method.adaptive == 1:
+            left = time_to_corner(model, state, time, step, left, pace.tolerance)
         trial = min(step, left)
         if method.adaptive == 1 and trial < left < 1.5 * trial:
             trial = 0.5 * left
@@ -172,15 +194,17 @@ def _run(
         off = 0.0
         rate = 0.0
         predicting = True
+        undo = False
         while True:
             if predicting:
                 rate = predict(
-                    state.velocity, before.velocity, n_dof, trial, last_taken, earlier_taken, guess
+                    state.middle, before.middle, n_dof, trial, last_taken, earlier_taken, guess
                 )
                 predicting = False
+            span = 0.5 * trial if staggered else trial
             ready = prepare_step(
-                model, state, method.motion, time, trial, method.lead * trial, guess, rows, problem,
-                work, last_step,
+                model, state, method.motion, time, trial, span, method.lead * trial, guess, rows,
+                problem, work, last_span,
             )  # fmt: skip
             if not ready:
                 status = codes.CONTACT_OVERFLOW
@@ -196,11 +220,14 @@ def _run(
             trials = PATIENT
             if method.adaptive == 1 and trial > pace.smallest and unsolved % INSIST != INSIST - 1:
                 trials = HASTY
-            off, fell_back = solve(problem, work, guess, method.solver, method.effort, trials)
-            last_step = trial
-            record.count[3] += fell_back
+            while True:
+                off, fell_back = solve(problem, work, guess, method.solver, method.effort, trials)
+                record.count[3] += fell_back
+                if not (elastic and off <= TOLERANCE and creates_energy(model, state, problem)):
+                    break
+            last_span = span
             if not off <= TOLERANCE:
-                last_step = 0.0
+                last_span = 0.0
                 unsolved += 1
                 if method.adaptive == 1 and trial > pace.smallest:
                     trial *= 0.25
@@ -241,8 +268,31 @@ def _run(
             error = 0.5 * trial * change
             if rate > 0.0 and not jumped:
                 error *= SECOND_ORDER
-            if method.motion == codes.DYNAMIC:
-                error = max(error, 0.5 * trial * untouched_change(problem, state.velocity))
+            if staggered:
+                # Over the whole step velocities change twice as much as up to its middle.
+                error = max(error, trial * untouched_change(problem, state.velocity))
+                if jumped or guessed == RENEWED:
+                    forced = trial * forced_change(problem, state.velocity)
+                    if forced > pace.tolerance and trial > pace.smallest:
+                        growth = 1.0
+                        trial = max(pace.smallest, trial * (CAUTION * pace.tolerance / forced))
+                        guessed = PREDICTED
+                        predicting = True
+                        continue
+                    error = max(error, forced)
+            if (
+                not eventful
+                and guessed != RENEWED
+                and min(last_taken, trial) > pace.smallest
+                and 0.25 * last_taken * change > EVENT * pace.tolerance
+            ):
+                if trial <= last_taken:
+                    undo = True
+                    break
+                trial = last_taken
+                guessed = PREDICTED
+                predicting = True
+                continue
             if error <= pace.tolerance or trial <= pace.smallest:
                 growth = min(growth, CAUTION * (pace.tolerance / max(error, 1e-30)) ** EXPONENT)
                 growth = max(growth, 0.5)
@@ -264,21 +314,47 @@ def _run(
             guessed = PREDICTED
         if status != codes.CONVERGED:
             break
+        if undo:
+            # Something happened in the last step, or since: look for it in steps half as long.
+            careful = 0.5 * last_taken
+            careful_until = time + careful
+            step = careful
+            time = time_before
+            _copy_state(before, state)
+            _copy_state(older, before)
+            last_taken = earlier_taken
+            earlier_taken = 0.0
+            last_span = 0.0
+            eventful = True
+            sample = sample_before
+            record.count[1] = rows_before
+            taken -= 1
+            undone += 1
+            continue
         worst = max(worst, off)
+        _copy_state(before, older)
         _copy_state(state, before)
-        move(model, state, trial, problem, method.motion == codes.DYNAMIC and method.adaptive == 1)
+        time_before = time
+        sample_before = sample
+        rows_before = record.count[1]
+        ahead = 0
+        if staggered:
+            ahead = 2 if rate > 0.0 and not jumped else 1
+        move(model, state, trial, problem, ahead)
         time += trial
         taken += 1
         if method.adaptive == 1:
             earlier_taken = last_taken
-            step = min(trial * growth, pace.largest)
+            cut_short = trial < step and trial >= left
+            eventful = guessed == CUT or cut_short
+            step = min(max(trial * growth, step if cut_short else 0.0), pace.largest)
             if resumed > 0.0 and (trial <= pace.smallest or guessed == CUT):
                 step = min(resumed, pace.largest)
         last_taken = trial
         due = time + SAMPLE_SLACK * pace.duration
         if sample < record.time.size and (every_step or record.time[sample] <= due):
             sample = write_samples(
-                model, before, state, time - trial, time, trial, problem, record, sample,
+                model, before, state, time - trial, time, span, problem, record, sample,
                 every_step, pace.duration,
             )  # fmt: skip
     if status != codes.CONVERGED and not every_step and taken > 0 and sample < record.time.size:
@@ -297,12 +373,30 @@ def _run(
 
 
 @kernel
+def time_to_corner(
+    model: Model, state: State, time: float, step: float, left: float, slack: float
+) -> float:
+    """Return the time until a pusher's command changes, at most `left`.
+
+    Looks half a step further than `step`, so that no sliver of a step is left over.
+    """
+    for d in range(model.force_limit.size):
+        own = time if model.drive_dof[d] < 0 else state.path_time[d]
+        ahead = min(left, 1.5 * step)
+        straight = straight_time(model.path_start, model.path, d, own, ahead, slack)
+        if straight < ahead:
+            left = straight
+    return left
+
+
+@kernel
 def _copy_state(source: State, target: State) -> None:
     for i in range(source.pose.shape[0]):
         for k in range(3):
             target.pose[i, k] = source.pose[i, k]
     for i in range(source.velocity.size):
         target.velocity[i] = source.velocity[i]
+        target.middle[i] = source.middle[i]
     for i in range(source.path_time.size):
         target.path_time[i] = source.path_time[i]
 
@@ -447,6 +541,32 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
     return largest
 
 
+@large_kernel
+def forced_change(problem: Problem, before: FloatArray) -> float:
+    """Largest change of velocity that forces made over the step, as far as they can have made it.
+
+    A jump is over at once, and no reason for short steps. What the wrenches and the friction of
+    supports may have done took time, and a step that begins with a jump has nothing to be compared
+    with that would show how much.
+    """
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[3], 3):
+        dx = v[o] - before[o]
+        dy = v[o + 1] - before[o + 1]
+        change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - before[o + 2])
+        if change <= largest:
+            continue
+        impulse = 0.0
+        for k in range(o, o + 3):
+            impulse += abs(problem.momentum[k] - problem.inertia[k, k - o] * before[k])
+        for e in range(problem.size[2]):
+            if problem.element_dof[e] == o:
+                impulse += problem.element_limit[e]
+        largest = max(largest, min(change, 2.0 * impulse / problem.inertia[o, 0]))
+    return largest
+
+
 @kernel
 def closing_time(
     problem: Problem, guess: FloatArray, step: float, lead: float, least: float
@@ -489,14 +609,17 @@ def write_samples(
     state: State,
     from_time: float,
     to_time: float,
-    step: float,
+    span: float,
     problem: Problem,
     record: Record,
     sample: int,
     every_step: bool,
     duration: float,
 ) -> int:
-    """Write the samples that fall in (from_time, to_time]; returns the next one to write."""
+    """Write the samples that fall in (from_time, to_time]; returns the next one to write.
+
+    `span` is the time over which the impulses of the step acted.
+    """
     n_free = model.mass.size
     n_driven = model.force_limit.size
     while sample < record.pose.shape[0]:
@@ -516,10 +639,10 @@ def write_samples(
                 record.twist[sample, b, k] = state.velocity[3 * b + k]
         for d in range(n_driven):
             _sample_driven(
-                model, before, state, from_time, to_time, step, problem, record, sample, d, share
+                model, before, state, from_time, to_time, span, problem, record, sample, d, share
             )
         if to_time > from_time:
-            _sample_contacts(problem, record, sample, step)
+            _sample_contacts(problem, record, sample, to_time - from_time, span)
         sample += 1
         if every_step:
             break
@@ -533,7 +656,7 @@ def _sample_driven(
     state: State,
     from_time: float,
     to_time: float,
-    step: float,
+    span: float,
     problem: Problem,
     record: Record,
     sample: int,
@@ -544,7 +667,7 @@ def _sample_driven(
     row = n_free + d
     own = from_time + share * (to_time - from_time)
     own_start = from_time
-    speed = 1.0
+    step = to_time - from_time if to_time > from_time else span
     limited = model.drive_dof[d] >= 0
     if limited:
         own = before.path_time[d] + share * (state.path_time[d] - before.path_time[d])
@@ -570,14 +693,16 @@ def _sample_driven(
                 fy = pn * ny + pt * nx
                 rx = problem.contact_place[i, 3] - x
                 ry = problem.contact_place[i, 4] - y
-                force += (fx * dx + fy * dy + (rx * fy - ry * fx) * da) / step
+                force += (fx * dx + fy * dy + (rx * fy - ry * fx) * da) / span
     record.drive[sample, d, 0] = force
     stalled = limited and command > 0.0 and speed < 0.01 * command
     record.drive[sample, d, 1] = 1.0 if stalled else 0.0
 
 
 @kernel
-def _sample_contacts(problem: Problem, record: Record, sample: int, step: float) -> None:
+def _sample_contacts(
+    problem: Problem, record: Record, sample: int, step: float, span: float
+) -> None:
     for i in range(problem.size[1]):
         row = record.count[1]
         if row == record.contact.shape[0]:
@@ -598,7 +723,7 @@ def _sample_contacts(problem: Problem, record: Record, sample: int, step: float)
         record.contact[row, 3] = gap
         for k in range(4):
             record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
-        record.contact[row, 8] = problem.impulse[i, 0] / step
-        record.contact[row, 9] = problem.impulse[i, 1] / step
-        record.contact[row, 10] = step
+        record.contact[row, 8] = problem.impulse[i, 0] / span
+        record.contact[row, 9] = problem.impulse[i, 1] / span
+        record.contact[row, 10] = span
         record.count[1] += 1

@@ -9,7 +9,7 @@ from fixel.kernels.lemke import allocate_tableau
 from fixel.kernels.linear_form import solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
 from fixel.kernels.solve import locked, solve
-from fixel.kernels.step import move, prepare_bodies, prepare_contacts, prepare_rows
+from fixel.kernels.step import creates_energy, move, prepare_bodies, prepare_contacts, prepare_rows
 
 
 @entry
@@ -63,18 +63,18 @@ def contacts(
     pose: FloatArray,
     problem: Problem,
     work: Workspace,
-    last_step: float,
+    ratio: float,
 ) -> bool:
     """See `step.prepare_contacts`."""
-    return prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, last_step)
+    return prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, ratio)
 
 
 @entry
 def assemble(
-    model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
+    model: Model, state: State, motion: int, span: float, pose: FloatArray, problem: Problem
 ) -> int:
     """See `step.prepare_bodies`."""
-    return prepare_bodies(model, state, motion, step, pose, problem)
+    return prepare_bodies(model, state, motion, span, pose, problem)
 
 
 @entry
@@ -84,15 +84,18 @@ def rows(
     motion: int,
     time: float,
     step: float,
+    span: float,
     lead: float,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     n_support: int,
-    last_step: float,
+    ratio: float,
 ) -> None:
     """See `step.prepare_rows`."""
-    prepare_rows(model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step)
+    prepare_rows(
+        model, state, motion, time, step, span, lead, guess, pose, problem, n_support, ratio
+    )
 
 
 @entry
@@ -124,9 +127,15 @@ def has_no_solution(problem: Problem, work: Workspace, guess: FloatArray) -> boo
 
 
 @entry
-def move_bodies(model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
+def gains_energy(model: Model, state: State, problem: Problem) -> bool:
+    """See `step.creates_energy`."""
+    return creates_energy(model, state, problem)
+
+
+@entry
+def move_bodies(model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
     """See `step.move`."""
-    move(model, state, step, problem, glide)
+    move(model, state, step, problem, ahead)
 
 
 @entry
@@ -135,6 +144,14 @@ def bounces(
 ) -> bool:
     """See `rollout.bounces`."""
     return _rollout.bounces(model, state, motion, time, step, problem)
+
+
+@entry
+def time_to_corner(
+    model: Model, state: State, time: float, step: float, left: float, slack: float
+) -> float:
+    """See `rollout.time_to_corner`."""
+    return _rollout.time_to_corner(model, state, time, step, left, slack)
 
 
 @entry
@@ -176,6 +193,12 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @entry
+def forced_change(problem: Problem, before: FloatArray) -> float:
+    """See `rollout.forced_change`."""
+    return _rollout.forced_change(problem, before)
+
+
+@entry
 def closing_time(
     problem: Problem, guess: FloatArray, step: float, lead: float, least: float
 ) -> float:
@@ -190,7 +213,7 @@ def sample(
     state: State,
     from_time: float,
     to_time: float,
-    step: float,
+    span: float,
     problem: Problem,
     record: Record,
     every_step: bool,
@@ -198,5 +221,5 @@ def sample(
 ) -> int:
     """See `rollout.write_samples`."""
     return _rollout.write_samples(
-        model, before, state, from_time, to_time, step, problem, record, 0, every_step, duration
+        model, before, state, from_time, to_time, span, problem, record, 0, every_step, duration
     )

@@ -12,10 +12,13 @@ from fixel.kernels.assembly import (
     set_stiffness,
 )
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
-from fixel.kernels.jit import kernel, spliced_kernel
+from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
 
 REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
+CLOSE = 1e-9  # of the characteristic length: an overlap that is none
+ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a normal is an impact
+SWEEPS = 20  # at most, when overlaps are taken back
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
 
@@ -54,23 +57,27 @@ def prepare_step(
     motion: int,
     time: float,
     step: float,
+    span: float,
     lead: float,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     work: Workspace,
-    last_step: float,
+    last_span: float,
 ) -> bool:
     """Write the problem of the step from `time` to ``time + step``; False where contacts overflow.
 
     `guess` is the velocity expected over the step; rows are taken `lead` after its start, at the
-    configuration left in `pose`. `last_step` is the step whose impulses the problem still holds,
-    zero for none.
+    configuration left in `pose`. Forces act for `span`; `last_span` is that of the impulses which
+    the problem still holds, zero for none.
     """
-    if not prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, last_step):
+    ratio = span / last_span if last_span > 0.0 else 0.0
+    if not prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, ratio):
         return False
-    n_support = prepare_bodies(model, state, motion, step, pose, problem)
-    prepare_rows(model, state, motion, time, step, lead, guess, pose, problem, n_support, last_step)
+    n_support = prepare_bodies(model, state, motion, span, pose, problem)
+    prepare_rows(
+        model, state, motion, time, step, span, lead, guess, pose, problem, n_support, ratio
+    )
     return True
 
 
@@ -85,10 +92,10 @@ def prepare_contacts(
     pose: FloatArray,
     problem: Problem,
     work: Workspace,
-    last_step: float,
+    ratio: float,
 ) -> bool:
-    """First part: where the bodies meet, with the impulses they met with before; False on
-    overflow."""
+    """First part: where the bodies meet, with `ratio` times the impulses they met with before;
+    False on overflow."""
     n_free = model.mass.size
     n_moving = n_free + model.force_limit.size
     place_rows(model, state, time, lead, guess, pose)
@@ -100,7 +107,7 @@ def prepare_contacts(
         work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
-    n_old = problem.size[1] if last_step > 0.0 else 0
+    n_old = problem.size[1] if ratio > 0.0 else 0
     for i in range(n_old):
         work.old_key[i] = problem.contact_key[i]
         work.old_impulse[i, 0] = problem.impulse[i, 0]
@@ -108,7 +115,6 @@ def prepare_contacts(
     n_contact = find_contacts(model, work.near_count[0], margin, problem, work)
     if n_contact < 0:
         return False
-    ratio = step / last_step if last_step > 0.0 else 0.0
     warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
     problem.size[1] = n_contact
     problem.size[3] = 3 * n_free
@@ -117,11 +123,11 @@ def prepare_contacts(
 
 @spliced_kernel
 def prepare_bodies(
-    model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
+    model: Model, state: State, motion: int, span: float, pose: FloatArray, problem: Problem
 ) -> int:
     """Second part: the motion model's own rows; returns the number of support friction elements."""
-    assemble_bodies(model, state, motion, step, pose, problem)
-    return assemble_elements(model, motion, step, pose, problem)
+    assemble_bodies(model, state, motion, span, pose, problem)
+    return assemble_elements(model, motion, span, pose, problem)
 
 
 @spliced_kernel
@@ -131,24 +137,24 @@ def prepare_rows(
     motion: int,
     time: float,
     step: float,
+    span: float,
     lead: float,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     n_support: int,
-    last_step: float,
+    ratio: float,
 ) -> None:
     """Third part: the drives, the stiffness of every block, the contact rows, the guess."""
     dof = 3 * model.mass.size
     n_element = n_support
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
-            _prepare_drive(model, state, d, step, problem, n_element, dof)
+            _prepare_drive(model, state, d, step, span, problem, n_element, dof)
             n_element += 1
             dof += 1
     problem.size[0] = dof
     problem.size[2] = n_element
-    ratio = step / last_step if last_step > 0.0 else 0.0
     for e in range(n_element):
         for k in range(3):
             # After a failed solve there may be no number to multiply.
@@ -164,7 +170,14 @@ def prepare_rows(
 
 @spliced_kernel
 def _prepare_drive(
-    model: Model, state: State, d: int, step: float, problem: Problem, e: int, dof: int
+    model: Model,
+    state: State,
+    d: int,
+    step: float,
+    span: float,
+    problem: Problem,
+    e: int,
+    dof: int,
 ) -> None:
     """A force-limited drive is friction in one dimension: it holds its commanded speed up to its
     limit."""
@@ -174,7 +187,7 @@ def _prepare_drive(
     problem.element_bias[e, 0] = -path_direction(
         model.path_start, model.path, d, state.path_time[d], step
     )[3]
-    problem.element_limit[e] = step * model.force_limit[d]
+    problem.element_limit[e] = span * model.force_limit[d]
     problem.inertia[dof, 0] = 0.0
     problem.momentum[dof] = 0.0
 
@@ -249,37 +262,204 @@ def _prepare_contact(
         mx = pose[b, 0] - x0 - ry * (pose[b, 2] - a0)
         my = pose[b, 1] - y0 + rx * (pose[b, 2] - a0)
         gap += nx * mx + ny * my
+    driven_n /= step
+    overlap = 0.0
+    if motion == codes.DYNAMIC and not driven and gap < -CLOSE:
+        # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies. A
+        # pusher is where it is, or gives way at a velocity of its own.
+        overlap = min(-gap, RECOVERY * step)
+        gap = 0.0
     # A deep overlap (a measured start, say) is taken back at no more than the characteristic speed,
-    # or a dynamic body would be shot away.
-    bias_n = max(gap / step, -RECOVERY) - driven_n / step
+    # or a body would be shot away.
+    bias_n = max(gap / step, -RECOVERY) - driven_n
     bounce = model.restitution[a, b]
-    approach = before - driven_n / step
+    approach = before - driven_n
+    given_back = 0.0
     if bounce > 0.0 and motion == codes.DYNAMIC and approach < 0.0 and gap + step * approach < 0.0:
         # Newton's law of impact in place of the gap: leave with `bounce` times the approach.
-        bias_n = bounce * approach - driven_n / step
+        given_back = (bounce * approach - driven_n) - bias_n
+        bias_n += given_back
+    problem.contact_place[i, 5] = overlap
+    problem.contact_place[i, 6] = given_back
+    problem.contact_place[i, 7] = -driven_n
+    problem.contact_place[i, 8] = 0.0
     problem.bias[i, 0] = bias_n
     problem.bias[i, 1] = -driven_t / step
 
 
-@kernel
-def move(model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
-    """Take the step: the velocity becomes the problem's, the poses follow it.
+@large_kernel
+def creates_energy(model: Model, state: State, problem: Problem) -> bool:
+    """Return whether the contacts give the bodies more kinetic energy than they took.
 
-    With `glide`, a body without any contact follows the mean of the velocities before and after,
-    which is exact for a body that slides to rest under constant friction.
+    Newton's law of restitution may, in several contacts at once or with friction. Where it does,
+    this gives back half as much, after three times nothing, and the problem has to be solved again.
+    Without restitution every step dissipates: impulses times velocities after it are not positive.
+    """
+    elastic = False
+    energy = 0.0
+    scale = 0.0
+    for i in range(problem.size[1]):
+        p_n = problem.impulse[i, 0]
+        p_t = problem.impulse[i, 1]
+        if p_n <= 0.0:
+            continue
+        elastic = elastic or problem.contact_place[i, 6] != 0.0
+        slip = problem.bias[i, 1]
+        for side in range(2):
+            dof = problem.contact_dof[i, side]
+            if dof >= 0:
+                for k in range(3):
+                    slip += problem.tangent[i, 3 * side + k] * problem.velocity[dof + k]
+        leaving = problem.contact_place[i, 7] - problem.bias[i, 0]
+        energy += p_n * leaving + p_t * slip
+        scale += p_n * (1e-7 * abs(leaving) + 1e-9)
+    if not elastic:
+        return False
+    n_free_dof = problem.size[3]
+    for e in range(problem.size[2]):
+        dof = problem.element_dof[e]
+        if dof < n_free_dof:
+            for j in range(3):
+                slip = 0.0
+                for k in range(3):
+                    slip += problem.element_row[e, j, k] * problem.velocity[dof + k]
+                energy += problem.element_impulse[e, j] * slip
+    for o in range(n_free_dof):
+        change = problem.velocity[o] - state.velocity[o]
+        inertia = model.inertia[o // 3] if o % 3 == 2 else model.mass[o // 3]
+        energy -= 0.5 * inertia * change * change
+    if energy <= scale:
+        return False
+    for i in range(problem.size[1]):
+        kept = problem.contact_place[i, 6]
+        approach = kept if problem.contact_place[i, 8] >= 2.0 else 0.5 * kept
+        problem.contact_place[i, 8] += 1.0
+        problem.contact_place[i, 6] = kept - approach
+        problem.bias[i, 0] -= approach
+    return True
+
+
+@large_kernel
+def _part(model: Model, state: State, step: float, problem: Problem) -> None:
+    """Move overlapping bodies apart, by the shortest way in the metric of their inertia.
+
+    Gauss-Seidel over the contacts, at the end of the step, on positions alone. Prescribed and
+    driven bodies stay where they are.
+
+    Source: Cline & Pai (2003), post-stabilisation.
+    """
+    overlapping = False
+    for i in range(problem.size[1]):
+        overlapping = overlapping or problem.contact_place[i, 5] > 0.0
+        problem.contact_place[i, 6] = 0.0
+    if not overlapping:
+        return
+    n_dof = problem.size[3]
+    shift = problem.momentum  # of this step; no longer needed
+    for o in range(n_dof):
+        shift[o] = 0.0
+    for _ in range(SWEEPS):
+        largest = 0.0
+        for i in range(problem.size[1]):
+            weight = 0.0
+            wanted = problem.contact_place[i, 5] - step * problem.bias[i, 0]
+            for side in range(2):
+                dof = problem.contact_dof[i, side]
+                if dof >= 0:
+                    for k in range(3):
+                        n = problem.normal[i, 3 * side + k]
+                        wanted -= step * n * problem.velocity[dof + k]
+                        if dof < n_dof:
+                            b = dof // 3
+                            weight += n * n / (model.inertia[b] if k == 2 else model.mass[b])
+                            wanted -= n * shift[dof + k]
+            if weight == 0.0:
+                continue
+            push = max(0.0, problem.contact_place[i, 6] + wanted / weight)
+            more = push - problem.contact_place[i, 6]
+            problem.contact_place[i, 6] = push
+            largest = max(largest, abs(more) * weight)
+            for side in range(2):
+                dof = problem.contact_dof[i, side]
+                if 0 <= dof < n_dof:
+                    b = dof // 3
+                    for k in range(3):
+                        inertia = model.inertia[b] if k == 2 else model.mass[b]
+                        shift[dof + k] += more * problem.normal[i, 3 * side + k] / inertia
+        if largest <= 0.1 * CLOSE:
+            break
+    for o in range(n_dof):
+        state.pose[o // 3, o % 3] += shift[o]
+
+
+@large_kernel
+def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
+    """Carry the velocities of bodies from the middle of a step, where they were solved for, to its
+    end.
+
+    The implicit midpoint rule: second order, and never more kinetic energy. Not for a body that
+    jumped or came to rest: it goes on with what it had in the middle. A body jumped that changed
+    its velocity along the normal of a contact, by a large part of the change or, if `smooth`, of
+    the velocity; or by more than forces explain, unless `smooth`.
+    """
+    n_dof = problem.size[3]
+    v = problem.velocity
+    scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, blocked.
+    for o in range(0, n_dof, 3):
+        dx = v[o] - state.velocity[o]
+        dy = v[o + 1] - state.velocity[o + 1]
+        scratch[o] = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - state.velocity[o + 2])
+        scratch[o + 1] = 0.0
+        for k in range(o, o + 3):
+            scratch[o + 1] += abs(
+                problem.momentum[k] - problem.inertia[k, k - o] * state.velocity[k]
+            )
+        scratch[o + 2] = 0.0
+    if not smooth:
+        for e in range(problem.size[2]):
+            if problem.element_dof[e] < n_dof:
+                scratch[problem.element_dof[e] + 1] += problem.element_limit[e]
+        for o in range(0, n_dof, 3):
+            if scratch[o] > 2.0 * scratch[o + 1] / problem.inertia[o, 0]:
+                scratch[o + 2] = 1.0
+    for i in range(problem.size[1]):
+        if problem.impulse[i, 0] <= 0.0:
+            continue
+        along = math.inf if problem.contact_place[i, 6] != 0.0 else 0.0
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o >= 0:
+                for k in range(3):
+                    along += problem.normal[i, 3 * side + k] * (v[o + k] - state.velocity[o + k])
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if 0 <= o < n_dof:
+                size = scratch[o]
+                if smooth:
+                    size = max(size, math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1]) + abs(v[o + 2]))
+                if along > ALONG * size:
+                    scratch[o + 2] = 1.0
+    for o in range(0, n_dof, 3):
+        forward = 0.0
+        for k in range(o, o + 3):
+            forward += v[k] * (2.0 * v[k] - state.velocity[k])
+        reach = 2.0 if scratch[o + 2] == 0.0 and forward > 0.0 else 1.0
+        for k in range(o, o + 3):
+            state.velocity[k] += reach * (v[k] - state.velocity[k])
+
+
+@kernel
+def move(model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+    """Take the step: the poses follow the problem's velocity, and so do the velocities.
+
+    `ahead`: 0 where the problem's velocity is that of the step's end; where it is that of its
+    middle, 2 if velocities changed smoothly, else 1.
     """
     n_free = model.mass.size
     v = problem.velocity
     for b in range(n_free):
-        free = glide
-        if glide:
-            for i in range(problem.size[1]):
-                if problem.contact_body[i, 0] == b or problem.contact_body[i, 1] == b:
-                    free = False
-                    break
         for k in range(3):
-            mean = 0.5 * (v[3 * b + k] + state.velocity[3 * b + k])
-            state.pose[b, k] += step * (mean if free else v[3 * b + k])
+            state.pose[b, k] += step * v[3 * b + k]
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
             dof = model.drive_dof[d]
@@ -288,5 +468,12 @@ def move(model: Model, state: State, step: float, problem: Problem, glide: bool)
             # A drive that stalls falls behind; while it is told to rest, its clock goes on.
             share = v[dof] / speed if speed > 0.0 else 1.0
             state.path_time[d] = min(last, state.path_time[d] + step * share)
+    first = 0
+    if ahead > 0:
+        _carry_on(state, problem, ahead == 2)
+        first = problem.size[3]
     for i in range(problem.size[0]):
-        state.velocity[i] = v[i]
+        state.middle[i] = v[i]
+        if i >= first:
+            state.velocity[i] = v[i]
+    _part(model, state, step, problem)

@@ -32,7 +32,8 @@ class AbstractMotionModel(abc.ABC):
         model, state
             Scaled, see `fixel.kernels.arrays`.
         step : float
-            Length of the step, scaled.
+            Time over which forces act, scaled: the step, or half of it where the velocity solved
+            for is that of its middle.
         pose : (n_body, 3) float64
             Configuration at which rows are taken.
         problem : Problem
@@ -45,8 +46,12 @@ class AbstractMotionModel(abc.ABC):
         """
 
     @abc.abstractmethod
-    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
-        """Take the step: velocities become the problem's, poses follow."""
+    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+        """Take the step: velocities become the problem's, poses follow.
+
+        `ahead`: 0 where the problem's velocities are those of the step's end; where they are those
+        of its middle, 2 if they changed smoothly, else 1.
+        """
 
 
 @final
@@ -69,8 +74,8 @@ class Dynamic(AbstractMotionModel):
     ) -> int:
         return int(single.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
-        single.move_bodies(model, state, step, problem, glide)
+    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+        single.move_bodies(model, state, step, problem, ahead)
 
 
 @final
@@ -93,8 +98,8 @@ class QuasiStatic(AbstractMotionModel):
     ) -> int:
         return int(single.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
-        single.move_bodies(model, state, step, problem, False)
+    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+        single.move_bodies(model, state, step, problem, ahead)
 
 
 @final
@@ -117,8 +122,8 @@ class FirstOrder(AbstractMotionModel):
     ) -> int:
         return int(single.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, glide: bool) -> None:
-        single.move_bodies(model, state, step, problem, False)
+    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+        single.move_bodies(model, state, step, problem, ahead)
 
 
 MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)

@@ -33,6 +33,7 @@ class _Loop:
         self,
         packed: Packed,
         motion: AbstractMotionModel,
+        stepper: AbstractStepper,
         solver: AbstractSolver,
         max_contacts: int,
     ) -> None:
@@ -46,8 +47,10 @@ class _Loop:
         self.problem, self.work = single.allocate(self.model, max_contacts)
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
-        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven))
-        self.last_step = 0.0
+        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
+        self.last_span = 0.0  # of the impulses that the problem holds
+        self.span = 0.0  # time over which forces acted up to the velocity last solved for
+        self.staggered = motion.kind == codes.DYNAMIC and stepper.adaptive
         self.time = 0.0
         self.fallbacks = 0
         pace = batch.pace[0]
@@ -67,23 +70,28 @@ class _Loop:
         model, state, problem, work = self.model, self.state, self.problem, self.work
         ahead = lead * step
         kind = self.motion.kind
+        self.span = span = 0.5 * step if self.staggered else step
+        ratio = span / self.last_span if self.last_span > 0.0 else 0.0
         if not single.contacts(
-            model, state, self.time, step, ahead, guess, self.pose, problem, work, self.last_step
+            model, state, self.time, step, ahead, guess, self.pose, problem, work, ratio
         ):
             return Attempt(codes.CONTACT_OVERFLOW, math.inf)
-        n_support = self.motion.assemble(model, state, step, self.pose, problem)
+        n_support = self.motion.assemble(model, state, span, self.pose, problem)
         single.rows(
-            model, state, kind, self.time, step, ahead, guess, self.pose, problem, n_support,
-            self.last_step,
+            model, state, kind, self.time, step, span, ahead, guess, self.pose, problem, n_support,
+            ratio,
         )  # fmt: skip
         if least < math.inf:
             closing = float(single.closing_time(problem, guess, step, lead, least))
             if closing < math.inf:
                 return Attempt(codes.CONVERGED, math.inf, closing=closing)
-        residual, fell_back = self.solver.solve(problem, work, guess, hasty)
-        self.fallbacks += fell_back
-        solved = residual <= TOLERANCE
-        self.last_step = step if solved else 0.0
+        while True:
+            residual, fell_back = self.solver.solve(problem, work, guess, hasty)
+            self.fallbacks += fell_back
+            solved = residual <= TOLERANCE
+            if not (solved and single.gains_energy(model, state, problem)):
+                break
+        self.last_span = span if solved else 0.0
         if solved and single.is_thrown(model, state, self.time, step, problem):
             return Attempt(codes.THROWN, residual)
         bounces = single.bounces(model, state, kind, self.time, step, problem)
@@ -99,7 +107,7 @@ def roll_plainly(
     times: FloatArray | None,
 ) -> BatchRecord:
     """The record of one rollout, step by step; the same numbers as the compiled loop's."""
-    loop = _Loop(packed, motion, solver, method.max_contacts)
+    loop = _Loop(packed, motion, stepper, solver, method.max_contacts)
     duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
     step = min(step, duration)
     scaled = None if times is None else times / packed.units.time
@@ -109,27 +117,61 @@ def roll_plainly(
     steps = 0
     before = State(*(np.array(a) for a in loop.state))
     last_taken = earlier_taken = 0.0
+    undone = 0
+    eventful = True  # as in the compiled loop
+    careful_until = careful = 0.0
+    time_before = 0.0
+    older = before
     while loop.time < duration * (1.0 - 1e-12):
-        if steps == method.max_steps:
+        if steps + undone >= method.max_steps:
             status = codes.MAX_STEPS
             break
         inertial = motion.kind == codes.DYNAMIC
-        limits = Limits(duration - loop.time, tolerance, smallest, largest, inertial)
-        past = Past(loop.state.velocity.copy(), before.velocity, last_taken, earlier_taken)
+        left = duration - loop.time
+        if loop.time < careful_until - smallest:
+            step = min(step, careful)
+        if stepper.adaptive:
+            left = single.time_to_corner(loop.model, loop.state, loop.time, step, left, tolerance)
+        limits = Limits(left, tolerance, smallest, largest, inertial, eventful)
+        past = Past(
+            loop.state.middle.copy(),
+            before.middle,
+            last_taken,
+            earlier_taken,
+            loop.state.velocity.copy(),
+        )
         advance = stepper.advance(loop.attempt, loop.problem, past, step, limits)
+        if advance.status == codes.UNDO:
+            careful_until = loop.time + 0.5 * last_taken
+            careful = step = advance.next_step
+            loop.time = time_before
+            loop.state = State(*(np.array(a) for a in before))
+            before = older
+            last_taken, earlier_taken = earlier_taken, 0.0
+            loop.last_span = 0.0
+            eventful = True
+            samples.undo()
+            steps -= 1
+            undone += 1
+            continue
         if advance.status != codes.CONVERGED:
             status = _reason(loop, advance.status, advance.residual)
             break
         worst = max(worst, advance.residual)
+        older = before
         before = State(*(np.array(a) for a in loop.state))
+        time_before = loop.time
+        eventful = advance.event
         taken = advance.step
-        glide = motion.kind == codes.DYNAMIC and stepper.adaptive
-        motion.move(loop.model, loop.state, advance.step, loop.problem, glide)
+        ahead = 0 if not loop.staggered else 2 if advance.smooth else 1
+        motion.move(loop.model, loop.state, advance.step, loop.problem, ahead)
+        n_dof = loop.problem.size[0]
+        loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # which a plug-in may not know
         loop.time += advance.step
         steps += 1
         earlier_taken, last_taken = last_taken, taken
         step = advance.next_step
-        samples.take(before, taken, taken)
+        samples.take(before, taken, loop.span)
     if status != codes.CONVERGED and steps and not samples.every_step:
         # Without contacts and forces: the problem holds what could not be solved.
         samples.stop_at(loop.time)
@@ -160,11 +202,11 @@ class _Samples:
         self.shape = (loop.model.mass.size + self.n_driven, 3)
         self.rows: list[Record] = []
         self.done = 0
+        self.counts: list[int] = []
         self.take(loop.state, 0.0, first_step)
 
-    def take(self, before: State, moved: float, step: float) -> None:
-        """Write the samples that fall into the last `moved` of time, in a step that long or
-        ahead."""
+    def take(self, before: State, moved: float, span: float) -> None:
+        """Write the samples in the last `moved` of time; forces acted for `span`."""
         loop = self.loop
         room = 1 if self.every_step else len(self.times) - self.done
         n_row = max(1, loop.problem.contact_key.size) * max(room, 1)
@@ -178,9 +220,10 @@ class _Samples:
             np.zeros(2),
         )
         written = single.sample(
-            loop.model, before, loop.state, loop.time - moved, loop.time, step, loop.problem,
+            loop.model, before, loop.state, loop.time - moved, loop.time, span, loop.problem,
             record, self.every_step, self.duration,
         )  # fmt: skip
+        self.counts.append(written)
         if written:
             contact = record.contact[: record.count[1]]
             contact[:, 0] += self.done
@@ -196,6 +239,13 @@ class _Samples:
                 )
             )
             self.done += written
+
+    def undo(self) -> None:
+        """Forget the samples of the last step."""
+        n = self.counts.pop()
+        if n:
+            self.rows.pop()
+            self.done -= n
 
     def stop_at(self, time: float) -> None:
         """Make `time` the last sample."""

@@ -15,6 +15,7 @@ from fixel.kernels.arrays import FloatArray, Problem
 from fixel.kernels.rollout import (
     CAUTION,
     CUT,
+    EVENT,
     EXPONENT,
     GROWTH,
     INSIST,
@@ -43,15 +44,18 @@ class Advance(NamedTuple):
     step: float
     next_step: float
     residual: float
+    event: bool = False  # whether something is known to happen where the step ends
+    smooth: bool = False  # whether velocities changed as expected
 
 
 class Past(NamedTuple):
     """What the last two steps were, scaled."""
 
-    velocity: FloatArray  # (n_dof + 2,) now
-    before: FloatArray  # (n_dof + 2,) one step earlier
+    velocity: FloatArray  # (n_dof + 2,) of the last step, at its middle where that differs
+    before: FloatArray  # (n_dof + 2,) of the step before
     last: float  # length of the last step, zero for none
     earlier: float  # of the one before it
+    reached: FloatArray  # (n_dof + 2,) at the end of the last step
 
 
 class Try(Protocol):
@@ -92,18 +96,20 @@ class AbstractStepper(abc.ABC):
     ) -> Advance:
         """Find the next step, at most `limits.left` long, with its solution in `problem`.
 
-        All quantities scaled; `step` is the length proposed by the step before.
+        All quantities scaled; `step` is the length proposed by the step before. The status
+        `codes.UNDO` takes the last step back, to be repeated at `Advance.next_step`.
         """
 
 
 class Limits(NamedTuple):
     """Bounds on the next step, scaled."""
 
-    left: float  # time to the end
+    left: float  # time to the end, or to where a pusher's command changes
     tolerance: float  # of position
     smallest: float
     largest: float
     inertial: bool  # whether velocities are smooth where no contact acts
+    eventful: bool = True  # whether something is known to happen where the step starts
 
 
 def _fixed(attempt: Try, past: Past, step: float, lead: float, limits: Limits) -> Advance:
@@ -173,8 +179,9 @@ class Adaptive(AbstractStepper):
     change.
 
     The error of a step is taken as half its length times the change of velocity over it, what a
-    first-order step would be wrong by; a gap that closes inside a step ends the step there, and a
-    bounce is taken in a step of its own. docs/theory/stepping.md.
+    first-order step would be wrong by. Steps end where a pusher's path bends and where a gap
+    closes; a bounce is taken in a step of its own; a step in whose second half something happened
+    is taken back. With inertia it is the implicit midpoint rule. docs/theory/stepping.md.
 
     Parameters
     ----------
@@ -256,21 +263,51 @@ class Adaptive(AbstractStepper):
                 trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
                 predicting = True
                 continue
-            change = float(single.largest_change(problem, guess))
+            change = apart = float(single.largest_change(problem, guess))
             jumped = change > JUMP * float(single.largest_speed(problem))
             error = 0.5 * trial * change
             if rate > 0.0 and not jumped:
                 error *= SECOND_ORDER
             if limits.inertial:
-                change = float(single.untouched_change(problem, past.velocity))
+                change = 2.0 * float(single.untouched_change(problem, past.reached))
                 error = max(error, 0.5 * trial * change)
+                if jumped or guessed == RENEWED:
+                    forced = trial * float(single.forced_change(problem, past.reached))
+                    if forced > limits.tolerance and trial > limits.smallest:
+                        growth = 1.0
+                        shrink = CAUTION * limits.tolerance / forced
+                        trial = max(limits.smallest, trial * shrink)
+                        guessed, predicting = PREDICTED, True
+                        continue
+                    error = max(error, forced)
+            if (
+                not limits.eventful
+                and guessed != RENEWED
+                and min(past.last, trial) > limits.smallest
+                and 0.25 * past.last * apart > EVENT * limits.tolerance
+            ):
+                if trial > past.last:
+                    trial = past.last
+                    predicting, guessed = True, PREDICTED
+                    continue
+                return Advance(codes.UNDO, trial, 0.5 * past.last, residual)
             if error <= limits.tolerance or trial <= limits.smallest:
                 ratio = limits.tolerance / max(error, 1e-30)
                 growth = min(growth, CAUTION * ratio**EXPONENT)
                 following = trial * max(0.5, growth)
+                if trial < step and trial >= limits.left:
+                    following = max(following, step)  # cut short by the end of the straight
                 if resumed > 0.0 and (trial <= limits.smallest or guessed == CUT):
                     following = resumed
-                return Advance(codes.CONVERGED, trial, min(following, limits.largest), residual)
+                event = guessed == CUT or (trial < step and trial >= limits.left)
+                return Advance(
+                    codes.CONVERGED,
+                    trial,
+                    min(following, limits.largest),
+                    residual,
+                    event,
+                    rate > 0.0 and not jumped,
+                )
             if jumped:
                 rate, guess = 0.0, np.array(problem.velocity)
                 if guessed != RENEWED:

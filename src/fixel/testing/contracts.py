@@ -57,7 +57,7 @@ def step_problem(
         c, s = math.cos(angle), math.sin(angle)
         problem.contact_dof[i] = (0, -1)
         problem.contact_key[i] = i
-        problem.contact_place[i] = (0.0, c, s, 0.0, 0.0)
+        problem.contact_place[i, :5] = (0.0, c, s, 0.0, 0.0)
         problem.normal[i, :2] = (c, s)
         problem.tangent[i, :2] = (-s, c)
         problem.bias[i, 0] = bias
@@ -232,7 +232,7 @@ class StepperContract:
             assert len(tries) < 1000, "a stepper has to give up"
             return Attempt(status, math.inf)
 
-        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0)
+        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
         limits = Limits(1.0, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
@@ -244,7 +244,7 @@ class StepperContract:
             assert step <= 0.05 * (1 + 1e-12)
             return Attempt(codes.CONVERGED, 0.0)
 
-        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0)
+        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
         limits = Limits(0.05, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED

@@ -1,0 +1,40 @@
+"""The default stepper ends where fine fixed steps end, in grasps of many layouts and shapes."""
+
+import numpy as np
+import pytest
+from benchmarks.varied import Answer, nudged, references, varied_grasp
+
+from fixel.simulation import Dynamic, Midpoint, QuasiStatic, simulate
+
+# Quasi-static scenes in which a step once jumped over an event, by up to 60 mm, and ordinary ones.
+SEEDS = (102, 230, 306, 394, 29, 67, 259, 1, 2)
+
+
+def _final(scene, motion, stepper=None):
+    run = simulate(scene, motion=motion, stepper=stepper, output_interval=scene.duration)
+    assert run.converged
+    return run.final["object"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_that_happens_inside_a_step_is_missed(seed):
+    scene = varied_grasp(seed)
+    motion = QuasiStatic()
+    fine = _final(scene, motion, Midpoint(step=scene.duration / 20_000))
+    own = _final(scene, motion)
+    assert np.abs((own - fine)[:2]).max() < 1e-4
+    assert abs(own[2] - fine[2]) < np.radians(0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()], ids=lambda m: m.name)
+def test_insensitive_grasps_meet_the_bar(motion):
+    """On seeds that the benchmark does not use."""
+    answers = []
+    for seed in range(1000, 1200):
+        scene = varied_grasp(seed)
+        assert len(list(nudged(scene))) == 3
+        answers.append(Answer(*references(scene, motion), _final(scene, motion)))
+    calm = [answer for answer in answers if answer.is_insensitive]
+    assert len(calm) > 0.85 * len(answers)
+    assert np.mean([answer.error <= 1.0 for answer in calm]) >= 0.97
