@@ -66,7 +66,7 @@ def test_status_of_a_project(folder, monkeypatch, tmp_path):
     assert code == 0
     assert out.splitlines() == [
         "job          state   done  of  failed  workers  rate [1/s]  left",
-        "jobs/my toy  queued     0   0       0        0           0",
+        "jobs/my toy  queued     0   ?       0        0           0",
         "",
         "Next: fixel jobs submit 'jobs/my toy'",
     ]

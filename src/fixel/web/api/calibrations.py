@@ -67,8 +67,7 @@ class RunningOut(BaseModel):
     rate: float = Field(description="evaluations a second, lately")
     left_s: float | None = Field(description="at that rate; none where nobody knows")
     at_most: bool = Field(description="whether it may end earlier: searches end when they stand")
-    done: int = Field(description="chunks of work")
-    total: int
+    share: float | None = Field(description="of the work that is done; none where nobody knows")
     best: float | None = Field(description="mean error of an experiment")
     start: float | None = Field(description="the same at the nominal values")
     started_utc: str
@@ -361,7 +360,7 @@ def _listed(one: Listed) -> ListedOut:
 
 def _running(one: Watched, desk: Desk) -> dict[str, Any]:
     status, request = one.status.status, one.request
-    left = status.left_s if request.mode == "each" and status.total > 1 else None
+    left = status.left_s
     at_most = left is None and one.most is not None and one.rate > 0.0
     if at_most and one.most is not None:
         left = (one.most - one.evaluations) / one.rate
@@ -383,8 +382,7 @@ def _running(one: Watched, desk: Desk) -> dict[str, Any]:
         "rate": one.rate,
         "left_s": None if one.status.ended or left is None else max(0.0, left),
         "at_most": at_most,
-        "done": status.done,
-        "total": status.total,
+        "share": status.share,
         "best": one.best,
         "start": one.start,
         "started_utc": status.started_utc,

@@ -40,7 +40,8 @@ function card(one) {
   const left = one.left_s === null ? "" : `${one.at_most ? "at most " : ""}${lasting(one.left_s)} left`;
   const told = [
     several(one.experiments, "experiment"), one.mode, one.optimiser,
-    one.evaluations ? several(one.evaluations, "evaluation") : `${one.done} of ${one.total} parts`,
+    one.evaluations ? several(one.evaluations, "evaluation") : "",
+    one.share === null ? "" : `${Math.floor(100 * one.share)} %`,
     best === null ? "" : `best ${digits(best)} mm`, left,
   ];
   return make(

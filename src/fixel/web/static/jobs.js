@@ -18,6 +18,7 @@ import { count, several } from "./units.js";
  * @property {number} kept
  * @property {number} rate_per_s
  * @property {number | null} left_s
+ * @property {number | null} share
  * @property {number} workers
  * @property {number} deaths
  * @property {number} again
@@ -72,8 +73,8 @@ function row(job) {
     }, job.name)),
     make("td", {}, tag(job.state)),
     make("td", {},
-      make("progress", { max: Math.max(1, job.total), value: job.done, "aria-label": `Progress of ${job.name}` }),
-      `${count(job.done)} of ${count(job.total)}`),
+      job.share === null ? null : make("progress", { max: 1, value: job.share, "aria-label": `Progress of ${job.name}` }),
+      job.share === null ? `${count(job.done)} done` : `${count(job.done)} of ${count(job.total)}`),
     make("td", { class: job.failed ? "number bad" : "number" }, count(job.failed)),
     make("td", { class: "number" }, count(job.workers)),
     make("td", { class: job.deaths ? "number off" : "number" }, count(job.deaths)),
