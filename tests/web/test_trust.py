@@ -41,7 +41,7 @@ class Bench:
         gate = Gate()
         pages, api = project_pages(self.desk), project_api(self.desk)
         app = create_app(pages, gate, api=api, name="my_lab")
-        self.client = Client(app, HERE, cookies={gate.cookie: gate.session})
+        self.client = Client(app, HERE + gate.root, cookies={gate.cookie: gate.session})
         self.word = {WORD_HEADER: gate.word}
 
     def get(self, path, status=200):

@@ -2,7 +2,7 @@
 // A calibration while it runs: its objective as it falls, stop and resume.
 
 import { complain, copy, get, send, toast } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { Plot } from "./plot.js";
 import { digits, lasting, rms } from "./quantity.js";
 import { count } from "./units.js";
@@ -55,7 +55,7 @@ function arrive(live) {
   if (leaving) return;
   leaving = true;
   toast("Done and stored.");
-  location.replace(`/calibrations/${live.stored.at(-1)}`);
+  location.replace(`${ROOT}/calibrations/${live.stored.at(-1)}`);
 }
 
 /** @param {Live} live */

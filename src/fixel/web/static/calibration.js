@@ -2,7 +2,7 @@
 // One calibration: did the search end, what did it find, do the data determine it, where is it off.
 
 import { complain, copy, get, numbers } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { Plot } from "./plot.js";
 import { digits, rms, shown, shownIn, verdictOf } from "./quantity.js";
 import { several } from "./units.js";
@@ -177,8 +177,8 @@ function residuals() {
   at("worst").replaceChildren(...values.slice(0, one.worst.length).map((each, k) => make(
     "li", {},
     make("span", { class: "figure-of" }, digits(each.after), make("small", {}, " mm")),
-    make("a", { href: `/experiments/${each.id}` }, each.key),
-    make("a", { class: "button", href: `/compare?experiment=${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
+    make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key),
+    make("a", { class: "button", href: `${ROOT}/compare?experiment=${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
     k === 0 ? make("span", { class: "tag fault" }, "worst") : null,
   )));
   at("bars").replaceChildren(...values.slice(0, MOST_BARS).map((each) => bar(each, largest)));
@@ -200,7 +200,7 @@ function bar(each, largest) {
   was.hidden = each.before === null;
   return make(
     "tr", {},
-    make("th", { scope: "row" }, make("a", { href: `/experiments/${each.id}` }, each.key)),
+    make("th", { scope: "row" }, make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key)),
     make("td", { class: "track" }, make("div", { class: "track-of", "aria-hidden": "true" }, filled, was)),
     make("td", { class: "number" }, digits(each.before)),
     make("td", { class: "number" }, make("strong", {}, each.after === null ? "none" : digits(each.after))),
@@ -213,11 +213,11 @@ function siblings() {
   const place = one.siblings.findIndex(({ id }) => id === number);
   at("siblings").hidden = one.siblings.length < 2;
   if (one.siblings.length < 2) return;
-  const select = make("select", { "aria-label": "Set of this run", onchange: () => location.assign(`/calibrations/${select.value}`) },
+  const select = make("select", { "aria-label": "Set of this run", onchange: () => location.assign(`${ROOT}/calibrations/${select.value}`) },
     ...one.siblings.map(({ id, name }) => make("option", { value: id, selected: id === number }, name)));
   /** @param {number} to @param {string} sign @param {string} words */
   const step = (to, sign, words) => (one.siblings[to]
-    ? make("a", { class: "button", href: `/calibrations/${one.siblings[to].id}`, "aria-label": words, id: to < place ? "previous" : "next" }, sign)
+    ? make("a", { class: "button", href: `${ROOT}/calibrations/${one.siblings[to].id}`, "aria-label": words, id: to < place ? "previous" : "next" }, sign)
     : null);
   at("siblings").replaceChildren(...[step(place - 1, "\u2190", "Previous set (k)"), select, step(place + 1, "\u2192", "Next set (j)")].filter((node) => node !== null));
 }

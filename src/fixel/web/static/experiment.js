@@ -3,7 +3,7 @@
 
 import { complain, copy, get, send, undoNewest } from "./api.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
-import { at, make, typing } from "./dom.js";
+import { ROOT, at, make, typing } from "./dom.js";
 import * as marks from "./marks.js";
 import { Motion } from "./motion.js";
 import { Player } from "./player.js";
@@ -146,7 +146,7 @@ function link(id, to) {
   if (to === undefined) {
     node.setAttribute("aria-disabled", "true");
     node.removeAttribute("href");
-  } else node.setAttribute("href", `/experiments/${to}`);
+  } else node.setAttribute("href", `${ROOT}/experiments/${to}`);
 }
 
 document.addEventListener("keydown", (event) => {
@@ -163,7 +163,7 @@ document.addEventListener("keydown", (event) => {
     f: acts.flag,
     n: acts.note,
     Delete: acts.delete,
-    Escape: () => location.assign(`/experiments?${sessionStorage.getItem("fixel-list") ?? ""}`),
+    Escape: () => location.assign(`${ROOT}/experiments?${sessionStorage.getItem("fixel-list") ?? ""}`),
   };
   const act = keys[event.key];
   if (act) {
