@@ -10,7 +10,10 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from fixel.calibration.cost import Prior
+from fixel.calibration.descent import Fit
+from fixel.calibration.honest import Honest, Mixed, Shifted, mixed_study
 from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
     Dispersion,
     Noise,
@@ -26,6 +29,7 @@ from fixel.calibration.verdict import Verdict, judge
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.fields import BoolArray
+from fixel.model.space import ParameterSpace
 from fixel.simulation.simulate import simulate
 
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
@@ -67,6 +71,7 @@ class Assessment(NamedTuple):
     profiles: Profiles
     noise: Noise
     dispersion: Dispersion
+    misfit: Misfit | None = None
 
 
 def assess(
@@ -123,28 +128,13 @@ def assessing(
     solutions : sequence of (n_free,) arrays
         Other points nearly as good.
     """
-    own = np.asarray(members, np.int64)
+    own = distinct(comparer, members)
     chosen = Frames(comparer, own)
-    noise = noise or repeated(comparer, own) or (yield from _left(point))
+    fitted = yield from fitting(comparer, members, point, noise=noise)
+    noise, dispersion = fitted.noise, fitted.dispersion
     box = box_of(comparer.space.started_at(point))
-    # The search minimised its own error; the likeliest point lies near by.
-    search = LeastSquares().start(box)
-    while not search.done:
-        told = yield Ask("frames", search.ask(), "best fit")
-        search.tell(chosen.scaled(told, noise))
-    best = search.fits[0]
-    near = best.point
-    dispersion = chosen.dispersion(noise, best.residual, len(near))
-    if dispersion.source != noise.source:
-        # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
-        again = yield from _left(near)
-        residual = best.residual.reshape(-1, 3) * (
-            noise.standard_deviations / again.standard_deviations
-        )
-        noise = again
-        dispersion = chosen.dispersion(noise, residual.ravel(), len(near))
     prior = Prior.of(comparer.space).weighted(dispersion.value)
-    profile = ProfileLikelihood().start(box, near, dispersion.threshold(level), prior)
+    profile = ProfileLikelihood().start(box, fitted.point, dispersion.threshold(level), prior)
     while not profile.done:
         told = yield Ask("frames", profile.ask(), f"verdicts, {profile.phase}", profile.left)
         profile.tell(chosen.scaled(told, noise))
@@ -158,8 +148,94 @@ def assessing(
         excited=lambda label: bool(touched[label]),
         solutions=solutions,
         dispersion=dispersion,
+        honest=fitted.honest,
+        misfits=fitted.misfit is not None and fitted.misfit.warned,
     )
-    return Assessment(verdicts, found, noise, dispersion)
+    return Assessment(verdicts, found, noise, dispersion, fitted.misfit)
+
+
+class Fitted(NamedTuple):
+    """The likeliest point, and how well the model fits there.
+
+    Attributes
+    ----------
+    point : (n_free,) float64
+        Of least squares.
+    noise : Noise
+        That residuals are divided by.
+    dispersion : Dispersion
+    misfit : Misfit, optional
+        None where the noise of the measurements is not known.
+    honest : Honest, optional
+        Estimate that allows for misfit; None where there is too little of it to matter.
+    """
+
+    point: FloatArray
+    noise: Noise
+    dispersion: Dispersion
+    misfit: Misfit | None
+    honest: Honest | None
+
+
+def fitting(
+    comparer: Comparer, members: Sequence[int], point: FloatArray, *, noise: Noise | None = None
+) -> Asking[Fitted]:
+    """Fit by least squares, and where the model misfits also with mixed effects.
+
+    The parameters are those of `assess`. A wrong valley looks like misfit: where there is any,
+    least squares begins once more from the mixed fit before anything is said of it.
+    """
+    own = distinct(comparer, members)
+    chosen = Frames(comparer, own)
+    known = noise or repeated(comparer, own)
+    targets = [comparer.targets[m] for m in own.tolist()]
+    ends = isinstance(comparer.error, EndPose)
+    camera = None if ends else noise or noise_from_differences(targets)
+    scatter = None if ends else known or camera
+    noise = known or (yield from _left(point))
+    # The search minimised its own error; the likeliest point lies near by.
+    best = yield from _least_squares(chosen, point, noise)
+    misfit = chosen.misfit(best.residual, noise, scatter)
+    honest = None
+    if misfit is not None and misfit.noted:
+        white = camera or misfit.noise
+        mixed = yield from _mixed(Shifted(comparer), own.tolist(), best.point, white)
+        again = yield from _least_squares(chosen, mixed.value, noise)
+        if again.deviance < best.deviance:
+            best = again
+            misfit = chosen.misfit(best.residual, noise, scatter)
+        if misfit is not None and misfit.noted:
+            honest = Honest.of(mixed, best.point)
+    count = len(best.point)
+    dispersion = chosen.dispersion(noise, best.residual, count)
+    if dispersion.source != noise.source:
+        # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
+        left = yield from _left(best.point)
+        ratio = noise.standard_deviations / left.standard_deviations
+        residual = (best.residual.reshape(-1, 3) * ratio).ravel()
+        noise, dispersion = left, chosen.dispersion(left, residual, count)
+    return Fitted(best.point, noise, dispersion, misfit, honest)
+
+
+def _least_squares(chosen: Frames, point: FloatArray, noise: Noise) -> Asking[Fit]:
+    search = LeastSquares().start(box_of(chosen.space.started_at(point)))
+    while not search.done:
+        told = yield Ask("frames", search.ask(), "best fit")
+        search.tell(chosen.scaled(told, noise))
+    return search.fits[0]
+
+
+def _mixed(
+    shifted: Shifted, members: Sequence[int], point: FloatArray, noise: Noise
+) -> Asking[Mixed]:
+    study = mixed_study(shifted, members, point, noise)
+    try:
+        rows = next(study)
+        while True:
+            rows = study.send((yield Ask("shifted", rows, "fit of each experiment's own shifts")))
+    except StopIteration as end:
+        mixed: Mixed = end.value
+        return mixed
 
 
 def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:
@@ -174,7 +250,16 @@ def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray)
         One of `ANSWERS`.
     points : (k, n) float64
     """
-    return ANSWERS[kind](comparer, members, points)
+    return ANSWERS[kind](comparer, distinct(comparer, members), points)
+
+
+def distinct(comparer: Comparer, members: Sequence[int] | IntArray) -> IntArray:
+    """Numbers of the experiments without those that were stored before under another name."""
+    seen: dict[object, int] = {}
+    for m in np.asarray(members).tolist():
+        target = comparer.targets[m]
+        seen.setdefault((target.pose.tobytes(), target.case.times.tobytes()), m)
+    return np.array(list(seen.values()), np.int64)
 
 
 def _frames(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
@@ -194,6 +279,11 @@ def _noise_left(comparer: Comparer, members: IntArray, points: FloatArray) -> Fl
     return np.array(rows)
 
 
+def _shifted(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
+    """(k, m) differences of single experiments with shifts of their own [mm]."""
+    return Shifted(comparer).differences(points)
+
+
 def _excited(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
     """(k, n_free) whether each unknown is excited at each point: 1 or 0."""
     labels = comparer.space.labels
@@ -205,6 +295,7 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
     "frames": _frames,
     "noise": _noise_left,
     "excited": _excited,
+    "shifted": _shifted,
 }
 
 
@@ -251,6 +342,29 @@ class Frames:
         """(m,) how many frames stand for the experiment that a residual belongs to."""
         count = self._seen.sum(axis=1)
         return np.repeat(count, 3 * count).astype(np.float64)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Where the points lie."""
+        return self._comparer.space
+
+    def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:
+        """Residuals (m,) at the best beside the scatter of the measurements; None without either.
+
+        Parameters
+        ----------
+        at_best : (m,) array
+            In standard deviations of `noise`.
+        noise : Noise
+        scatter : Noise, optional
+            Of the measurements.
+        """
+        if scatter is None or at_best.size == 0 or not np.isfinite(at_best).all():
+            return None
+        table = at_best.reshape(-1, 3) * noise.standard_deviations
+        parts = np.split(table, np.cumsum(self._seen.sum(axis=1))[:-1])
+        keys = [self._comparer.targets[m].key for m in self._members.tolist()]
+        return misfit_of(parts, keys, scatter)
 
     def dispersion(self, noise: Noise, at_best: FloatArray, unknowns: int) -> Dispersion:
         """Of the residuals (m,) at the best, in standard deviations."""
