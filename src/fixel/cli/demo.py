@@ -92,6 +92,7 @@ def _whole_way(tour: "CameraTour") -> list[str]:
 def _reported(tour: "Tour") -> list[str]:
     import shlex
 
+    from fixel.cli.screen import table
     from fixel.workflows.report.write import next_command
 
     content = tour.report.content
@@ -99,6 +100,9 @@ def _reported(tour: "Tour") -> list[str]:
     return [
         "",
         *content.findings,
+        "",
+        "This laboratory is simulated, so the truth is known; the intervals were found without it:",
+        *table(tour.truth.head, tour.truth.rows),
         "",
         f"{len(content.warnings)} warnings stand first in the report, with figures, methods and"
         " references:",

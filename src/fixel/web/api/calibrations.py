@@ -107,8 +107,10 @@ class RowOut(BaseModel):
 
     label: str
     unit: str
-    found: float = Field(description="by the search")
-    likeliest: float | None = Field(description="what the interval is about")
+    value: float = Field(description="value to quote, inside its interval")
+    best_fit: float = Field(
+        description="value that predicts best; not the true one of a wrong model"
+    )
     low: float | None = Field(description="end of the interval; none where the data set none")
     high: float | None
     bounds: tuple[float, float] | None = Field(description="of the search")
@@ -169,6 +171,7 @@ class CalibrationOut(BaseModel):
     objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
     starts: list[StartOut] = Field(description="the best first; empty where there was one")
     curves: list[CurveOut]
+    misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
     noise: str
     note: str
     ended: str
@@ -419,6 +422,7 @@ def _whole(one: Told, desk: Desk) -> CalibrationOut:
             )
             for curve in one.curves
         ],
+        misfit=one.misfit,
         noise=one.noise,
         note=one.note,
         ended=str(record.method.get("ended", "")),

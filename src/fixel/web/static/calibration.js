@@ -7,11 +7,11 @@ import { Plot } from "./plot.js";
 import { digits, rms, shown, shownIn, verdictOf } from "./quantity.js";
 import { several } from "./units.js";
 
-/** @typedef {{label: string, unit: string, found: number, likeliest: number | null, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
+/** @typedef {{label: string, unit: string, value: number, best_fit: number, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
 /** @typedef {{id: number, key: string, before: number | null, after: number | null}} Residual */
 /** @typedef {{error: number | null, point: number[], evaluations: number, good: boolean}} Start */
 /** @typedef {{label: string, unit: string, values: number[], rises: (number | null)[], slice_values: number[], slice_rises: (number | null)[], low: number | null, high: number | null, threshold: number}} Curve */
-/** @typedef {{id: number, name: string, unit: string, level: number, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
+/** @typedef {{id: number, name: string, unit: string, level: number, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], misfit: string[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
 
 const MOST_BARS = 60;
 const root = at("calibration");
@@ -27,6 +27,8 @@ async function open() {
   waterfall();
   profiles();
   residuals();
+  at("misfit").hidden = one.misfit.length === 0;
+  at("misfit").textContent = one.misfit.join(" ");
   at("note").textContent = [one.note, one.noise].filter(Boolean).join(". ");
   root.dataset.ready = "yes";
 }
@@ -52,11 +54,11 @@ function parameters() {
     return make(
       "tr", {},
       make("th", { scope: "row" }, row.label, unit ? make("small", {}, `[${unit}]`) : null),
-      make("td", { class: "number" }, make("strong", {}, shown(row.found, row.unit))),
-      make("td", { class: "number" }, shown(row.likeliest, row.unit)),
+      make("td", { class: "number" }, make("strong", {}, shown(row.value, row.unit))),
       make("td", { class: "number interval" }, interval),
       make("td", { class: "span" }, strip(row)),
       make("td", {}, row.verdict ? button : "\u2013", reason),
+      make("td", { class: "number" }, shown(row.best_fit, row.unit)),
     );
   }));
   at("level").textContent = `${+(100 * one.level).toPrecision(3)} % interval`;
@@ -83,7 +85,7 @@ function strip(row) {
     node.append(before);
   }
   const dot = make("span", { class: "is" });
-  dot.style.left = place(row.found);
+  dot.style.left = place(row.value);
   node.append(dot);
   return make("div", {}, node, make("div", { class: "ends" }, make("small", {}, shown(low, row.unit)), make("small", {}, shown(high, row.unit))));
 }

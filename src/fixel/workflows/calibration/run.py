@@ -152,6 +152,8 @@ class Calibration:
     ids : list of int
         Of the stored calibrations, one a set of parameters found.
     left_out : mapping from key to reason
+    command : str
+        What was typed.
     """
 
     folder: Path
@@ -159,6 +161,7 @@ class Calibration:
     outcome: Outcome
     ids: list[int]
     left_out: Mapping[str, str]
+    command: str = ""
 
     @property
     def targets(self) -> list[Target]:
@@ -189,7 +192,10 @@ def _found(one: Found, number: int, outcome: Outcome) -> dict[str, Any]:
         "calibration": number,
         "how": one.how,
         "experiments": [outcome.keys[m] for m in one.members],
-        "parameters": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
+        "misfit": list(one.misfit),
+        "misfit_ratio": _finite(one.misfit_ratio),
+        "parameters": dict(zip(outcome.labels, one.values(outcome.labels).tolist(), strict=True)),
+        "best_fit": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
         "errors": [_finite(error) for error in one.errors.tolist()],
         "evaluations": 0 if one.trace is None else len(one.trace.errors),
         "ended": "" if one.trace is None else one.trace.ended,
@@ -241,7 +247,14 @@ def collect(
     with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
         outcome = outcome_of(path.read_bytes())
     ids = _stored(project, folder, request, outcome, command)
-    return Calibration(folder=folder, request=request, outcome=outcome, ids=ids, left_out=left_out)
+    return Calibration(
+        folder=folder,
+        request=request,
+        outcome=outcome,
+        ids=ids,
+        left_out=left_out,
+        command=command,
+    )
 
 
 def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
@@ -353,5 +366,7 @@ def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dic
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,
+        **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
+        **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
         **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
     }

@@ -469,6 +469,8 @@ def _with_assessment(comparer: Comparer, one: Found, found: Assessment) -> Found
         estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
         profiles=_curves(comparer.space.labels, found.profiles),
         noise=_said(found.noise),
+        misfit=() if found.misfit is None else found.misfit.sentences,
+        misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
     )
 
 
@@ -515,6 +517,7 @@ def _said(noise: Noise) -> str:
         "stated": "as stated",
         "repetitions": "from the scatter of repetitions",
         "residuals": "what the fit leaves, model errors included",
+        "differences": "second differences of the poses",
     }[noise.source]
     together = f", {noise.correlation:.0f} frames say as much as one" * (noise.correlation > 1.5)
     return (
