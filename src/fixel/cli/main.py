@@ -113,6 +113,8 @@ def main(
 
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit; an expected failure becomes one sentence and an exit code."""
+    if arguments is not None:  # commands repeat what was typed: as provenance, and as what is next
+        sys.argv = ["fixel", *arguments]
     try:
         app(arguments, prog_name="fixel")
     except (InvalidInput, DatasetMissing, NotStored) as error:

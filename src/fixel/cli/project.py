@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import sys
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -54,22 +55,30 @@ def import_(
         list[str] | None,
         typer.Option("--option", help="For the importer; may be repeated.", metavar="NAME=VALUE"),
     ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            help="Scene file for a CSV table: outline of the object, pusher, pegs. Without one,"
+            " a template is written beside the table.",
+            metavar="FILE",
+        ),
+    ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what was understood, and import nothing.")
+        bool, typer.Option("--dry-run", help="Print how the source is read, and import nothing.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Import recorded experiments; what is there already is left alone."""
+    """Import recorded experiments; those stored already are skipped."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.project import import_experiments, import_plan
+    from fixel.workflows.project import import_experiments, import_plan, write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
         _import_bundle(source, folder, dry_run, as_json)
         return
     if not dry_run:
         project = Project.open(folder)
-    plan = import_plan(source, importer, option or ())
+    plan = import_plan(source, importer, option or (), scene)
     answer: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
@@ -84,9 +93,20 @@ def import_(
         if as_json:
             typer.echo(json.dumps(answer))
         else:
-            typer.echo(f"Next: fixel import {shlex.quote(str(source))}")
+            again = [word for word in sys.argv[1:] if word != "--dry-run"]
+            typer.echo(f"Next: {shlex.join(['fixel', *again])}")
         return
     done = import_experiments(project, plan, progress_bar("Importing"))
+    template = write_template(plan, project.folder)
+    if template is not None:
+        answer["template"] = str(template)
+        if not as_json:
+            typer.echo(
+                f"There is no scene, so these poses cannot be simulated or calibrated. Fill in"
+                f" {template}, then import the table again with --scene."
+            )
+            words = [*sys.argv[1:], "--scene", str(template)]
+            answer["next"] = shlex.join(["fixel", *words])
     _say_imported(done, answer, as_json, folder)
 
 
@@ -198,7 +218,7 @@ def _say_imported(done: "Imported", answer: dict[str, Any], as_json: bool, folde
     if done.faulty:
         typer.echo(f"{done.faulty} of them have faults in their data: fixel list --all shows them")
     where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
-    typer.echo(f"Next: fixel list{where}")
+    typer.echo(f"Next: {answer.get('next', f'fixel list{where}')}")
 
 
 def _lines(listing: "Listing") -> list[str]:

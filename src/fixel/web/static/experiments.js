@@ -5,6 +5,7 @@ import { complain, get, Refusal, toast, undoNewest } from "./api.js";
 import { Coverage } from "./coverage.js";
 import { ROOT, at, input, make, settled, typing } from "./dom.js";
 import { and, about, has, quoted, without } from "./filter.js";
+import { offerImport } from "./import.js";
 import * as marks from "./marks.js";
 import { Nominal } from "./nominal.js";
 import { awaited, COLUMNS, drawnRow, Rows, Window } from "./rows.js";
@@ -331,5 +332,6 @@ at("show-coverage").addEventListener("click", () => {
   if (!hidden) coverage.show(question.filter);
 });
 if (localStorage.getItem("fixel-coverage") && innerWidth > 1000) at("show-coverage").click();
+offerImport(changed);
 ask();
 picks().catch(complain);
