@@ -50,6 +50,12 @@ def test_from_a_table_to_a_friction_and_a_report(capsys, tmp_path, monkeypatch):
     (found,) = json.loads(out)["found"]
     assert found["parameters"]["mu_pusher"] == pytest.approx(MU, abs=0.02)
 
+    _, out, _ = fixel(
+        capsys, "compare", "csv/run 0", "--project", "my lab", "--calibration", "1", "--json"
+    )
+    compared = json.loads(out)
+    assert compared["parameters"] == found["parameters"]
+    assert compared["method"]["motion"] == "quasistatic"
     code, _, err = fixel(capsys, "report", "--project", "my lab", "--out", "report")
     assert code == 0, err
     assert "mu_pusher" in (tmp_path / "report" / "report.html").read_text()

@@ -85,7 +85,7 @@ def _whole_way(tour: "CameraTour") -> list[str]:
         f"  {next_command(tour.report)}",
         "Next, look at a tracked experiment, or do the same with a camera of yours:",
         f"  fixel show tracked/{tour.runs[0].name} --project {lab}",
-        "  fixel camera board, then: fixel record --help",
+        "  fixel camera board --help",
     ]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
     from fixel.jobs.folder import Status
@@ -81,13 +81,16 @@ def status(
             show_default="the current folder",
         ),
     ] = None,
+    project: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Say how far jobs are, and whether anybody is at them."""
+    """Show how far jobs are, and which are running."""
     from fixel.workflows import jobs
 
     found = []
-    for folder in folders or [Path()]:
+    if folders and project != Path():
+        project_at(folders[0], project)
+    for folder in folders or [project]:
         is_job = (folder / "job.json").exists()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
     if as_json:
@@ -140,7 +143,7 @@ def pack(
         typer.echo(json.dumps({"file": str(file), "bytes": size}))
         return
     typer.echo(f"wrote {file}: {size} bytes")
-    typer.echo(f"Next: fixel jobs unpack {shlex.quote(file.name)} FOLDER")
+    typer.echo(f"Next: {shlex.join(['fixel', 'jobs', 'unpack', str(file), f'{file.stem}-job'])}")
 
 
 @app.command("unpack")
@@ -252,7 +255,7 @@ def _listed(found: "list[JobStatus]") -> list[str]:
     from fixel.cli.screen import seconds, table
 
     if not found:
-        return ["no jobs here", "", "Next: fixel jobs submit FOLDER"]
+        return ["no jobs here", "", "Next: fixel calibrate --help"]
     head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
     rows = [
         (

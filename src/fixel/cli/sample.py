@@ -102,5 +102,5 @@ def _next(answer: "SampleAnswer", path: Path | None) -> str:
     """The command most people want after this one."""
     plan = answer.files.get("output", path)
     if plan is None:
-        return "fixel sample --output plan.yaml, then fixel testbed run plan.yaml"
+        return "fixel sample --output plan.yaml"
     return f"fixel testbed run {shlex.quote(str(plan))}"

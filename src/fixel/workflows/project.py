@@ -3,6 +3,7 @@ list."""
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 import time
@@ -10,16 +11,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Final, NamedTuple, cast
 
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import Bound, Query, Relation
 from fixel.database.store import Listing, Store
 from fixel.errors import InvalidInput
 from fixel.exchange.importers import ImportPlan, importer_for
 from fixel.exchange.importers.own_scene import template_text
 from fixel.exchange.importers.table import DATASET as TABLE
 from fixel.model import Experiment
+from fixel.workflows.mistyped import refuse_mistyped
+
+_RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 
 Progress = Callable[[int, int], None]
 
@@ -176,7 +180,10 @@ def run_testbed(
 def list_experiments(project: Project, query: Query, limit: int | None = None) -> Listing:
     """One page of a project's experiments."""
     with project.store() as store:
-        return store.experiments(query, limit=limit)
+        found = store.experiments(query, limit=limit)
+        if not found.total and not found.left_out:
+            refuse_mistyped(store, query)
+        return found
 
 
 def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
@@ -195,12 +202,14 @@ def query_of(
     flagged: bool = False,
     deleted: bool = False,
 ) -> Query:
-    """A query from what was typed; `where` are `CONDITION=VALUE`."""
+    """A query from what was typed; `where` are `CONDITION=VALUE`, or with another relation."""
+    bounds = [_bound(text) for text in where]
     return Query(
         dataset=dataset,
         name=name,
         real=real,
-        conditions={key: _number_or_text(value) for key, value in map(_pair, where)},
+        conditions={one.name: one.value for one in bounds if one.relation == "="},
+        bounds=tuple(one for one in bounds if one.relation != "="),
         flag=flag,
         flagged=flagged,
         deleted=deleted,
@@ -240,6 +249,22 @@ def _pair(text: str) -> tuple[str, str]:
     if not equals or not name:
         raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
     return name, value
+
+
+def _bound(text: str) -> Bound:
+    found = _RELATION.fullmatch(text)
+    if found is None:
+        raise InvalidInput(
+            "--where",
+            found=repr(text),
+            expected="CONDITION=VALUE, or !=, <, <=, >, >= in place of =",
+            hint="put it in quotes: the shell takes < and > for itself",
+        )
+    name, relation, typed = found.groups()
+    value = _number_or_text(typed.strip())
+    if isinstance(value, str) and relation not in ("=", "!="):
+        raise InvalidInput(f"--where {name}", found=repr(typed), expected="a number")
+    return Bound(name.strip(), cast(Relation, relation), value)
 
 
 def _number_or_text(value: str) -> str | float:

@@ -32,6 +32,7 @@ from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import Found, Outcome, outcome_of
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.mistyped import refuse_mistyped
 from fixel.workflows.readable import readable
 
 MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
@@ -67,6 +68,8 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
     ids = list(dict.fromkeys(store.find(key) for key in keys))
     if not ids:
         ids = [summary.id for summary in store.experiments(query).summaries]
+        if not ids:
+            refuse_mistyped(store, query)
     found: list[int] = []
     targets: list[Target] = []
     left_out: dict[str, str] = {}
