@@ -236,3 +236,44 @@ def test_nothing_is_wider_than_a_phone(browser_page, server, path):
     browser_page.goto(server.home + path)
     browser_page.wait_for_selector("[data-ready]", state="attached", timeout=30_000)
     assert browser_page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+# --- nominal against calibrated -------------------------------------------------------------------
+
+
+def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "experiments/7")
+    page.wait_for_selector("#experiment[data-ready]", state="attached", timeout=30_000)
+    heads = page.locator("#figures thead th").all_inner_texts()
+    assert [head.strip() for head in heads] == ["nominal", "calibrated"]
+    before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
+    assert float(after) < float(before)  # it was fitted to it
+    assert "fitted to it" in page.inner_text("#which")
+
+
+def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "compare?experiment=id:7")
+    page.wait_for_selector("#compare[data-ready]", state="attached", timeout=30_000)
+    shown = [row.get_attribute("data-set") for row in page.locator("#sets tr").all()]
+    assert shown[:2] == ["adjusted", "nominal"]
+    assert shown[2].startswith("calibration-")
+
+
+def test_jobs_fit_on_a_phone(browser_page, server):
+    page = browser_page
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.goto(server.home + "jobs")
+    page.wait_for_selector("#rows tr")
+    page.click("#rows .open")
+    page.wait_for_selector("#facts div", state="attached")
+    wide = page.evaluate(
+        """() => [...document.querySelectorAll('#rows tr, #rows td, #rows th, #table')]
+            .map((one) => one.getBoundingClientRect().right)"""
+    )
+    assert max(wide) <= 390
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+    label = page.locator("#rows td[data-label=failed]").first
+    shown = label.evaluate("cell => getComputedStyle(cell, '::before').content")
+    assert "failed" in shown or "data-label" in shown

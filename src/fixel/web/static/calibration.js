@@ -180,7 +180,7 @@ function residuals() {
     "li", {},
     make("span", { class: "figure-of" }, digits(each.after), make("small", {}, " mm")),
     make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key),
-    make("a", { class: "button", href: `${ROOT}/compare?experiment=${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
+    make("a", { class: "button", href: `${ROOT}/compare?experiment=id:${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
     k === 0 ? make("span", { class: "tag fault" }, "worst") : null,
   )));
   at("bars").replaceChildren(...values.slice(0, MOST_BARS).map((each) => bar(each, largest)));
