@@ -34,6 +34,7 @@ MARGIN = 0.05  # of the larger side, around everything drawn
 LEAST_SIDE = 5e-3  # [m] of a view: noise alone is no path
 MOST_OUTLINES = 60  # that the extent is measured by
 FEW = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
+DOTTED: Final = (0, (1, 1))
 MOST_NAMES = 12  # fixels with names beside them
 STEPS = 2  # outlines between start and end in a comparison
 
