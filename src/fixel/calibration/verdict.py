@@ -266,15 +266,14 @@ def _case(
         *(float(s[j]) for s in solutions),
     ]
     low, high, centre = profile.low, profile.high, None
+    values = _outside(values, space.free[j], low, high)
     if honest is not None:
         centre = float(honest.value[j])
         bottom, top = (float(ends[j]) for ends in honest.ends(level))
         low = bottom if bottom > space.free[j].low else None
         high = top if top < space.free[j].high else None
-    span = _up_to(space.free[j], low, high)
-    bottom = -math.inf if low is None else low - SLACK * span
-    top = math.inf if high is None else high + SLACK * span
-    others = tuple(sorted(value for value in values if not bottom <= value <= top))
+        values = _outside(values, space.free[j], low, high)
+    others = tuple(sorted(values))
     if others:  # the interval about all of them
         low = None if low is None else min(low, others[0])
         high = None if high is None else max(high, others[-1])
@@ -290,6 +289,16 @@ def _case(
         level=level,
         centre=centre,
     )
+
+
+def _outside(
+    values: Sequence[float], unknown: Unknown, low: float | None, high: float | None
+) -> list[float]:
+    """Values clearly outside an interval."""
+    slack = SLACK * _up_to(unknown, low, high)
+    bottom = -math.inf if low is None else low - slack
+    top = math.inf if high is None else high + slack
+    return [value for value in values if not bottom <= value <= top]
 
 
 def _prior_width(
