@@ -25,6 +25,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
+    "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "tracking": ("tracking", "run", "rendered films tracked on one core, against their truth"),
@@ -35,7 +36,9 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
-ONLY_WHEN_ASKED = ("peers", "varied", "tracking", "coverage", "domain", "sbc", "camera", "web")
+ONLY_WHEN_ASKED = (
+    "peers", "varied", "tracking", "coverage", "misfit", "domain", "sbc", "camera", "web",
+)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

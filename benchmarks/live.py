@@ -129,7 +129,7 @@ def reader(server: WebServer) -> Callable[[], list[tuple[int, float]]]:
     seen: list[tuple[int, float]] = []
     connection = http.client.HTTPConnection("127.0.0.1", server.port)
     cookie = {"Cookie": f"{server.gate.cookie}={server.gate.session}"}
-    connection.request("GET", "/overlay/stream", headers=cookie)
+    connection.request("GET", f"{server.gate.root}/overlay/stream", headers=cookie)
     answer = connection.getresponse()
 
     def read() -> None:
@@ -155,7 +155,8 @@ def _parts(answer: http.client.HTTPResponse) -> Iterator[bytes]:
 def standing_readers(server: WebServer) -> Iterator[None]:
     """Browsers that ask for the stream and read nothing of it."""
     cookie = f"Cookie: {server.gate.cookie}={server.gate.session}"
-    asked = f"GET /overlay/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode()
+    way = f"{server.gate.root}/overlay/stream"
+    asked = f"GET {way} HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode()
     sockets = []
     for _ in range(STANDING):
         still = socket.create_connection(("127.0.0.1", server.port))

@@ -73,8 +73,8 @@ def measured() -> dict[str, list[float]]:
             with project_server(desk) as server:
                 found = {SERVER: _without_browser(desk)}
                 page.goto(server.link)
-                found |= _compare(page, server.address)
-                found |= _simulate(page, server.address)
+                found |= _compare(page, server.home)
+                found |= _simulate(page, server.home)
         finally:
             browser.close()
             desk.close()

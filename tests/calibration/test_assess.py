@@ -143,7 +143,7 @@ def test_intervals_do_not_widen_with_the_frames_that_are_left_out(monkeypatch):
         monkeypatch.setattr("fixel.calibration.assess.MOST_RESIDUALS", most)
         found = assess(comparer, [0], comparer.space.nominal)
         assert found.noise.correlation > 20.0
-        widths.append([v.high - v.low for v in found.verdicts])
+        widths.append([v.formal_high - v.formal_low for v in found.verdicts])
     np.testing.assert_allclose(widths[1], widths[0], rtol=0.2)
 
 

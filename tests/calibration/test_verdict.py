@@ -13,6 +13,7 @@ from tests.calibration.toys import (
 )
 
 from fixel.calibration.cost import Prior
+from fixel.calibration.honest import Honest
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.profile import ProfileLikelihood, run_profiles
 from fixel.calibration.solutions import find_solutions
@@ -187,3 +188,44 @@ def test_refusals():
         judge(space_of(UNIT), found)
     with pytest.raises(InvalidInput, match="level"):
         judge(space_of(box([0], [1])), found, level=95.0)
+
+
+def _misfitting(sd, **options):
+    """Verdicts on three unknowns that noise alone fixes to 0.02, with standard errors of misfit."""
+    honest = Honest(np.array([0.35, 0.5, 0.4]), np.full(3, sd), np.full(3, 1e6), 9)
+    told = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01, honest=honest, misfits=True, **options)
+    return told, honest
+
+
+def test_a_value_lies_in_the_interval_that_allows_for_misfit():
+    told, honest = _misfitting(0.05)
+    low, high = honest.ends(0.95)
+    for k, verdict in enumerate(told):
+        assert verdict.low == pytest.approx(low[k])
+        assert verdict.high == pytest.approx(high[k])
+        assert verdict.low < verdict.value == honest.value[k] < verdict.high
+        assert verdict.formal_high - verdict.formal_low == pytest.approx(0.0392, rel=0.05)
+    assert words(told[:2]) == ["identified", "identified"]
+    assert "misfit makes it 5 times as wide" in told[0].reason
+
+
+def test_what_stands_for_something_else_is_effective_where_the_model_misfits():
+    told, _ = _misfitting(0.05)
+    assert told[2].label == "mu_support"
+    assert str(told[2]) == "effective"
+    right = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01)
+    assert str(right[2]) == "identified"
+    assert right[2].formal_low is None
+
+
+def test_precise_is_what_only_noise_makes_narrow():
+    told, _ = _misfitting(0.15)
+    assert words(told[:2]) == ["precise, but the model misfits"] * 2
+    assert str(told[2]) == "effective"
+    assert {verdict.word for verdict in told} <= set(WORDS)
+
+
+def test_an_interval_that_reaches_a_bound_is_open_there():
+    told, _ = _misfitting(0.22)
+    assert told[0].low is None
+    assert told[0].high == pytest.approx(0.35 + 1.96 * 0.22, abs=1e-3)

@@ -66,7 +66,7 @@ def test_status_of_a_project(folder, monkeypatch, tmp_path):
     assert code == 0
     assert out.splitlines() == [
         "job          state   done  of  failed  workers  rate [1/s]  left",
-        "jobs/my toy  queued     0   0       0        0           0",
+        "jobs/my toy  queued     0   ?       0        0           0",
         "",
         "Next: fixel jobs submit 'jobs/my toy'",
     ]
@@ -137,7 +137,7 @@ def test_packed_and_unpacked(folder, tmp_path):
     call("submit", folder)
     code, out = call("pack", folder, tmp_path / "toy.zip")
     assert code == 0
-    assert out.splitlines()[-1] == "Next: fixel jobs unpack toy.zip FOLDER"
+    assert out.splitlines()[-1] == f"Next: fixel jobs unpack {tmp_path}/toy.zip toy-job"
     out = call("unpack", tmp_path / "toy.zip", tmp_path / "copy")[1]
     assert out.splitlines()[0] == f"{tmp_path}/copy is done; 8 of 8 chunks"
 

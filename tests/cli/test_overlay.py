@@ -128,9 +128,9 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
         while not (link := capsys.readouterr().err.partition("Open ")[2].split("\n")[0]):
             wait(until)
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
-        seen["page"] = opener.open(link, timeout=5).read()
-        address = link.partition("?")[0]
-        while not (status := json.load(opener.open(f"{address}overlay/status", timeout=5))):
+        page = opener.open(link, timeout=5)
+        seen["page"] = page.read()
+        while not (status := json.load(opener.open(f"{page.url}/status", timeout=5))):
             wait(until)
         seen["status"] = status
 

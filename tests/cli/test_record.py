@@ -216,10 +216,8 @@ def test_the_preview_shows_and_ends_it(
         visit = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
         with visit.open(link) as answer:
             pages.append(answer.read().decode())
-        base = link.partition("?")[0]
-        request = urllib.request.Request(
-            base + "record/stop", b"", {WORD_HEADER: word}, method="POST"
-        )
+            stop = f"{answer.url}/stop"
+        request = urllib.request.Request(stop, b"", {WORD_HEADER: word}, method="POST")
         visit.open(request).close()
 
     monkeypatch.setattr(WebServer, "start", started)

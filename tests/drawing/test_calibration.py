@@ -118,7 +118,7 @@ CHARTS = {
     "no simulation": ErrorsChart(keys=["a", "b"], series={"before": LOST, "after": LOST}, unit="m"),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
-    "half an interval": rows(high=0.4, likely=0.1, verdict="trades off with mu_fixel", others=()),
+    "half an interval": rows(high=0.4, best_fit=0.1, verdict="trades off with mu_fixel", others=()),
     "nothing known": rows(verdict="not identified", label="mu_pusher[surface=plywood]"),
     "profile": profile(),
     "open profile": profile(low=None, high=None, rises=np.full(9, 0.1)),

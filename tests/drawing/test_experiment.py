@@ -165,3 +165,36 @@ def test_a_simulation_of_another_time_is_refused():
 
     with pytest.raises(InvalidInput, match="0 to 2 s"):
         comparison_figure(REAL, later)
+
+
+def test_start_and_end_alone_are_drawn_as_two_poses(tmp_path, monkeypatch):
+    """No line joins them, on the plate or against time: nothing was measured between."""
+    from dataclasses import replace
+
+    from matplotlib.axes import Axes
+
+    from fixel.drawing.experiment import draw_experiment
+    from fixel.drawing.thumbnail import thumbnail
+    from fixel.model import Trajectory
+    from fixel.sampling import thesis_plan
+    from fixel.testbed.simulated import SimulatedTestbed
+
+    (whole,) = SimulatedTestbed(seed=1).run(thesis_plan().experiments[:1])
+    track = whole.trajectory
+    ends = Trajectory(time=track.time[[0, -1]], pose=track.pose[[0, -1]])
+    lines = []
+    plain = Axes.plot
+
+    def noted(self, *values, **style):
+        drawn = plain(self, *values, **style)
+        lines.extend((line.get_linestyle(), len(line.get_xdata())) for line in drawn)
+        return drawn
+
+    monkeypatch.setattr(Axes, "plot", noted)
+    two = replace(whole, trajectory=ends, channels=(), effective=None)
+    draw_experiment(two, tmp_path / "two.png")
+    assert lines
+    assert {style for style, n in lines if n == 2 and style != "None"} <= set()
+    # A dot is a line of no length; a measured way has one piece for each pose after the first.
+    assert "L" in thumbnail(whole).rpartition("<path")[2]
+    assert "L" not in thumbnail(two).rpartition("<path")[2]

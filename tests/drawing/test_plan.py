@@ -34,7 +34,7 @@ def test_other_endings_are_refused(tmp_path):
 def test_every_shape_and_layout_has_its_panel():
     axes = plan_figure(PLAN).axes
 
-    assert [a.get_title(loc="left") for a in axes] == 2 * [layout.name for layout in PLAN.layouts]
+    assert [a.get_title(loc="left") for a in axes] == 2 * [layout.title for layout in PLAN.layouts]
 
 
 def test_everything_is_inside_its_panel():

@@ -12,7 +12,7 @@ import yaml
 
 from fixel.errors import InvalidInput
 from fixel.exchange.plan_file import PlanRecord, load_plan, plan_from_text, plan_text
-from fixel.model import Disk, NoSupport, Polygon, SupportPoints, UniformPressure
+from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, UniformPressure
 from fixel.sampling import Grid, Listed, Nominal, Sampled, thesis_plan
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampling.md"
@@ -122,10 +122,10 @@ def test_a_missing_key_is_named():
 
 def test_a_support_that_a_file_cannot_hold_is_refused():
     square = thesis_plan().shapes[0]
-    points = SupportPoints(points=[[0, 0], [0.01, 0], [0, 0.01]], friction=0.1)
+    ellipsoid = Ellipsoid(force=1.0, torque=0.03)
 
     with pytest.raises(InvalidInput, match="plan files have no others"):
-        plan_text(replace(thesis_plan(), shapes=(replace(square, support=points),)))
+        plan_text(replace(thesis_plan(), shapes=(replace(square, support=ellipsoid),)))
 
 
 def test_the_page_names_every_key_and_its_example_loads():

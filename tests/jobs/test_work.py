@@ -1,5 +1,7 @@
 """The loop that gets rounds answered: once, from the journal or by the engine."""
 
+import json
+
 import pytest
 from tests.jobs.kinds import toy_undisturbed
 
@@ -76,7 +78,7 @@ def test_progress_counts_earlier_sessions_but_does_not_count_them_as_speed(input
     run(inputs)
     seen = []
     run(inputs, progress=seen.append)
-    assert [p.done for p in seen] == [5, 10, 15]
+    assert [p.done for p in seen] == [5, 10, 15, 15]
     assert seen[-1].note.startswith("best ")
     assert all(p.rate == 0.0 and p.left_s is None for p in seen)
 
@@ -151,3 +153,37 @@ def test_the_stamp_is_of_this_version():
     import fixel
 
     assert stamp().startswith(f"{fixel.__version__}+")
+
+
+def growing(inputs, left=None):
+    """A work of three rounds of two chunks that does not say how many there are."""
+    for k in range(3):
+        chunks = [Chunk(f"{k}-{i}", toy_payload(f"{k}-{i}")) for i in range(2)]
+        yield Round(FUNCTION, chunks, left=None if left is None else left[k])
+    return b"end"
+
+
+def toy_payload(name):
+    given = {"name": name, "x": 0.5, "sleep_s": 0, "compute_s": 0, "poison": [], "faulty": []}
+    return json.dumps(given).encode()
+
+
+def test_a_work_that_may_grow_is_never_shown_as_complete(inputs):
+    seen = []
+    with Journal(inputs.parent / "journal") as journal, LocalEngine() as engine:
+        work = growing(inputs)
+        run_work(work, engine, inputs, journal, progress=seen.append)
+    assert [one.share for one in seen[:-1]] == [None] * (len(seen) - 1)
+    assert [one.left_s for one in seen[:-1]] == [None] * (len(seen) - 1)
+    assert seen[-1].share == 1.0
+
+
+def test_the_share_is_that_of_the_whole_work_and_full_only_at_its_end(inputs):
+    seen = []
+    with Journal(inputs.parent / "journal") as journal, LocalEngine() as engine:
+        work = growing(inputs, left=(4, 2, 0))
+        run_work(work, engine, inputs, journal, progress=seen.append)
+    by_done = {one.done: one.share for one in seen[:-1]}
+    assert by_done[3] == 0.5
+    assert max(by_done.values()) < 1.0
+    assert seen[-1].share == 1.0

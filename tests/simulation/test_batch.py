@@ -112,3 +112,12 @@ def test_several_scenes_give_a_result_each():
 def test_several_scenes_with_variations_are_refused():
     with pytest.raises(InvalidInput, match="several scenes with variations"):
         simulate_batch([grasp()], {"mu_fixel": [0.1]})
+
+
+def test_a_printed_batch_fits_on_a_screen():
+    batch = simulate_batch(grasp(), {"mu_pusher": np.linspace(0.1, 0.4, 50)}, duration=0.05)
+    lines = str(batch).splitlines()
+    assert "50 rollouts" in lines[0]
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 100
+    assert str(batch) == repr(batch)

@@ -28,7 +28,12 @@ class Bench:
 
     def opened(self, **options):
         """A browser that has opened the link."""
-        return Client(self.app, HERE, cookies={self.gate.cookie: self.gate.session}, **options)
+        return Client(
+            self.app,
+            HERE + self.gate.root,
+            cookies={self.gate.cookie: self.gate.session},
+            **options,
+        )
 
     def stranger(self, **options):
         """A browser that has not."""

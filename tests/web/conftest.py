@@ -87,7 +87,7 @@ def project(laboratory, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(project):
-    """The pages of the copy, on a port of this machine: `server.link`, `server.address`."""
+    """The pages of the copy, on a port of this machine: `server.link`, `server.home`."""
     from fixel.web.project import Desk, project_server
 
     desk = Desk(Project.open(project))

@@ -24,20 +24,27 @@ from fixel.web.serve import WebServer
 METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")
 SAFE = ("GET", "HEAD", "OPTIONS")
 HOSTS = ("127.0.0.1:8000", "localhost:8000", "[::1]:8000", "evil.example", None)
-ORIGINS = ("absent", "same", "http://evil.example", "null")
+ORIGINS = ("absent", "same", "http://evil.example", "null", "picture on a page of another port")
+ORIGINS += ("link on another page",)
 CREDENTIALS = (
     "nothing",
+    "prefix",
     "token in query",
     "wrong token in query",
     "token twice in query",
     "bearer",
     "wrong bearer",
+    "bearer and prefix",
     "cookie",
-    "wrong cookie",
     "cookie and word",
-    "cookie and wrong word",
-    "word",
-    "cookie and wrong bearer",
+    "cookie and wrong prefix",
+    "cookie and word and wrong prefix",
+    "cookie and prefix",
+    "wrong cookie and prefix",
+    "cookie and prefix and word",
+    "cookie and prefix and wrong word",
+    "word and prefix",
+    "cookie and prefix and wrong bearer",
 )
 ADMITTED = 299  # no handler answers so
 
@@ -52,16 +59,16 @@ def bench(project):
 def expected(credential, host, origin, method):
     """The rules."""
     ours = host in HOSTS[:3]
-    at_home = origin in ("absent", "same")
+    at_home = origin in ("absent", "same", "link on another page")
     if not ours:
         return 400
     if credential == "token in query" and method in SAFE:
         return 303
     if "bearer" in credential:
-        return ADMITTED if credential == "bearer" and at_home else 401
-    if "wrong cookie" in credential or "cookie" not in credential or not at_home:
+        return ADMITTED if "wrong" not in credential and at_home else 401
+    if "cookie and prefix" not in credential or "wrong cookie" in credential or not at_home:
         return 403
-    if method in SAFE or credential == "cookie and word":
+    if method in SAFE or credential == "cookie and prefix and word":
         return ADMITTED
     return 403
 
@@ -73,8 +80,19 @@ def request(gate, path, credential, host, origin, method):
         headers |= {"x-forwarded-host": "127.0.0.1", "forwarded": "host=127.0.0.1"}
     else:
         headers["host"] = host
-    if origin != "absent":
-        headers["origin"] = f"http://{host}" if origin == "same" else origin
+    match origin:
+        case "absent":
+            pass
+        case "same":
+            headers |= {"origin": f"http://{host}", "sec-fetch-site": "same-origin"}
+        case "picture on a page of another port":
+            headers |= {"sec-fetch-site": "same-site", "sec-fetch-dest": "image"}
+            headers["sec-fetch-mode"] = "no-cors"
+        case "link on another page":
+            headers |= {"sec-fetch-site": "cross-site", "sec-fetch-dest": "document"}
+            headers["sec-fetch-mode"] = "navigate"
+        case _:
+            headers["origin"] = origin
     wrong = "x" * len(gate.token)
     if "query" in credential:
         query = f"token={wrong if 'wrong' in credential else gate.token}"
@@ -82,10 +100,12 @@ def request(gate, path, credential, host, origin, method):
     if "bearer" in credential:
         headers["authorization"] = f"Bearer {wrong if 'wrong' in credential else gate.token}"
     if "cookie" in credential:
-        value = gate.token if credential == "wrong cookie" else gate.session
+        value = gate.token if "wrong cookie" in credential else gate.session
         headers["cookie"] = f"{gate.cookie}={value}"
     if "word" in credential:
-        headers["x-fixel-word"] = wrong if "wrong" in credential else gate.word
+        headers["x-fixel-word"] = wrong if "wrong word" in credential else gate.word
+    if "prefix" in credential:
+        path = f"/{wrong[:22] if 'wrong prefix' in credential else gate.prefix}{path}"
     return {
         "type": "http",
         "asgi": {"version": "3.0"},
@@ -128,7 +148,17 @@ def test_the_full_matrix(bench, monkeypatch):
     """Zero surprises, and the policy on every answer."""
     monkeypatch.setattr(bench.app.router, "middleware_stack", _bell)
     paths = [*bench.addresses(), "/nowhere", "/api/v1/nowhere", "//evil.example/", "/../x"]
-    cases = list(itertools.product(paths, CREDENTIALS, HOSTS, ORIGINS, METHODS))
+    places = [
+        (host, origin)
+        for host, origin in itertools.product(HOSTS, ORIGINS)
+        if host in (HOSTS[0], "evil.example") or origin in ("absent", "same")
+    ]
+    cases = [
+        (path, credential, *place, method)
+        for path, credential, place, method in itertools.product(
+            paths, CREDENTIALS, places, METHODS
+        )
+    ]
     surprises, counts = [], {}
 
     async def all_of_them():
@@ -190,13 +220,15 @@ def test_secrets_are_compared_in_constant_time(bench, monkeypatch):
         for method in ("GET", "POST"):
             scope = request(gate, "/nowhere", credential, HOSTS[0], "absent", method)
             asyncio.run(status_of(bench.app, scope))
-    assert set(compared) == {gate.token.encode(), gate.session.encode(), gate.word.encode()}
+    assert set(compared) == {
+        secret.encode() for secret in (gate.token, gate.session, gate.prefix, gate.word)
+    }
     # And nowhere else: no other line of the server compares one of them.
     source = (security.__file__, __import__("fixel.web.app").web.app.__file__)
     for path in source:
         with open(path) as stream:
             assert not re.search(
-                r"(==|!=)\s*(self\.)?(gate\.)?(token|session|word)\b", stream.read()
+                r"(==|!=)\s*(self\.)?(gate\.)?(token|session|prefix|word)\b", stream.read()
             )
 
 
@@ -205,6 +237,9 @@ def test_secrets_are_long_and_never_twice():
     secrets = {s for gate in gates for s in (gate.token, gate.session, gate.word)}
     assert len(secrets) == 150
     assert min(map(len, secrets)) >= 43  # 256 bit
+    prefixes = {gate.prefix for gate in gates}
+    assert len(prefixes) == 50
+    assert min(map(len, prefixes)) >= 22  # 128 bit
 
 
 def test_the_token_is_in_no_log(caplog):

@@ -78,7 +78,7 @@ def places(project, server):
     assert jobs.run_here(folder).state == "done"
     (own,) = (path.parent.name for path in (project / "jobs").glob("first-*/job.json"))
     found = {page.path.replace("{number}", "1").replace("{name}", own) for page in server._pages}
-    return [server.address.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
+    return [server.home.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
 
 
 def opened(chromium, link, look, size):
@@ -150,7 +150,7 @@ def test_nor_on_live_pages(chromium, axe):
         for look, size in LOOKS:
             context, page = opened(chromium, server.link, look, size)
             for path in ("overlay", "record"):
-                page.goto(server.address + path)
+                page.goto(server.home + path)
                 page.wait_for_timeout(400)  # the streams never end
                 bad += [(path, one) for one in violations(page, axe)[0]]
             context.close()

@@ -28,7 +28,9 @@ class Bench:
         self.app = create_app(
             project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
         )
-        self.client = Client(self.app, HERE, cookies={self.gate.cookie: self.gate.session})
+        self.client = Client(
+            self.app, HERE + self.gate.root, cookies={self.gate.cookie: self.gate.session}
+        )
 
     def get(self, path, status=200):
         answer = self.client.get(path)

@@ -208,10 +208,10 @@ def test_a_late_answer_is_not_drawn_over_the_newest(table):
     assert table.inner_text("#coverage .remark") == shown
 
 
-def test_a_long_search_is_drawn_in_little(table):
+def test_a_long_search_is_drawn_in_little(table, server):
     drawn = table.evaluate(
-        """async () => {
-          const { Plot } = await import('/static/plot.js');
+        """async (home) => {
+          const { Plot } = await import(`${home}static/plot.js`);
           const host = document.body.appendChild(document.createElement('div'));
           const n = 200000, xs = Array.from({ length: n }, (_, k) => k + 1);
           const ys = xs.map((x) => 1 + (x * 7919 % 1000) / 1000);
@@ -224,7 +224,8 @@ def test_a_long_search_is_drawn_in_little(table):
           const [points, step] = paths.map((one) => one.getAttribute('d'));
           host.remove();
           return [points.split('M').length - 1, step.length, step.slice(-20)];
-        }"""
+        }""",
+        server.home,
     )
     assert 1000 < drawn[0] < 150_000
     assert drawn[1] < 50_000
@@ -248,7 +249,7 @@ def test_only_what_is_seen_is_drawn(table, server):
         for k in range(400)
     ]
     try:
-        table.goto(server.address + "experiments?filter=dataset:many")
+        table.goto(server.home + "experiments?filter=dataset:many")
         wait_for_total(table, 400)
         assert table.locator(ROW).count() < 40
         table.keyboard.press("End")
@@ -265,7 +266,7 @@ def test_only_what_is_seen_is_drawn(table, server):
 
 @pytest.fixture
 def one(browser_page, server):
-    browser_page.goto(server.address + "experiments/1")
+    browser_page.goto(server.home + "experiments/1")
     browser_page.wait_for_selector("#experiment[data-ready=yes]")
     browser_page.wait_for_selector("#next[data-ready]")
     return browser_page
@@ -334,7 +335,7 @@ def test_names_are_never_markup(browser_page, server):
     ).id
     try:
         for path in ("experiments?filter=late", f"experiments/{made}"):
-            browser_page.goto(server.address + path)
+            browser_page.goto(server.home + path)
             browser_page.wait_for_selector(f"{ROW} :text('onerror')" if "?" in path else "dd")
             browser_page.wait_for_selector(":text('late')")
             browser_page.wait_for_load_state("networkidle")
@@ -349,7 +350,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen(chromium, server):
     page.goto(server.link)
     page.wait_for_selector(ROW)
     for path in ("experiments", "experiments/1", "api"):
-        page.goto(server.address + path)
+        page.goto(server.home + path)
         page.wait_for_load_state("networkidle")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390, path
     context.close()

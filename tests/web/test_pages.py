@@ -38,8 +38,9 @@ class Bench:
         self.app = create_app(pages, self.gate)
 
     def client(self, *, let_in=True, **options) -> Client:
+        """One that has opened the link; else one that knows nothing but the way."""
         cookies = {self.gate.cookie: self.gate.session} if let_in else None
-        return Client(self.app, HERE, cookies=cookies, **options)
+        return Client(self.app, HERE + self.gate.root, cookies=cookies, **options)
 
 
 @pytest.fixture
@@ -65,8 +66,20 @@ def test_nor_with_another_token(bench, token):
 
 
 def test_nor_with_another_cookie(bench):
-    client = Client(bench.app, HERE, cookies={bench.gate.cookie: bench.gate.token})
-    assert client.get("/overlay").status_code == 403
+    for wrong in (bench.gate.token, bench.gate.prefix, ""):
+        cookies = {bench.gate.cookie: wrong}
+        client = Client(bench.app, HERE + bench.gate.root, cookies=cookies)
+        assert client.get("/overlay").status_code == 403
+
+
+@pytest.mark.parametrize("path", GET)
+@pytest.mark.parametrize("prefix", ["", "/", "/guess", "//{prefix}", "/{prefix}x", "/x/{prefix}"])
+def test_nor_with_the_cookie_alone(bench, path, prefix):
+    """Other servers of this machine may have it; the way is a second secret."""
+    home = HERE + prefix.format(prefix=bench.gate.prefix)
+    client = Client(bench.app, home, cookies={bench.gate.cookie: bench.gate.session})
+    for headers in ({}, {"origin": HERE, "sec-fetch-site": "same-origin", WORD_HEADER: "x"}):
+        assert client.get(path, headers=headers).status_code == 403
 
 
 def test_cookies_of_other_servers_do_no_harm(bench):
@@ -77,21 +90,23 @@ def test_cookies_of_other_servers_do_no_harm(bench):
 
 
 def test_the_token_becomes_a_cookie_and_leaves_the_address(bench):
-    client = bench.client(let_in=False, follow_redirects=False)
+    client = Client(bench.app, HERE, follow_redirects=False)
     answer = client.get(f"/overlay?token={bench.gate.token}&scale=2")
     assert answer.status_code == 303
-    assert answer.headers["location"] == "/overlay?scale=2"
+    assert answer.headers["location"] == f"{bench.gate.root}/overlay?scale=2"
     cookie = answer.headers["set-cookie"].lower()
     assert "httponly" in cookie
     assert "samesite=lax" in cookie
+    assert f"; path={bench.gate.root.lower()}" in cookie
     assert bench.gate.token.lower() not in cookie
-    assert client.get("/overlay").status_code == 200
+    assert client.get(answer.headers["location"]).status_code == 200
 
 
 def test_the_token_leads_nowhere_else(bench):
     client = bench.client(let_in=False, follow_redirects=False)
-    answer = client.get(f"{HERE}//elsewhere.example/?token={bench.gate.token}")
-    assert answer.headers["location"] == "/elsewhere.example/"
+    for way in ("", bench.gate.root):
+        answer = client.get(f"{HERE}{way}//elsewhere.example/?token={bench.gate.token}")
+        assert answer.headers["location"] == f"{bench.gate.root}//elsewhere.example/"
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "192.168.0.4"])
@@ -111,7 +126,9 @@ def test_its_own_names_are_not(bench, host):
 
 def test_the_secrets_do_not_print(bench):
     gate = bench.gate
-    assert not {gate.token, gate.session, gate.word} & set(repr(gate).replace("'", " ").split())
+    assert not {gate.token, gate.session, gate.prefix, gate.word} & set(
+        repr(gate).replace("'", " ").split()
+    )
 
 
 @pytest.mark.parametrize("path", ["/overlay", "/overlay/status", "/nowhere", "/static/live.js"])
@@ -172,12 +189,13 @@ def test_names_of_people_are_escaped(bench):
 
 def test_the_first_page_is_home(bench):
     answer = bench.client(follow_redirects=False).get("/")
-    assert (answer.status_code, answer.headers["location"]) == (303, "/overlay")
+    assert answer.status_code == 303
+    assert answer.headers["location"] == f"{bench.gate.root}/overlay"
 
 
 def test_pages_lead_to_each_other(bench):
     page = bench.client().get("/overlay").text
-    assert 'href="/record"' in page
+    assert f'href="{bench.gate.root}/record"' in page
     assert page.count("aria-current") == 1
 
 

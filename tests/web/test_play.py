@@ -27,7 +27,7 @@ class Bench:
         self.desk = Desk(Project.open(folder))
         app = create_app(project_pages(self.desk), gate, api=project_api(self.desk), name="my_lab")
         cookies = {gate.cookie: gate.session}
-        self._client = Client(app, "http://127.0.0.1:8000", cookies=cookies)
+        self._client = Client(app, f"http://127.0.0.1:8000{gate.root}", cookies=cookies)
         self._word = {WORD_HEADER: gate.word}
 
     def page(self, path):

@@ -17,14 +17,14 @@ FRAMES = 30.0  # a second
 
 @pytest.fixture
 def compare(browser_page, server):
-    browser_page.goto(server.address + "compare?experiment=1")
+    browser_page.goto(server.home + "compare?experiment=1")
     browser_page.wait_for_selector("#compare[data-ready]", timeout=60_000)
     return browser_page
 
 
 @pytest.fixture
 def simulate(browser_page, server):
-    browser_page.goto(server.address + "simulate")
+    browser_page.goto(server.home + "simulate")
     browser_page.wait_for_selector("#simulate[data-simulated]", timeout=60_000)
     return browser_page
 
@@ -274,8 +274,8 @@ def test_what_was_made_survives_going_away(simulate, server):
     simulate.focus("#editor")
     simulate.keyboard.press("ArrowLeft")
     pose = editor(simulate, "scene.bodies[0].pose")
-    simulate.goto(server.address + "api")
-    simulate.goto(server.address + "simulate")
+    simulate.goto(server.home + "api")
+    simulate.goto(server.home + "simulate")
     simulate.wait_for_selector("#simulate[data-ready]")
     assert editor(simulate, "scene.bodies[0].pose") == pose
     assert simulate.inner_text("#origin") == "what you made here before"

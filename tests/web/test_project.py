@@ -32,7 +32,8 @@ class Bench:
 
     def client(self, *, let_in=True, **options):
         cookies = {self.gate.cookie: self.gate.session} if let_in else None
-        return Client(self.app, HERE, cookies=cookies, **options)
+        home = HERE + self.gate.root if let_in else HERE
+        return Client(self.app, home, cookies=cookies, **options)
 
     @property
     def token(self):

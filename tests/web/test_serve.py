@@ -30,19 +30,18 @@ def server(view):
 
 def connected(server, path):
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
-    connection.request(
-        "GET", path, headers={"Cookie": f"{server.gate.cookie}={server.gate.session}"}
-    )
+    cookie = f"{server.gate.cookie}={server.gate.session}"
+    connection.request("GET", server.gate.root + path, headers={"Cookie": cookie})
     return connection, connection.getresponse()
 
 
 def test_the_link_opens_the_page(server):
     jar = urllib.request.HTTPCookieProcessor()
     with urllib.request.build_opener(jar).open(server.link, timeout=10) as answer:
-        assert answer.url == f"{server.address}overlay"
+        assert answer.url == f"{server.home}overlay"
         assert b"a scene" in answer.read()
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(server.address, timeout=10)
+        urllib.request.urlopen(server.home, timeout=10)
 
 
 def test_it_listens_here_only(server):
@@ -75,7 +74,8 @@ def test_it_ends_though_a_browser_does_not_read(view):
     still = socket.create_connection(("127.0.0.1", server.port))
     still.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     cookie = f"Cookie: {server.gate.cookie}={server.gate.session}"
-    still.sendall(f"GET /overlay/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode())
+    asked = f"GET {server.gate.root}/overlay/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n"
+    still.sendall(asked.encode())
     view.show(picture, {"n": 0})
     connection, quick = connected(server, "/overlay/stream")
     for number in range(1, 30):

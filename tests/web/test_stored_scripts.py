@@ -235,19 +235,19 @@ def nothing_ran(page):
 
 def test_nothing_runs_on_any_page(watched, bench, server):
     for address in addresses_of_pages(bench):
-        watched.goto(f"{server.address.rstrip('/')}{address}")
+        watched.goto(f"{server.home.rstrip('/')}{address}")
         watched.wait_for_timeout(250)  # scripts of the page put in what they have fetched
         nothing_ran(watched)
 
 
 def test_markup_is_seen_as_it_was_written(watched, bench, server):
     last = max(bench.desk.store.browse_ids(view_of("")))
-    watched.goto(f"{server.address}experiments/{last}")
+    watched.goto(f"{server.home}experiments/{last}")
     watched.wait_for_function(
         "() => document.querySelector('#notes').textContent.includes('<script>')"
     )
     assert EVIL[1] in watched.inner_text("#notes")
-    watched.goto(f"{server.address}jobs")
+    watched.goto(f"{server.home}jobs")
     watched.wait_for_selector("body[data-ready]")
     assert EVIL[1] in watched.inner_text("#log")
     assert EVIL[1] in watched.inner_text("#rows")
@@ -255,7 +255,7 @@ def test_markup_is_seen_as_it_was_written(watched, bench, server):
     watched.click("#rows tr:nth-child(3) .open")
     watched.wait_for_function("() => location.hash.length > 3")
     nothing_ran(watched)
-    watched.goto(f"{server.address}experiments#{EVIL[1]}")
+    watched.goto(f"{server.home}experiments#{EVIL[1]}")
     watched.fill("#filter", EVIL[0])
     watched.wait_for_timeout(500)
     nothing_ran(watched)
@@ -282,7 +282,7 @@ def test_live_pages(chromium):
         page.goto(server.link)
         page.wait_for_timeout(300)
         assert page.evaluate("window.hacked") is None
-        page.goto(f"{server.address}record")
+        page.goto(f"{server.home}record")
         preview.show(None, preview.status(elapsed_s=1.0, frames=1, lost=0) | {"problems": [ALL]})
         page.wait_for_timeout(300)
         assert page.evaluate("window.hacked") is None

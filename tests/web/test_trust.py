@@ -41,7 +41,7 @@ class Bench:
         gate = Gate()
         pages, api = project_pages(self.desk), project_api(self.desk)
         app = create_app(pages, gate, api=api, name="my_lab")
-        self.client = Client(app, HERE, cookies={gate.cookie: gate.session})
+        self.client = Client(app, HERE + gate.root, cookies={gate.cookie: gate.session})
         self.word = {WORD_HEADER: gate.word}
 
     def get(self, path, status=200):
@@ -78,7 +78,7 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     one = bench.get("/calibrations/1")
     assert [row["label"] for row in one["parameters"]] == ["mu_pusher", "tripod_radius"]
     for row in one["parameters"]:
-        assert row["bounds"][0] <= row["found"] <= row["bounds"][1]
+        assert row["bounds"][0] <= row["value"] <= row["bounds"][1]
         assert row["verdict"]
         assert row["unit"] in ("-", "m")
     assert [curve["label"] for curve in one["curves"]] == ["mu_pusher", "tripod_radius"]

@@ -19,14 +19,14 @@ def project(trusted_laboratory, tmp_path_factory):
 
 @pytest.fixture
 def domain(browser_page, server):
-    browser_page.goto(server.address + "domain")
+    browser_page.goto(server.home + "domain")
     browser_page.wait_for_selector("#domain[data-ready]", state="attached", timeout=30_000)
     return browser_page
 
 
 @pytest.fixture
 def one(browser_page, server):
-    browser_page.goto(server.address + "calibrations/1")
+    browser_page.goto(server.home + "calibrations/1")
     browser_page.wait_for_selector("#calibration[data-ready]", state="attached", timeout=30_000)
     return browser_page
 
@@ -84,7 +84,7 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
 def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
     page = browser_page
     page.expected_problems.append("422")
-    page.goto(server.address + "calibrations/new?experiments=6,7")
+    page.goto(server.home + "calibrations/new?experiments=6,7")
     page.wait_for_selector("#form[data-ready]", timeout=30_000)
     assert page.inner_text("#matching").startswith("2 experiments")
     page.fill("input[name='mu_pusher.high']", "-1")
@@ -223,7 +223,7 @@ def test_a_fit_that_takes_long_is_seen_and_stopped(domain, monkeypatch):
 def test_no_map_yet(browser_page, server, project):
     (project / "analyses").rename(project / "aside")
     try:
-        browser_page.goto(server.address + "domain")
+        browser_page.goto(server.home + "domain")
         assert "fixel domain" in browser_page.inner_text("#nothing")
         assert browser_page.is_visible("#make")
     finally:
@@ -233,6 +233,47 @@ def test_no_map_yet(browser_page, server, project):
 @pytest.mark.parametrize("path", ["calibrations", "calibrations/new", "calibrations/1", "domain"])
 def test_nothing_is_wider_than_a_phone(browser_page, server, path):
     browser_page.set_viewport_size({"width": 390, "height": 800})
-    browser_page.goto(server.address + path)
+    browser_page.goto(server.home + path)
     browser_page.wait_for_selector("[data-ready]", state="attached", timeout=30_000)
     assert browser_page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+# --- nominal against calibrated -------------------------------------------------------------------
+
+
+def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "experiments/7")
+    page.wait_for_selector("#experiment[data-ready]", state="attached", timeout=30_000)
+    heads = page.locator("#figures thead th").all_inner_texts()
+    assert [head.strip() for head in heads] == ["nominal", "calibrated"]
+    before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
+    assert float(after) < float(before)  # it was fitted to it
+    assert "fitted to it" in page.inner_text("#which")
+
+
+def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "compare?experiment=id:7")
+    page.wait_for_selector("#compare[data-ready]", state="attached", timeout=30_000)
+    shown = [row.get_attribute("data-set") for row in page.locator("#sets tr").all()]
+    assert shown[:2] == ["adjusted", "nominal"]
+    assert shown[2].startswith("calibration-")
+
+
+def test_jobs_fit_on_a_phone(browser_page, server):
+    page = browser_page
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.goto(server.home + "jobs")
+    page.wait_for_selector("#rows tr")
+    page.click("#rows .open")
+    page.wait_for_selector("#facts div", state="attached")
+    wide = page.evaluate(
+        """() => [...document.querySelectorAll('#rows tr, #rows td, #rows th, #table')]
+            .map((one) => one.getBoundingClientRect().right)"""
+    )
+    assert max(wide) <= 390
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+    label = page.locator("#rows td[data-label=failed]").first
+    shown = label.evaluate("cell => getComputedStyle(cell, '::before').content")
+    assert "failed" in shown or "data-label" in shown

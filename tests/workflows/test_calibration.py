@@ -154,6 +154,41 @@ def test_verdicts_are_not_found_again_because_the_search_took_another_time(proje
     assert one.seconds > 0.0
 
 
+def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chosen):
+    """Every answer that verdicts stand on is in the journal: none is computed a second time."""
+    few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])
+    request = _request(few, mode="joint", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    done = _done(project, few, request)
+    other = Project.create(project.folder.parent / "other")
+    folder = run.prepare(other, few, request)
+    rounds = []
+
+    def stop_later(progress):
+        """Stop each session two rounds of verdicts after the last one."""
+        if progress.note.startswith("verdicts"):
+            rounds.append(progress.done)
+            if progress.rate and len(rounds) % 40 == 0:
+                raise KeyboardInterrupt
+
+    sessions, kept = 0, [0]
+    while status_of(folder).state != "done":
+        sessions += 1
+        try:
+            run.run(folder, progress=stop_later)
+        except KeyboardInterrupt:
+            kept.append(status_of(folder).kept)
+            assert kept[-1] > kept[-2]  # each session gets further
+    assert sessions > 1
+    assert status_of(folder).kept == status_of(done.folder).kept
+    for a, b in zip(
+        outcome_of((folder / "result").read_bytes()).found, done.outcome.found, strict=True
+    ):
+        assert a.estimates == b.estimates
+        for mine, theirs in zip(a.profiles, b.profiles, strict=True):
+            assert (mine.values == theirs.values).all()
+            assert (mine.deviances == theirs.deviances).all()
+
+
 def test_experiments_travel_bit_by_bit(chosen, tmp_path):
     for name, data in target_files(chosen.targets).items():
         (tmp_path / name).write_bytes(data)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from fixel.calibration.cost import Prior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.descent import Fit
+from fixel.calibration.honest import Honest, Mixed, Shifted, mixed_study
+from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
     Dispersion,
     Noise,
@@ -19,20 +22,46 @@ from fixel.calibration.noise import (
     noise_from_residuals,
 )
 from fixel.calibration.objective import Comparer, EndPose
-from fixel.calibration.profile import ProfileLikelihood, Profiles, run_profiles
+from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
 from fixel.calibration.verdict import Verdict, judge
-from fixel.kernels.arrays import FloatArray
+from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.fields import BoolArray
+from fixel.model.space import ParameterSpace
 from fixel.simulation.simulate import simulate
 
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MOST_RESIDUALS: Final = 30_000
 
-Excitation = Callable[[str], bool]
+T = TypeVar("T")
+
+
+class Ask(NamedTuple):
+    """Simulations that an assessment needs next.
+
+    Attributes
+    ----------
+    kind : str
+        Name of a function in `ANSWERS`.
+    points : (k, n) float64
+        Rows are independent of each other: they may be answered in several parts.
+    note : str
+        What a progress bar shows.
+    left : int, optional
+        Estimated number of points of the questions after this one.
+    """
+
+    kind: str
+    points: FloatArray
+    note: str = ""
+    left: int | None = None
+
+
+Asking = Generator[Ask, FloatArray, T]
+"""Yields questions, is sent one row of the answer for each point, and returns its result."""
 
 
 class Assessment(NamedTuple):
@@ -42,6 +71,7 @@ class Assessment(NamedTuple):
     profiles: Profiles
     noise: Noise
     dispersion: Dispersion
+    misfit: Misfit | None = None
 
 
 def assess(
@@ -53,7 +83,36 @@ def assess(
     level: float = 0.95,
     solutions: Sequence[FloatArray] = (),
 ) -> Assessment:
-    """Say what experiments determine of the parameters they were calibrated for.
+    """Run `assessing` to its end in this process; same parameters."""
+    running = assessing(comparer, members, point, noise=noise, level=level, solutions=solutions)
+    return conducted_here(comparer, members, running)
+
+
+def conducted_here(comparer: Comparer, members: Sequence[int], running: Asking[T]) -> T:
+    """Answer all questions of a running assessment in this process; its result."""
+    own = np.asarray(members, np.int64)
+    try:
+        ask = next(running)
+        while True:
+            ask = running.send(answer(comparer, own, ask.kind, ask.points))
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def assessing(
+    comparer: Comparer,
+    members: Sequence[int],
+    point: FloatArray,
+    *,
+    noise: Noise | None = None,
+    level: float = 0.95,
+    solutions: Sequence[FloatArray] = (),
+) -> Asking[Assessment]:
+    """Compute what experiments determine of the parameters they were calibrated for.
+
+    Simulates nothing itself: every simulation is asked for, so that a journal can store each
+    answer. The same answers give the same questions and the same result, bit for bit.
 
     Parameters
     ----------
@@ -69,30 +128,188 @@ def assess(
     solutions : sequence of (n_free,) arrays
         Other points nearly as good.
     """
-    own = np.asarray(members, np.int64)
+    own = distinct(comparer, members)
     chosen = Frames(comparer, own)
-    noise = noise or repeated(comparer, own) or _left(comparer, own, point)
+    fitted = yield from fitting(comparer, members, point, noise=noise)
+    noise, dispersion = fitted.noise, fitted.dispersion
     box = box_of(comparer.space.started_at(point))
-    # The search minimised its own error; the likeliest point lies near by.
-    near = fit(LeastSquares().start(box), chosen.residuals(noise)).point
-    dispersion = chosen.dispersion(noise, near)
-    if dispersion.source != noise.source:
-        # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
-        noise = _left(comparer, own, near)
-        dispersion = chosen.dispersion(noise, near)
-    residuals = chosen.residuals(noise)
     prior = Prior.of(comparer.space).weighted(dispersion.value)
-    search = ProfileLikelihood().start(box, near, dispersion.threshold(level), prior)
-    found = run_profiles(search, residuals)
+    profile = ProfileLikelihood().start(box, fitted.point, dispersion.threshold(level), prior)
+    while not profile.done:
+        told = yield Ask("frames", profile.ask(), f"verdicts, {profile.phase}", profile.left)
+        profile.tell(chosen.scaled(told, noise))
+    found = profile.profiles
+    excited = yield Ask("excited", np.asarray(point, np.float64)[None], "verdicts, contacts")
+    touched = dict(zip(comparer.space.labels, excited[0].tolist(), strict=True))
     verdicts = judge(
         comparer.space,
         found,
         level=level,
-        excited=excitation(comparer, own, point),
+        excited=lambda label: bool(touched[label]),
         solutions=solutions,
         dispersion=dispersion,
+        honest=fitted.honest,
+        misfits=fitted.misfit is not None and fitted.misfit.warned,
     )
-    return Assessment(verdicts, found, noise, dispersion)
+    return Assessment(verdicts, found, noise, dispersion, fitted.misfit)
+
+
+class Fitted(NamedTuple):
+    """The likeliest point, and how well the model fits there.
+
+    Attributes
+    ----------
+    point : (n_free,) float64
+        Of least squares.
+    noise : Noise
+        That residuals are divided by.
+    dispersion : Dispersion
+    misfit : Misfit, optional
+        None where the noise of the measurements is not known.
+    honest : Honest, optional
+        Estimate that allows for misfit; None where there is too little of it to matter.
+    """
+
+    point: FloatArray
+    noise: Noise
+    dispersion: Dispersion
+    misfit: Misfit | None
+    honest: Honest | None
+
+
+def fitting(
+    comparer: Comparer, members: Sequence[int], point: FloatArray, *, noise: Noise | None = None
+) -> Asking[Fitted]:
+    """Fit by least squares, and where the model misfits also with mixed effects.
+
+    The parameters are those of `assess`. A wrong valley looks like misfit: where there is any,
+    least squares begins once more from the mixed fit before anything is said of it.
+    """
+    own = distinct(comparer, members)
+    chosen = Frames(comparer, own)
+    known = noise or repeated(comparer, own)
+    targets = [comparer.targets[m] for m in own.tolist()]
+    ends = isinstance(comparer.error, EndPose)
+    camera = None if ends else noise or noise_from_differences(targets)
+    scatter = None if ends else known or camera
+    noise = known or (yield from _left(point))
+    # The search minimised its own error; the likeliest point lies near by.
+    best = yield from _least_squares(chosen, point, noise)
+    misfit = chosen.misfit(best.residual, noise, scatter)
+    honest = None
+    if misfit is not None and misfit.noted:
+        white = camera or misfit.noise
+        mixed = yield from _mixed(Shifted(comparer), own.tolist(), best.point, white)
+        again = yield from _least_squares(chosen, mixed.value, noise)
+        if again.deviance < best.deviance:
+            best = again
+            misfit = chosen.misfit(best.residual, noise, scatter)
+        if misfit is not None and misfit.noted:
+            honest = Honest.of(mixed, best.point)
+    count = len(best.point)
+    dispersion = chosen.dispersion(noise, best.residual, count)
+    if dispersion.source != noise.source:
+        # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
+        left = yield from _left(best.point)
+        ratio = noise.standard_deviations / left.standard_deviations
+        residual = (best.residual.reshape(-1, 3) * ratio).ravel()
+        noise, dispersion = left, chosen.dispersion(left, residual, count)
+    return Fitted(best.point, noise, dispersion, misfit, honest)
+
+
+def _least_squares(chosen: Frames, point: FloatArray, noise: Noise) -> Asking[Fit]:
+    search = LeastSquares().start(box_of(chosen.space.started_at(point)))
+    while not search.done:
+        told = yield Ask("frames", search.ask(), "best fit")
+        search.tell(chosen.scaled(told, noise))
+    return search.fits[0]
+
+
+def _mixed(
+    shifted: Shifted, members: Sequence[int], point: FloatArray, noise: Noise
+) -> Asking[Mixed]:
+    study = mixed_study(shifted, members, point, noise)
+    try:
+        rows = next(study)
+        while True:
+            rows = study.send((yield Ask("shifted", rows, "fit of each experiment's own shifts")))
+    except StopIteration as end:
+        mixed: Mixed = end.value
+        return mixed
+
+
+def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:
+    """Answer a question of `assessing`: one row for each point.
+
+    Parameters
+    ----------
+    comparer : Comparer
+    members : (n,) int
+        Numbers of the experiments.
+    kind : str
+        One of `ANSWERS`.
+    points : (k, n) float64
+    """
+    return ANSWERS[kind](comparer, distinct(comparer, members), points)
+
+
+def distinct(comparer: Comparer, members: Sequence[int] | IntArray) -> IntArray:
+    """Numbers of the experiments without those that were stored before under another name."""
+    seen: dict[object, int] = {}
+    for m in np.asarray(members).tolist():
+        target = comparer.targets[m]
+        seen.setdefault((target.pose.tobytes(), target.case.times.tobytes()), m)
+    return np.array(list(seen.values()), np.int64)
+
+
+def _frames(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
+    """(k, m) differences of the frames that count [m, m, rad]; a failed row is inf."""
+    return Frames(comparer, members).differences(points)
+
+
+def _noise_left(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
+    """(k, 4) noise that the simulations at each point leave: its fields, without the source."""
+    rows = []
+    for point in points:
+        series = comparer.residuals_at(members, point)
+        if isinstance(comparer.error, EndPose):
+            series = [np.concatenate([one[-1:] for one in series])] if series else []
+        left = noise_from_residuals(series, len(point))
+        rows.append([left.position_m, left.angle_rad, left.correlation, left.freedom])
+    return np.array(rows)
+
+
+def _shifted(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
+    """(k, m) differences of single experiments with shifts of their own [mm]."""
+    return Shifted(comparer).differences(points)
+
+
+def _excited(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
+    """(k, n_free) whether each unknown is excited at each point: 1 or 0."""
+    labels = comparer.space.labels
+    rows = [[excitation(comparer, members, point)(label) for label in labels] for point in points]
+    return np.array(rows, np.float64)
+
+
+ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]] = {
+    "frames": _frames,
+    "noise": _noise_left,
+    "excited": _excited,
+    "shifted": _shifted,
+}
+
+
+def _left(point: FloatArray) -> Asking[Noise]:
+    """Noise from what the calibrated simulations leave."""
+    told = yield Ask("noise", np.asarray(point, np.float64)[None], "noise")
+    position, angle, correlation, freedom = told[0].tolist()
+    return Noise(
+        position_m=position,
+        angle_rad=angle,
+        source="residuals",
+        correlation=correlation,
+        freedom=freedom,
+    )
 
 
 class Frames:
@@ -105,7 +322,7 @@ class Frames:
         Numbers of the experiments.
     """
 
-    def __init__(self, comparer: Comparer, members: np.ndarray) -> None:
+    def __init__(self, comparer: Comparer, members: IntArray) -> None:
         self._comparer = comparer
         self._members = members
         length = comparer.length(members)
@@ -126,46 +343,66 @@ class Frames:
         count = self._seen.sum(axis=1)
         return np.repeat(count, 3 * count).astype(np.float64)
 
-    def dispersion(self, noise: Noise, point: FloatArray) -> Dispersion:
-        """Of the residuals at the best."""
-        at_best = self.residuals(noise)(point[None])[0]
-        deviance = float(at_best @ at_best) if np.isfinite(at_best).all() else math.inf
+    @property
+    def space(self) -> ParameterSpace:
+        """Where the points lie."""
+        return self._comparer.space
+
+    def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:
+        """Residuals (m,) at the best beside the scatter of the measurements; None without either.
+
+        Parameters
+        ----------
+        at_best : (m,) array
+            In standard deviations of `noise`.
+        noise : Noise
+        scatter : Noise, optional
+            Of the measurements.
+        """
+        if scatter is None or at_best.size == 0 or not np.isfinite(at_best).all():
+            return None
+        table = at_best.reshape(-1, 3) * noise.standard_deviations
+        parts = np.split(table, np.cumsum(self._seen.sum(axis=1))[:-1])
+        keys = [self._comparer.targets[m].key for m in self._members.tolist()]
+        return misfit_of(parts, keys, scatter)
+
+    def dispersion(self, noise: Noise, at_best: FloatArray, unknowns: int) -> Dispersion:
+        """Of the residuals (m,) at the best, in standard deviations."""
+        known = at_best.size > 0 and bool(np.isfinite(at_best).all())
+        deviance = float(at_best @ at_best) if known else math.inf
         # Of frames so far apart, fewer say as much as one.
         correlation = max(1.0, noise.correlation / self._stride)
         noise = replace(noise, correlation=correlation)
-        return dispersion_of(noise, deviance, len(at_best), len(point))
+        return dispersion_of(noise, deviance, 3 * int(self._seen.sum()), unknowns)
 
     def residuals(self, noise: Noise) -> Callable[[FloatArray], FloatArray]:
         """Points (k, n) -> residuals (k, m) in standard deviations; a failed row is inf."""
+        return lambda points: self.scaled(self.differences(points), noise)
 
-        def at(points: FloatArray) -> FloatArray:
-            k, n = len(points), len(self._members)
-            which = np.tile(self._members, k)
-            difference, good, _ = self._comparer.differences(which, np.repeat(points, n, axis=0))
-            scaled = difference / noise.standard_deviations
-            table = scaled.reshape(k, n, -1, 3)[:, self._seen].reshape(k, -1)
-            table[~good.reshape(k, n).all(axis=1)] = math.inf
-            return table
+    def scaled(self, differences: FloatArray, noise: Noise) -> FloatArray:
+        """Differences (k, m) in standard deviations."""
+        table = differences.reshape(len(differences), -1, 3) / noise.standard_deviations
+        return np.asarray(table.reshape(len(differences), -1))
 
-        return at
-
-
-def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
-    """Noise from what the calibrated simulations leave."""
-    series = comparer.residuals_at(members, point)
-    if isinstance(comparer.error, EndPose):
-        series = [np.concatenate([one[-1:] for one in series])] if series else []
-    return noise_from_residuals(series, len(point))
+    def differences(self, points: FloatArray) -> FloatArray:
+        """Points (k, n) -> (k, m) differences of poses, frame by frame [m, m, rad]; a failed row is
+        inf."""
+        k, n = len(points), len(self._members)
+        which = np.tile(self._members, k)
+        difference, good, _ = self._comparer.differences(which, np.repeat(points, n, axis=0))
+        table = difference.reshape(k, n, -1, 3)[:, self._seen].reshape(k, -1)
+        table[~good.reshape(k, n).all(axis=1)] = math.inf
+        return table
 
 
-def repeated(comparer: Comparer, members: np.ndarray) -> Noise | None:
+def repeated(comparer: Comparer, members: IntArray) -> Noise | None:
     """Noise from experiments that were done again under the same conditions; none without."""
     targets = [comparer.targets[m] for m in members.tolist()]
     groups = repetitions(targets, ends=isinstance(comparer.error, EndPose))
     return noise_from_repetitions(groups) if groups else None
 
 
-def excitation(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Excitation:
+def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Callable[[str], bool]:
     """Whether the simulations at a point have the contact that an unknown acts on.
 
     Friction at a fixel says nothing where no fixel is touched, whatever its value; likewise at the

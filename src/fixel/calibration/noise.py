@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import finite, fraction, positive, settle
 
-NoiseSource = Literal["stated", "repetitions", "residuals"]
+NoiseSource = Literal["stated", "repetitions", "residuals", "differences"]
 
 SOURCES: Final[tuple[NoiseSource, ...]] = get_args(NoiseSource)
 
@@ -40,7 +40,8 @@ class Noise:
     angle_rad : float
         Of the angle [rad].
     source : str
-        `stated` by the user; scatter of `repetitions`; `residuals` of the fit itself.
+        `stated` by the user; scatter of `repetitions`; `residuals` of the fit itself; second
+        `differences` of measured poses.
     correlation : float
         Integrated autocorrelation time [frames]: so many measurements in a row say as much as one.
     freedom : float

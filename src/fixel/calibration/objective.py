@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -170,6 +171,13 @@ class Comparer:
         self._measured = np.zeros((len(self.targets), self.ensemble.n_sample, 3))
         for k, target in enumerate(self.targets):
             self._measured[k, : len(target.pose)] = target.pose
+
+    def over(self, space: ParameterSpace) -> Comparer:
+        """The same experiments in another space."""
+        _refuse_idle(self.targets, space)
+        other = copy.copy(self)
+        other.space, other._columns = space, _Columns(self.targets, space)
+        return other
 
     def errors(self, which: IntArray, points: FloatArray) -> Evaluated:
         """Errors of experiments under points.

@@ -217,6 +217,11 @@ class ProfileSearch:
             self._next_phase()
 
     @property
+    def left(self) -> int | None:
+        """Estimated number of points after those asked for; None while nobody knows."""
+        return None
+
+    @property
     def profiles(self) -> Profiles:
         """What is known so far; complete once done."""
         given = math.inf if self._given is None else self._given
@@ -250,14 +255,15 @@ class ProfileSearch:
     def _begin(self) -> None:
         self._sides, self._slicers = [], []
         self._moved, self._rise = np.zeros((2, self.box.n, self.box.n))
-        self._phases: list[Callable[[], list[Task]]] = [
-            lambda: list(map(self._trace, self._sides)),
-            lambda: list(map(self._polish, self._sides)),
-            lambda: list(map(self._trace, self._sides)),
-            lambda: list(map(self._scan, self._sides)),
-            self._make_slices,
-            lambda: list(map(self._hold, self._sides)),
+        self._phases: list[tuple[str, Callable[[], list[Task]]]] = [
+            ("profiles", lambda: list(map(self._trace, self._sides))),
+            ("profiles, neighbours", lambda: list(map(self._polish, self._sides))),
+            ("profiles, again", lambda: list(map(self._trace, self._sides))),
+            ("profiles, to the bounds", lambda: list(map(self._scan, self._sides))),
+            ("slices", self._make_slices),
+            ("partners", lambda: list(map(self._hold, self._sides))),
         ]
+        self.phase = "best fit"
         self._tasks = Tasks([self._fit_all()], self._options.batch)
 
     def _next_phase(self) -> None:
@@ -266,7 +272,8 @@ class ProfileSearch:
         elif not self._phases:
             self.reason = "all profiles are complete"
         else:
-            self._tasks = Tasks(self._phases.pop(0)(), self._options.batch)
+            self.phase, make = self._phases.pop(0)
+            self._tasks = Tasks(make(), self._options.batch)
 
     def _fit_all(self) -> Task:
         """Fit all parameters from the best point, for the Hessian; then set up the sides."""

@@ -2,7 +2,8 @@
 
 The first rule that holds decides. An interval is *closed* on a side where the profile crosses the
 threshold inside the bounds; its *width* counts up to the bound on a side where it is open. *Narrow*
-is a width of at most `NARROW` of the range.
+is a width of at most `NARROW` of the range. Where the model misfits, the interval is that of
+`honest`, which allows for it.
 
 ================================================================ =======================
 rule                                                             verdict
@@ -12,7 +13,11 @@ nothing could be evaluated                                       not identified
 another value explains the data as well, and the interval over   not identified
 both is not narrow
 a prior was given, and the interval is hardly narrower           not identified
+closed and narrow, but the parameter stands for a property of    effective
+the object that the model has not got, and the model misfits
 closed on both sides, and narrow                                 identified
+closed and narrow as far as noise goes, but not when misfit is   precise, but the model
+allowed for                                                      misfits
 narrow, but open on one side: it reaches a bound                 at bound
 best on a bound, closed on the other side, not flat              at bound
 narrow with the others held (slice), and some of them must move  trades off with them
@@ -25,18 +30,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple, final, get_args
 
 import numpy as np
 
+from fixel.calibration.honest import Honest
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
+from fixel.model.parameters import info_of
 from fixel.model.space import ParameterSpace, Unknown
 
-Word = Literal["identified", "trades off", "not identified", "not excited", "at bound"]
+Word = Literal[
+    "identified",
+    "trades off",
+    "not identified",
+    "not excited",
+    "at bound",
+    "effective",
+    "precise, but the model misfits",
+]
 
 WORDS: Final[tuple[Word, ...]] = get_args(Word)
 
@@ -52,6 +67,8 @@ BESIDE_MOST: Final = 0.1
 MOST_PARTNERS: Final = 3
 # ... and it moved by this share of its scale at least; less is the roughness of the surface.
 MOVES: Final = 0.05
+# An interval is said to be widened by misfit from so many times on.
+SAID: Final = 2.0
 # Share of the interval's width by which its ends, interpolated between values, may be off.
 SLACK: Final = 0.1
 # Distance from a bound, as a share of the range, that counts as on it.
@@ -85,6 +102,9 @@ class Verdict:
         Labels of what it trades off with, the most needed first; mostly empty.
     reason : str
         One sentence.
+    formal_low, formal_high : float or None
+        Ends of the interval that noise alone would give; None where it has none, or where `low` and
+        `high` do not allow for misfit.
     """
 
     label: str
@@ -96,6 +116,8 @@ class Verdict:
     word: Word
     partners: tuple[str, ...] = ()
     reason: str = ""
+    formal_low: float | None = None
+    formal_high: float | None = None
 
     def __str__(self) -> str:
         """The word, with the partners: `"trades off with mu_fixel, mu_pusher"`."""
@@ -114,10 +136,29 @@ class _Case(NamedTuple):
     others: tuple[float, ...]  # values outside the interval that are as good
     rough: bool  # whether bumps of the deviance count for more than the noise
     level: float
+    centre: float | None = None  # of an interval that allows for misfit
+    misfits: bool = False  # by so much that it has to be said
 
     @property
     def value(self) -> float:
-        return float(self.best[self.profile.unknown])
+        return float(self.best[self.profile.unknown]) if self.centre is None else self.centre
+
+    @property
+    def formal_width(self) -> float:
+        return _up_to(self.unknown, self.profile.low, self.profile.high)
+
+    @property
+    def precise(self) -> bool:
+        """Whether the interval that noise alone would give is closed and narrow."""
+        closed = self.profile.low is not None and self.profile.high is not None
+        return closed and self.formal_width <= NARROW * self.range
+
+    @property
+    def widened(self) -> float:
+        """How many times as wide as the formal interval the one that allows for misfit is."""
+        if self.centre is None or not self.formal_width > 0.0:
+            return 1.0
+        return self.width / self.formal_width
 
     @property
     def range(self) -> float:
@@ -160,6 +201,8 @@ def judge(
     excited: Excited | None = None,
     solutions: Sequence[FloatArray] = (),
     dispersion: Dispersion | None = None,
+    honest: Honest | None = None,
+    misfits: bool = False,
 ) -> tuple[Verdict, ...]:
     """A verdict on each free unknown; frozen ones are not judged.
 
@@ -176,6 +219,10 @@ def judge(
         Points known to be nearly as good as the best, as `find_solutions` finds them.
     dispersion : Dispersion, optional
         The one that the prior was weighted with: `Prior.weighted`.
+    honest : Honest, optional
+        Estimate that allows for misfit, where there is any.
+    misfits : bool
+        Whether there is so much that it has to be said.
     """
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")
@@ -189,7 +236,7 @@ def judge(
         elif not profiles.profiles:
             verdicts.append(_not_evaluated(unknown, float(profiles.best.point[j]), level))
         else:
-            case = _case(space, profiles, j, level, solutions)
+            case = _case(space, profiles, j, level, solutions, honest)._replace(misfits=misfits)
             verdicts.append(_judged(case, _prior_width(unknown, profiles, dispersion)))
     return tuple(verdicts)
 
@@ -210,6 +257,7 @@ def _case(
     j: int,
     level: float,
     solutions: Sequence[FloatArray],
+    honest: Honest | None,
 ) -> _Case:
     profile = profiles.profiles[j]
     good = profiles.best.error + profiles.limit
@@ -217,11 +265,15 @@ def _case(
         *profile.values[profile.deviances <= good].tolist(),
         *(float(s[j]) for s in solutions),
     ]
-    low, high = profile.low, profile.high
-    span = _up_to(space.free[j], low, high)
-    bottom = -math.inf if low is None else low - SLACK * span
-    top = math.inf if high is None else high + SLACK * span
-    others = tuple(sorted(value for value in values if not bottom <= value <= top))
+    low, high, centre = profile.low, profile.high, None
+    values = _outside(values, space.free[j], low, high)
+    if honest is not None:
+        centre = float(honest.value[j])
+        bottom, top = (float(ends[j]) for ends in honest.ends(level))
+        low = bottom if bottom > space.free[j].low else None
+        high = top if top < space.free[j].high else None
+        values = _outside(values, space.free[j], low, high)
+    others = tuple(sorted(values))
     if others:  # the interval about all of them
         low = None if low is None else min(low, others[0])
         high = None if high is None else max(high, others[-1])
@@ -233,9 +285,20 @@ def _case(
         low=low,
         high=high,
         others=others,
-        rough=profiles.roughness > profiles.threshold,
+        rough=honest is None and profiles.roughness > profiles.threshold,
         level=level,
+        centre=centre,
     )
+
+
+def _outside(
+    values: Sequence[float], unknown: Unknown, low: float | None, high: float | None
+) -> list[float]:
+    """Values clearly outside an interval."""
+    slack = SLACK * _up_to(unknown, low, high)
+    bottom = -math.inf if low is None else low - slack
+    top = math.inf if high is None else high + slack
+    return [value for value in values if not bottom <= value <= top]
 
 
 def _prior_width(
@@ -258,12 +321,21 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
         return _of(
             case, "not identified", "its interval is that of the prior; the data add nothing"
         )
-    if case.narrow and case.open_sides == 0:
+    stands_for = info_of(case.unknown.name).stands_for
+    closed = case.narrow and case.open_sides == 0
+    if case.misfits and stands_for and (closed or case.precise):
+        return _of(case, "effective", f"it stands for {stands_for}, which the model has not got")
+    if closed:
         return _of(case, "identified", _extent(case))
     if case.narrow and case.open_sides == 1:
         return _of(case, "at bound", _at_bound(case))
-    if case.bound is not None and case.open_sides == 1 and not _needed(case):
+    alone = case.open_sides == 1 and not _needed(case)
+    if case.centre is None and case.bound is not None and alone:
         return _of(case, "at bound", _at_bound(case))
+    if case.centre is not None and case.precise:
+        ends = f"{case.shown(case.profile.low or 0.0)} to {case.shown(case.profile.high or 0.0)}"
+        reason = f"noise alone would put it at {ends}; the model's own errors leave more open"
+        return _of(case, "precise, but the model misfits", reason)
     partners = _partners(case)
     if partners:
         reason = "it is known only while held together with what it trades off with"
@@ -319,6 +391,9 @@ def _why_wide(case: _Case) -> str:
 
 
 def _extent(case: _Case) -> str:
+    if case.widened >= SAID:
+        wider = f"misfit makes it {case.widened:.2g} times as wide as noise alone would"
+        return f"its interval covers {100.0 * case.width / case.range:.2g} % of the range; {wider}"
     share = f"its interval covers {100.0 * case.width / case.range:.2g} % of the range searched"
     widened = "; rough simulations widen it more than the noise does, finer steps would narrow it"
     return share + widened if case.rough else share
@@ -330,9 +405,12 @@ def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
 
 
 def _of(case: _Case, word: Word, reason: str, partners: tuple[str, ...] = ()) -> Verdict:
-    return _verdict(
+    found = _verdict(
         case.unknown, case.value, case.low, case.high, case.level, word, reason, partners
     )
+    if case.centre is None:
+        return found
+    return replace(found, formal_low=case.profile.low, formal_high=case.profile.high)
 
 
 def _verdict(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,7 @@ import typer
 
 from fixel.cli.options import AsJson
 from fixel.cli.screen import counting_bar
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,20 +30,20 @@ def benchmark() -> None:
 @app.command("real")
 def real(
     data: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            help="Folder of the datasets.",
+            help="Folder of the datasets; asme-table-1 and asme-figure-11 need none.",
             metavar="FOLDER",
             exists=True,
             file_okay=False,
             show_default=False,
         ),
-    ],
+    ] = None,
     only: Annotated[
         str,
         typer.Option(
             help="Part of the benchmark: mit, promise, coverage, rates, cmu-tripod, rpi-141,"
-            " repeats or asme-table-1 (which needs no data).",
+            " repeats, asme-table-1 or asme-figure-11.",
             metavar="PART",
         ),
     ] = "mit",
@@ -87,6 +89,13 @@ def real(
             found = reproduce(only, data, out=out, progress=tell, quick=quick)
         typer.echo(json.dumps(found.summary()) if as_json else "\n".join(found.conclusions))
         return
+    if data is None:
+        raise InvalidInput(
+            "--data",
+            found="nothing",
+            expected="the folder of the datasets",
+            hint="fixel data lists them",
+        )
     if protocol == ["joint"]:
         with counting_bar() as tell:
             timed = joint_real(data, only, tell)
@@ -123,11 +132,12 @@ def _lines(answer: Benchmark, data: Path, out: Path | None) -> list[str]:
         if row["surface"] == "all" and row.get("inside_90") is not None
     ]
     lines.append(f"Took {seconds(float(answer.timing['seconds']))}.")
+    command = shlex.join(["fixel", "benchmark", "real", "--data", str(data)])
     if out is not None:
         lines.append(f"Written: {out}/{answer.part}_rows.csv, _pushes.csv, .png")
-        lines.append(f"Next: fixel benchmark real --data {data} --protocol joint")
+        lines.append(f"Next: {command} --protocol joint")
     else:
-        lines.append(f"Next: fixel benchmark real --data {data} --out benchmark")
+        lines.append(f"Next: {command} --out benchmark")
     return lines
 
 

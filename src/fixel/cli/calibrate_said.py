@@ -7,11 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fixel.calibration.misfit import WARNED
 from fixel.cli.screen import compare_command, seconds, table
+from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.outcome import ALONE, Found
 from fixel.workflows.calibration.run import Calibration
 
 MOST_ROWS = 20
+BEST_FIT = (
+    "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
+    " predict best are not the true ones."
+)
 
 
 def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]:
@@ -36,7 +42,7 @@ def _next(done: Calibration, folder: Path) -> str:
     outcome, space = done.outcome, done.request.space
     one = outcome.together[-1] if outcome.together else max(_best_alone(done), key=_worst)
     target = done.targets[one.members[int(one.errors.argmax())]]
-    columns = space.columns(one.point[None], target.conditions)
+    columns = space.columns(one.values(space.labels)[None], target.conditions)
     values = {name: float(column[0]) for name, column in columns.items()}
     return compare_command(target.key, values, done.request.motion, folder)
 
@@ -96,35 +102,34 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
         lines.append(
             f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
         )
+    lines = [*one.misfit, *lines]  # first: it decides what the rest is worth
     lines += [sentence for sentence in (one.note, one.noise) if sentence]
     if len(one.solutions) > 1:
         lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
     free = done.request.space.free
-    rows = [_row(u, x, one) for u, x in zip(free, one.point.tolist(), strict=True)]
-    head = ("parameter", "found", "likeliest", "interval", "unit", "verdict")
-    lines += table(head, rows) if one.estimates else table(head[:2] + head[4:5], _bare(rows))
-    return lines + [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
+    pairs = zip(free, one.values(done.request.space.labels).tolist(), one.point, strict=True)
+    rows = [_row(u, value, best, one) for u, value, best in pairs]
+    head = ("parameter", "value", "unit", "interval", "verdict", "best fit")
+    lines += table(head, rows) if one.estimates else table(head[:3], [row[:3] for row in rows])
+    lines += [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
+    if one.misfit and one.estimates:
+        lines.append(BEST_FIT)
+    larger = enlarged_command(done.command, done.request) if one.misfit_ratio >= WARNED else ""
+    return [*lines, "Next, let the centre of pressure free:", f"  {larger}"] if larger else lines
 
 
-def _bare(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Without what a verdict says."""
-    return [(row[0], row[1], row[4]) for row in rows]
-
-
-def _row(unknown: Any, value: float, one: Any) -> tuple[str, ...]:
-    """What the search found, and what the measurements make most likely: they differ a little, as
-    the search's error and the noise weigh angles differently."""
+def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
+    """The value to quote inside its interval, and the one that predicts best."""
     estimate = next((e for e in one.estimates if e.label == unknown.label), None)
-    likeliest, interval, verdict = "", "", ""
+    interval, verdict = "", ""
     if estimate is not None:
         ends = [estimate.low, estimate.high]
         written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
-        likeliest = f"{_shown(unknown.unit, estimate.value):.4g}"
         interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
         verdict = estimate.verdict
     unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
-    found = f"{_shown(unknown.unit, value):.4g}"
-    return (unknown.label, found, likeliest, interval, unit, verdict)
+    shown, fitted = (f"{_shown(unknown.unit, x):.4g}" for x in (value, float(best)))
+    return (unknown.label, shown, unit, interval, verdict, fitted)
 
 
 def _headed(unknown: Any) -> str:

@@ -34,7 +34,8 @@ def data(
         for entry in known:
             typer.echo(f"{entry['name']}\n  {entry['title']}")
             typer.echo(f"  licence: {entry['licence']}\n  cite: {entry['citation']}")
-        typer.echo("Next: fixel data URL --sha256 DIGITS, then: fixel import data/FILE --dry-run")
+        typer.echo("fixel data URL --sha256 DIGITS fetches a file; fixel import FILE stores it")
+        typer.echo("Next: fixel import --help")
         return
     found = fetch(url, folder, sha256)
     if as_json:

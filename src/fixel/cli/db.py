@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at, project_words
 
 if TYPE_CHECKING:
     from fixel.workflows.database import Backup, Checked, Upgraded
@@ -20,19 +20,15 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-ProjectPath = Annotated[
-    Path,
-    typer.Argument(
-        help="Folder of the project.", metavar="PROJECT", show_default="the current folder"
-    ),
-]
-
 
 @app.command("upgrade")
-def upgrade(project: ProjectPath = Path(), as_json: AsJson = False) -> None:
+def upgrade(
+    place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
+) -> None:
     """Bring the tables up to date, or leave them be."""
     from fixel.workflows import database
 
+    project = project_at(place, folder)
     versions = database.upgrade(project)
     typer.echo(json.dumps(versions._asdict()) if as_json else _upgraded(versions, project))
 
@@ -40,13 +36,14 @@ def upgrade(project: ProjectPath = Path(), as_json: AsJson = False) -> None:
 @app.command("backup")
 def backup(
     file: Annotated[Path, typer.Argument(help="Where the copy goes.", metavar="FILE")],
-    project: ProjectPath = Path(),
+    place: ProjectPlace = None,
+    folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
     """Copy the database, while others may go on using it."""
     from fixel.workflows import database
 
-    done = database.backup(project, file)
+    done = database.backup(project_at(place, folder), file)
     if as_json:
         paths = {"file": str(done.file), "media": str(done.media)}
         typer.echo(json.dumps(done._asdict() | paths))
@@ -55,13 +52,16 @@ def backup(
 
 
 @app.command("check")
-def check(project: ProjectPath = Path(), as_json: AsJson = False) -> None:
+def check(
+    place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
+) -> None:
     """Read all that is stored; say what is wrong.
 
     Exit code 1 if anything is.
     """
     from fixel.workflows import database
 
+    project = project_at(place, folder)
     found = database.check(project)
     typer.echo(json.dumps(found.summary()) if as_json else _checked(found, project))
     if found.troubles:
@@ -118,7 +118,13 @@ def _next(found: "Checked", project: Path) -> str:
     """What helps against the first trouble; else the command most people want after this one."""
     if found.troubles:
         return found.troubles[0].hint.removeprefix("run: ")
-    return _command("backup", project, "backup.db") if found.engine == "sqlite" else "fixel list"
+    return _next_of(found.engine, project)
+
+
+def _next_of(engine: str, project: Path) -> str:
+    if engine == "sqlite":
+        return _command("backup", project, "backup.db")
+    return shlex.join(["fixel", "list", *project_words(project)])
 
 
 def _command(name: str, project: Path, *arguments: str) -> str:

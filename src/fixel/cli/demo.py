@@ -85,13 +85,14 @@ def _whole_way(tour: "CameraTour") -> list[str]:
         f"  {next_command(tour.report)}",
         "Next, look at a tracked experiment, or do the same with a camera of yours:",
         f"  fixel show tracked/{tour.runs[0].name} --project {lab}",
-        "  fixel camera board, then: fixel record --help",
+        "  fixel camera board --help",
     ]
 
 
 def _reported(tour: "Tour") -> list[str]:
     import shlex
 
+    from fixel.cli.screen import table
     from fixel.workflows.report.write import next_command
 
     content = tour.report.content
@@ -99,6 +100,9 @@ def _reported(tour: "Tour") -> list[str]:
     return [
         "",
         *content.findings,
+        "",
+        "This laboratory is simulated, so the truth is known; the intervals were found without it:",
+        *table(tour.truth.head, tour.truth.rows),
         "",
         f"{len(content.warnings)} warnings stand first in the report, with figures, methods and"
         " references:",

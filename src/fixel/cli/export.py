@@ -5,24 +5,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
     from fixel.workflows.export import ExportAnswer
 
 
 def export(
-    project: Annotated[
-        Path, typer.Argument(help="Folder of the project.", metavar="PROJECT", show_default=False)
-    ],
-    target: Annotated[
-        Path,
+    paths: Annotated[
+        list[Path],
         typer.Argument(
-            help="A .zip that another project imports; with --parquet or --lerobot, a new folder.",
-            metavar="TARGET",
+            help="TARGET: a .zip that another project imports; with --parquet or --lerobot, a new"
+            " folder. PROJECT: the same as --project.",
+            metavar="[PROJECT] TARGET",
             show_default=False,
         ),
     ],
+    folder: ProjectFolder = Path(),
     dataset: Annotated[
         str | None, typer.Option(help="Only the experiments of this dataset.", metavar="NAME")
     ] = None,
@@ -47,10 +46,13 @@ def export(
     from fixel.workflows.export import export as export_project
     from fixel.workflows.export import json_text
 
+    *places, target = paths
+    if len(places) > 1:
+        raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--lerobot too", expected="one of them")
     answer = export_project(
-        project,
+        project_at(places[0] if places else None, folder),
         target,
         format="parquet" if parquet else "lerobot" if lerobot else "bundle",
         dataset=dataset,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -28,9 +28,7 @@ def filter_(
             show_default=False,
         ),
     ],
-    project: Annotated[
-        Path, typer.Option("--project", "-p", help="Folder of the project.", metavar="FOLDER")
-    ] = HERE,
+    project: ProjectFolder = HERE,
     occlude: Annotated[
         str | None,
         typer.Option(help="Hide the object from the filter meanwhile [s].", metavar="FROM:TO"),
@@ -46,7 +44,7 @@ def filter_(
             metavar="NAME=LOW:HIGH",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 0,
     threads: Annotated[int, typer.Option(help="Of the simulation.", min=1)] = 1,
     plot: Annotated[
         Path | None, typer.Option(help="Draw the run: .png, .svg or .pdf.", metavar="FILE")

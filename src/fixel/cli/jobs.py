@@ -3,19 +3,22 @@
 import json
 import shlex
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
+    from fixel.jobs.folder import Status
     from fixel.jobs.work import Progress
     from fixel.workflows.jobs import JobStatus
 
 BAR = 24  # [characters]
+BETWEEN_LINES_S = 30.0  # [s] where progress goes into a file
 
 app = typer.Typer(
     help="Run a job here or on a cluster; stop and continue it at any time.",
@@ -78,13 +81,16 @@ def status(
             show_default="the current folder",
         ),
     ] = None,
+    project: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Say how far jobs are, and whether anybody is at them."""
+    """Show how far jobs are, and which are running."""
     from fixel.workflows import jobs
 
     found = []
-    for folder in folders or [Path()]:
+    if folders and project != Path():
+        project_at(folders[0], project)
+    for folder in folders or [project]:
         is_job = (folder / "job.json").exists()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
     if as_json:
@@ -137,7 +143,7 @@ def pack(
         typer.echo(json.dumps({"file": str(file), "bytes": size}))
         return
     typer.echo(f"wrote {file}: {size} bytes")
-    typer.echo(f"Next: fixel jobs unpack {shlex.quote(file.name)} FOLDER")
+    typer.echo(f"Next: {shlex.join(['fixel', 'jobs', 'unpack', str(file), f'{file.stem}-job'])}")
 
 
 @app.command("unpack")
@@ -200,27 +206,47 @@ def _say(sentence: str) -> None:
     say(sentence)
 
 
-def job_bar() -> "Callable[[Progress], None] | None":
-    """A bar on standard error, or None where nobody watches."""
-    if not sys.stderr.isatty():
-        return None
+def job_bar(to_terminal: bool | None = None) -> "Callable[[Progress], None]":
+    """Show progress on standard error: a bar on a terminal, else a line every 30 s.
+
+    Parameters
+    ----------
+    to_terminal : bool, optional
+        Whether standard error is a terminal; asked of the system where left out.
+    """
+    terminal = sys.stderr.isatty() if to_terminal is None else to_terminal
+    last = time.monotonic()
 
     def show(progress: "Progress") -> None:
-        full = BAR * progress.done // max(1, progress.total)
-        bar = "#" * full + "." * (BAR - full)
-        parts = [f"[{bar}] {progress.done}/{progress.total}", *_details(progress)]
-        print("\r\033[K" + "  ".join(parts), end="", file=sys.stderr, flush=True)
-        if progress.done == progress.total:
-            print(file=sys.stderr)
+        nonlocal last
+        if terminal:
+            end = "\n" if progress.share == 1.0 else ""
+            print(f"\r\033[K{_bar(progress)}", end=end, file=sys.stderr, flush=True)
+        elif time.monotonic() - last >= BETWEEN_LINES_S:
+            last = time.monotonic()
+            print(", ".join([_share(progress), *_details(progress)]), file=sys.stderr, flush=True)
 
     return show
+
+
+def _bar(progress: "Progress") -> str:
+    """One line: the bar stays empty while nobody knows how much work follows."""
+    full = int(BAR * (progress.share or 0.0))
+    bar = f"[{'#' * full}{'.' * (BAR - full)}]"
+    return "  ".join([bar, _share(progress), *_details(progress)])
+
+
+def _share(progress: "Progress") -> str:
+    if progress.share is None:
+        return f"{progress.done} chunks done"
+    return f"{int(100 * progress.share)} %"
 
 
 def _details(progress: "Progress") -> list[str]:
     from fixel.cli.screen import seconds
 
     rate = f"{progress.rate:.3g}/s" if progress.rate else ""
-    left = f"{seconds(progress.left_s)} left" if progress.left_s else ""
+    left = f"about {seconds(progress.left_s)} left" if progress.left_s else ""
     failed = f"{progress.failed} failed" if progress.failed else ""
     return [part for part in (progress.note, rate, left, failed) if part]
 
@@ -229,14 +255,14 @@ def _listed(found: "list[JobStatus]") -> list[str]:
     from fixel.cli.screen import seconds, table
 
     if not found:
-        return ["no jobs here", "", "Next: fixel jobs submit FOLDER"]
+        return ["no jobs here", "", "Next: fixel calibrate --help"]
     head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
     rows = [
         (
             job.folder,
             job.state,
             str(job.status.done),
-            str(job.status.total),
+            _total(job.status),
             str(job.status.failed),
             "" if job.ended else str(job.status.workers),
             "" if job.ended else f"{job.status.rate:.3g}",
@@ -246,6 +272,11 @@ def _listed(found: "list[JobStatus]") -> list[str]:
         for job in found
     ]
     return [*table(head, rows, left=2), "", *_advice(found[0])]
+
+
+def _total(status: "Status") -> str:
+    """Number of chunks, where that is known."""
+    return "?" if status.share is None else str(status.total)
 
 
 def _advice(job: "JobStatus") -> list[str]:
@@ -275,7 +306,7 @@ def _say_status(job: "JobStatus", as_json: bool) -> None:
     reason = f": {status.reason}" if status.reason else ""
     failed = f", {status.failed} of them failed" if status.failed else ""
     typer.echo(
-        f"{job.folder} is {job.state}{reason}; {status.done} of {status.total} chunks{failed}"
+        f"{job.folder} is {job.state}{reason}; {status.done} of {_total(status)} chunks{failed}"
     )
     if job.state == "done":
         typer.echo(f"the result is in {Path(job.folder) / 'result'}")

@@ -7,14 +7,19 @@
     4    `fixel overlay --once`: something is not in its place
     130  interrupted
 
+With `--json` the sentence is a JSON object on standard output: `{"error": {...}}`.
+
 Nothing heavy is imported here: each command imports its workflow when it runs.
 """
 
+import json
 import sys
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+from typing import Annotated, Any, Final, cast
 
 import typer
+from typer.core import TyperGroup
 
 from fixel.cli import (
     actuator,
@@ -46,49 +51,85 @@ from fixel.cli import (
 )
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
 
+# What Typer raises for wrong options; it has no public name of its own.
+ClickException = cast(type[Exception], typer.BadParameter.mro()[2])
+
 BAD_INPUT = 2
 NOT_SOLVED = 3
 INTERRUPTED = 130
 
+# Commands in the order of a day's work, as `fixel --help` lists them.
+SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] = {
+    "Begin": {
+        "demo": demo.demo,
+        "doctor": doctor.doctor,
+        "new": project.new,
+        "serve": serve.serve,
+    },
+    "Simulate": {"simulate": simulate.simulate, "sample": sample.sample},
+    "Experiments": {
+        "import": project.import_,
+        "testbed": project.testbed,
+        "list": project.list_,
+        "show": show.show,
+        "compare": show.compare,
+        "filter": filter.filter_,
+        "export": export.export,
+    },
+    "Calibrate and judge": {
+        "calibrate": calibrate.calibrate,
+        "domain": domain.app,
+        "sensitivity": sensitivity.sensitivity,
+        "uncertainty": uncertainty.uncertainty,
+        "report": report.report,
+    },
+    "Bench": {
+        "camera": camera.app,
+        "overlay": overlay.overlay,
+        "record": record.app,
+        "track": track.track,
+        "tactile": tactile.app,
+        "actuator": actuator.app,
+    },
+    "Published data": {
+        "data": data.data,
+        "replay": replay.replay,
+        "benchmark": benchmark.app,
+    },
+    "Upkeep": {"jobs": jobs.app, "db": db.app},
+}
+
+
+class InSections(TyperGroup):
+    """Lists commands under the headings of `SECTIONS`, in their order."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [name for commands in SECTIONS.values() for name in commands]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        width = formatter.width - 6 - max(map(len, self.commands))
+        for title, names in SECTIONS.items():
+            with formatter.section(title):
+                rows = [(name, self.commands[name].get_short_help_str(width)) for name in names]
+                formatter.write_dl(rows)
+
+
 app = typer.Typer(
+    cls=InSections,
     help="Planar rigid bodies in frictional contact, solved as complementarity problems.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("simulate")(simulate.simulate)
-app.command("replay")(replay.replay)
-app.command("sample")(sample.sample)
-app.command("track")(track.track)
-app.command("new")(project.new)
-app.command("import")(project.import_)
-app.command("list")(project.list_)
-app.command("show")(show.show)
-app.command("compare")(show.compare)
-app.command("filter")(filter.filter_)
-app.command("calibrate")(calibrate.calibrate)
-app.command("report")(report.report)
-app.command("sensitivity")(sensitivity.sensitivity)
-app.command("export")(export.export)
-app.command("data")(data.data)
-app.add_typer(camera.app, name="camera")
-app.add_typer(domain.app, name="domain")
 project.testbed.command("film")(film.film)
-app.add_typer(project.testbed, name="testbed")
-app.add_typer(record.app, name="record")
 project.testbed.command("serve")(record.serve)
-app.add_typer(tactile.app, name="tactile")
-app.add_typer(actuator.app, name="actuator")
-app.add_typer(db.app, name="db")
-app.add_typer(jobs.app, name="jobs")
-app.add_typer(benchmark.app, name="benchmark")
-app.command("uncertainty")(uncertainty.uncertainty)
-app.command("serve")(serve.serve)
-app.command("overlay")(overlay.overlay)
-app.command("demo")(demo.demo)
-app.command("doctor")(doctor.doctor)
+for _commands in SECTIONS.values():
+    for _name, _command in _commands.items():
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name)
+        else:
+            app.command(_name)(_command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -112,24 +153,50 @@ def main(
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit; an expected failure becomes one sentence and an exit code."""
+    """Run the command line and exit.
+
+    An expected failure becomes one sentence and an exit code; with `--json`, one JSON object.
+    """
+    if arguments is not None:  # commands repeat what was typed: as provenance, and as what is next
+        sys.argv = ["fixel", *arguments]
+    as_json = "--json" in sys.argv[1:]
     try:
-        app(arguments, prog_name="fixel")
+        # With --json, refusals of options come here too.
+        code = app(arguments, prog_name="fixel", standalone_mode=not as_json)
     except (InvalidInput, DatasetMissing, NotStored) as error:
-        _exit(BAD_INPUT, f"fixel: {error}")
+        _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:
-        _exit(NOT_SOLVED, f"fixel: {error}")
+        _exit(NOT_SOLVED, error, as_json)
     except FixelError as error:
-        _exit(1, f"fixel: {error}")
-    except KeyboardInterrupt:
-        _exit(INTERRUPTED, "fixel: stopped.")
+        _exit(1, error, as_json)
+    except ClickException as error:
+        _exit(BAD_INPUT, error, as_json)
+    except (KeyboardInterrupt, typer.Abort):
+        _exit(INTERRUPTED, None, as_json)
     except SystemExit as end:
         # Typer has already turned an interrupt inside a command into this code, without a word.
         if end.code == INTERRUPTED:
-            _exit(INTERRUPTED, "fixel: stopped.")
+            _exit(INTERRUPTED, None, as_json)
         raise
+    sys.exit(code if isinstance(code, int) else 0)
 
 
-def _exit(code: int, sentence: str) -> None:
-    print(sentence, file=sys.stderr)
+def _exit(code: int, error: Exception | None, as_json: bool) -> None:
+    sentence = "stopped." if error is None else _sentence(error)
+    if not as_json:
+        print(f"fixel: {sentence}", file=sys.stderr)
+        sys.exit(code)
+    kind = "Interrupted" if error is None else type(error).__name__
+    told: dict[str, Any] = {"kind": kind, "sentence": sentence, "exit_code": code}
+    for name in ("where", "found", "expected", "hint"):
+        value = getattr(error, name, None)
+        if value is not None:
+            plain = isinstance(value, str | int) or (isinstance(value, float) and isfinite(value))
+            told[name] = value if plain else repr(value)
+    print(json.dumps({"error": told}, allow_nan=False), flush=True)
     sys.exit(code)
+
+
+def _sentence(error: Exception) -> str:
+    message = getattr(error, "format_message", None)
+    return str(message()) if callable(message) else str(error)

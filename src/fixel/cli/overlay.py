@@ -140,8 +140,8 @@ def _errors(look: "Look") -> list[str]:
 def _next(look: "Look", setting: str) -> str:
     """The command most people want after this one."""
     if look.placed:
-        return f"fixel record {setting} --out FOLDER"
-    return "put it right, and look again"
+        return f"fixel record {setting} --out recording"
+    return shlex.join(["fixel", *sys.argv[1:]])  # once it is put right
 
 
 def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":

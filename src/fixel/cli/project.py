@@ -2,13 +2,14 @@
 
 import json
 import shlex
+import sys
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where
+from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where, project_words
 
 if TYPE_CHECKING:
     from fixel.database.query import Summary
@@ -40,7 +41,8 @@ def new(
         typer.echo(json.dumps({"folder": str(folder), "name": project.settings.name}))
         return
     typer.echo(f"made the project {project.settings.name} in {folder}")
-    typer.echo(f"Next: fixel import DATASET --project {shlex.quote(str(folder))} --dry-run")
+    typer.echo("fixel import SOURCE stores what was recorded; or try simulated experiments:")
+    typer.echo(f"Next: fixel testbed run --limit 30 --project {shlex.quote(str(folder))}")
 
 
 def import_(
@@ -54,22 +56,30 @@ def import_(
         list[str] | None,
         typer.Option("--option", help="For the importer; may be repeated.", metavar="NAME=VALUE"),
     ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            help="Scene file for a CSV table: outline of the object, pusher, pegs. Without one,"
+            " a template is written beside the table.",
+            metavar="FILE",
+        ),
+    ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what was understood, and import nothing.")
+        bool, typer.Option("--dry-run", help="Print how the source is read, and import nothing.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Import recorded experiments; what is there already is left alone."""
+    """Import recorded experiments; those stored already are skipped."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.project import import_experiments, import_plan
+    from fixel.workflows.project import import_experiments, import_plan, write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
         _import_bundle(source, folder, dry_run, as_json)
         return
     if not dry_run:
         project = Project.open(folder)
-    plan = import_plan(source, importer, option or ())
+    plan = import_plan(source, importer, option or (), scene)
     answer: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
@@ -84,10 +94,24 @@ def import_(
         if as_json:
             typer.echo(json.dumps(answer))
         else:
-            typer.echo(f"Next: fixel import {shlex.quote(str(source))}")
+            typer.echo(f"Next: {shlex.join(_without_dry_run())}")
         return
     done = import_experiments(project, plan, progress_bar("Importing"))
+    template = write_template(plan, project.folder)
+    if template is not None:
+        answer["template"] = str(template)
+        if not as_json:
+            typer.echo(
+                f"There is no scene, so these poses cannot be simulated or calibrated. Fill in"
+                f" {template}, then import the table again with --scene."
+            )
+            words = [*sys.argv[1:], "--scene", str(template)]
+            answer["next"] = shlex.join(["fixel", *words])
     _say_imported(done, answer, as_json, folder)
+
+
+def _without_dry_run() -> list[str]:
+    return ["fixel", *(word for word in sys.argv[1:] if word != "--dry-run")]
 
 
 def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
@@ -103,7 +127,8 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
     verb = "would add" if dry_run else "added"
     found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
     typer.echo(f"{source}: {verb} {found}")
-    typer.echo(f"Next: fixel import {shlex.quote(str(source))}" if dry_run else "Next: fixel list")
+    after = _without_dry_run() if dry_run else ["fixel", "list", *project_words(folder)]
+    typer.echo(f"Next: {shlex.join(after)}")
 
 
 def list_(
@@ -150,9 +175,11 @@ def list_(
     if flags and not flag:
         typer.echo("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
     if listing.summaries:
-        typer.echo(f"Next: fixel show {shlex.quote(listing.summaries[0].key)} --plot run.png")
+        words = ["fixel", "show", listing.summaries[0].key, *project_words(folder)]
+        typer.echo(f"Next: {shlex.join([*words, '--plot', 'run.png'])}")
     else:
-        typer.echo("Next: fixel import DATASET, or: fixel testbed run")
+        words = ["fixel", "testbed", "run", "--limit", "30", *project_words(folder)]
+        typer.echo(f"Next: {shlex.join(words)}")
 
 
 @testbed.command("run")
@@ -162,7 +189,7 @@ def run_plan(
         typer.Argument(help="Plan file; without one, the thesis's 420.", metavar="[PLAN]"),
     ] = None,
     folder: ProjectFolder = Path(),
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 1,
     limit: Annotated[
         int | None, typer.Option(help="Only the first so many.", min=1, metavar="COUNT")
     ] = None,
@@ -197,8 +224,8 @@ def _say_imported(done: "Imported", answer: dict[str, Any], as_json: bool, folde
     typer.echo(f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}")
     if done.faulty:
         typer.echo(f"{done.faulty} of them have faults in their data: fixel list --all shows them")
-    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
-    typer.echo(f"Next: fixel list{where}")
+    following = shlex.join(["fixel", "list", *project_words(folder)])
+    typer.echo(f"Next: {answer.get('next', following)}")
 
 
 def _lines(listing: "Listing") -> list[str]:

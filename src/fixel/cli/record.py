@@ -161,7 +161,8 @@ def serve(
         else:
             width, height = camera.stream.size
             typer.echo(f"serving {film}, {width} x {height} pixels, at {camera.url}")
-            typer.echo(f"Next: fixel record --camera {camera.url} --out FOLDER")
+            words = ["fixel", "record", "--camera", camera.url, "--out", "recording"]
+            typer.echo(f"Next: {shlex.join(words)}")
         camera.wait()
 
 

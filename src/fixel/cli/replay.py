@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -172,12 +173,13 @@ def _speed(answer: Replay) -> str:
 
 
 def _next(answer: Replay, dataset: Path, plot: Path | None) -> str:
+    command = shlex.join(["fixel", "replay", str(dataset)])
     if plot is None:
-        return f"fixel replay {dataset} --plot replay.png"
+        return f"{command} --plot replay.png"
     if answer.dataset == "mit_timeseries":
-        return f"fixel replay {dataset} --window 0, for whole runs"
+        return f"{command} --window 0"  # whole runs
     value = "tripod_radius=0.041" if answer.dataset == "rpi_2dgad" else "mu_pusher=0.2"
-    return f"fixel replay {dataset} --set {value}"
+    return f"{command} --set {value}"
 
 
 def _push_columns(rows: list[dict[str, Any]]) -> list[Column]:

@@ -3,12 +3,14 @@
 import json
 import shlex
 import sys
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fixel.cli.options import AsJson
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.workflows.sample import SampleAnswer
@@ -34,6 +36,14 @@ def sample(
     output: Annotated[
         Path | None, typer.Option(help="Write the plan to this file: .yaml.", metavar="FILE")
     ] = None,
+    eight_push: Annotated[
+        bool,
+        typer.Option(
+            "--eight-push",
+            help="Instead of the thesis's scheme, the eight pushes of the ASME paper with which"
+            " three support points are identified.",
+        ),
+    ] = False,
     simulate: Annotated[
         bool,
         typer.Option("--simulate", help="Simulate every experiment: does it touch a fixel?"),
@@ -43,8 +53,11 @@ def sample(
     from fixel.cli.screen import say
     from fixel.workflows.sample import sample as sample_plan
 
+    if eight_push and plan is not None:
+        raise InvalidInput("--eight-push", found="a plan file too", expected="one of them")
     answer = sample_plan(
         plan,
+        eight_push=eight_push,
         output=output,
         plot=plot,
         simulate=simulate,
@@ -53,16 +66,16 @@ def sample(
     if as_json:
         typer.echo(json.dumps(answer.summary(), allow_nan=False))
     else:
-        typer.echo(written(answer, plan))
+        typer.echo(written(answer, plan, "--eight-push" if eight_push else ""))
 
 
-def written(answer: "SampleAnswer", path: Path | None) -> str:
+def written(answer: "SampleAnswer", path: Path | None, design: str = "") -> str:
     """About a screen for people: counts, problems, files, what to type next."""
     blocks = [
         _counts(answer),
         _problems(answer),
         [f"wrote {file}" for file in answer.files.values()],
-        [f"Next: {_next(answer, path)}"],
+        [f"Next: {_next(answer, path, design)}"],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
@@ -78,11 +91,15 @@ def _counts(answer: "SampleAnswer") -> list[str]:
         for shape in plan.shapes
     ]
     rows.append((f"{len(plan.shapes)} in all", "", "", "", str(plan.total)))
+    numbered = [layout.title for layout in plan.layouts if layout.number is not None]
     head = ("shape", "layouts", "configurations", "repetitions", "experiments")
     hours = plan.total * plan.rig.duration / 3600.0
     return [
         f"plan {plan.name}",
         *table(head, rows),
+        *textwrap.wrap(
+            "layouts: " + ", ".join(numbered) if numbered else "", 100, break_on_hyphens=False
+        ),
         f"each pushes for {plan.rig.duration:.3g} s, all together {hours:.2g} h",
     ]
 
@@ -98,9 +115,11 @@ def _problems(answer: "SampleAnswer") -> list[str]:
     return [f"{len(answer.problems)} problem{plural}, checked {how}", *shown, *more]
 
 
-def _next(answer: "SampleAnswer", path: Path | None) -> str:
+def _next(answer: "SampleAnswer", path: Path | None, design: str) -> str:
     """The command most people want after this one."""
     plan = answer.files.get("output", path)
     if plan is None:
-        return "fixel sample --output plan.yaml, then fixel testbed run plan.yaml"
+        return " ".join(("fixel sample", design, "--output plan.yaml")).replace("  ", " ")
+    if not any(layout.pegs for layout in answer.plan.layouts):  # the testbed is for grasps
+        return f"fixel sample {shlex.quote(str(plan))} --simulate"
     return f"fixel testbed run {shlex.quote(str(plan))}"

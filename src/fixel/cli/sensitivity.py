@@ -2,13 +2,14 @@
 
 import json
 import math
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, project_words
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -28,9 +29,7 @@ def sensitivity(
             show_default=False,
         ),
     ] = None,
-    project: Annotated[
-        Path, typer.Option("--project", "-p", help="Folder of the project.", metavar="FOLDER")
-    ] = HERE,
+    project: ProjectFolder = HERE,
     calibration: Annotated[
         int | None,
         typer.Option(
@@ -73,7 +72,7 @@ def sensitivity(
         ),
     ] = None,
     base: Annotated[int, typer.Option(help="Base samples of the indices, a power of two.")] = 128,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 0,
     threads: Annotated[
         int | None, typer.Option(help="Of the simulation; all cores where left out.", min=1)
     ] = None,
@@ -197,5 +196,5 @@ def _next(answer: "SensitivityAnswer", plot: Path | None, project: Path) -> str:
     if answer.findings[0].indices is None:
         return f"{again} --indices"
     if answer.kept is not None:
-        return "fixel report" + ("" if project == HERE else f" --project {project}")
+        return shlex.join(["fixel", "report", *project_words(project)])
     return f"{again} --samples {10 * len(answer.findings[0].fan.reasons)}"

@@ -8,16 +8,15 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at
 from fixel.errors import InvalidInput
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def serve(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder of the project.", metavar="PROJECT", show_default="here")
-    ] = Path(),
+    place: ProjectPlace = None,
+    folder: ProjectFolder = Path(),
     port: Annotated[
         int | None, typer.Option(help="Port to listen on; any free one where left out.", min=1)
     ] = None,
@@ -48,7 +47,7 @@ def serve(
     require_server()
     from fixel.web.project import Desk, project_server
 
-    desk = Desk(Project.open(folder))
+    desk = Desk(Project.open(project_at(place, folder)))
     server = project_server(desk, port=port, host=host).start()
     try:
         _announce(desk.name, server.link, host, as_json)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder, project_words
 from fixel.cli.simulate import NOT_SOLVED, Motion
 from fixel.errors import InvalidInput
 
@@ -65,6 +65,14 @@ def compare(
             metavar="NAME=VALUE",
         ),
     ] = None,
+    calibration: Annotated[
+        int | None,
+        typer.Option(
+            help="Id of a stored calibration: its parameters and its motion model; --set and"
+            " --motion change them.",
+            metavar="ID",
+        ),
+    ] = None,
     motion: Annotated[
         Motion | None, typer.Option(help="Motion model; dynamic where left out.")
     ] = None,
@@ -77,6 +85,7 @@ def compare(
     """Simulate an experiment, and say how far the simulation is from what was measured."""
     from fixel.database.project import Project
     from fixel.simulation.motion import MOTION_MODELS
+    from fixel.workflows.calibrated import parameters_of
     from fixel.workflows.experiments import comparison
 
     _refuse_picture(plot)
@@ -85,9 +94,12 @@ def compare(
     with Project.open(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
+        model = models[motion]() if motion else None
+        if calibration is not None:
+            parameters, model = parameters_of(store, calibration, experiment, parameters, model)
         _announce(experiment, as_json)
-        answer = comparison(experiment, parameters, models[motion]() if motion else None)
-        command = _command("compare", experiment, project, set_ or [], motion)
+        answer = comparison(experiment, parameters, model)
+        command = _command("compare", experiment, project, set_ or [], motion, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:
         _draw(answer, plot)
@@ -133,11 +145,12 @@ def _command(
     project: Path,
     set_: list[str] | None = None,
     motion: Motion | None = None,
+    calibration: int | None = None,
 ) -> str:
     """What to type, from the current folder."""
-    words = ["fixel", name, experiment.key]
-    if project != HERE:
-        words += ["--project", str(project)]
+    words = ["fixel", name, experiment.key, *project_words(project)]
+    if calibration is not None:
+        words += ["--calibration", str(calibration)]
     for value in set_ or []:
         words += ["--set", value]
     if motion is not None:
@@ -188,15 +201,16 @@ def _frames(experiment: "Experiment") -> list[str]:
 
 def _poses(experiment: "Experiment") -> list[str]:
     from fixel.cli.screen import table
-    from fixel.workflows.experiments import travelled
+    from fixel.workflows.experiments import length_unit, travelled
 
+    unit, metre = length_unit(experiment)
     rows = []
     for name, row in (("start", 0), ("end", -1)):
         x, y, angle = experiment.trajectory.pose[row].tolist()
-        rows.append((name, f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{degrees(angle):.2f}"))
-    head = (experiment.object_name, "x [mm]", "y [mm]", "angle [deg]")
-    way = 1e3 * travelled(experiment.trajectory)
-    return [*table(head, rows), f"travelled {way:.2f} mm"]
+        rows.append((name, f"{x / metre:.2f}", f"{y / metre:.2f}", f"{degrees(angle):.2f}"))
+    head = (experiment.object_name, f"x [{unit}]", f"y [{unit}]", "angle [deg]")
+    way = travelled(experiment.trajectory, 1e-3 if unit == "mm" else 1e-6)
+    return [*table(head, rows), f"travelled {way / metre:.2f} {unit}"]
 
 
 def _mode(experiment: "Experiment") -> list[str]:
@@ -244,7 +258,7 @@ def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> st
         return _command("show", experiment, project) + f" --plot {_picture(experiment)}"
     if experiment.scene is not None:
         return _command("compare", experiment, project)
-    return "fixel list" + ("" if project == HERE else f" --project {shlex.quote(str(project))}")
+    return shlex.join(["fixel", "list", *project_words(project)])
 
 
 def _picture(experiment: "Experiment") -> str:
@@ -320,12 +334,16 @@ def _errors(answer: "Comparison") -> list[str]:
     rms, final, angle = answer.position_rms, answer.final_position, answer.final_angle
     if rms is None or final is None or angle is None:
         return []
-    return [
-        f"position, rms      {1e3 * rms:.3f} mm",
-        f"position, at end   {1e3 * final:.3f} mm",
+    from fixel.workflows.experiments import length_unit
+
+    unit, metre = length_unit(answer.experiment)
+    lines = [
+        f"position, rms      {rms / metre:.3f} {unit}",
+        f"position, at end   {final / metre:.3f} {unit}",
         f"angle, at end      {degrees(angle):.3f} deg",
-        f"E, 35 mm/rad       {answer.error_mm2:.3f} mm^2",
     ]
+    # The thesis's E weighs angles for objects of its own size.
+    return lines + ([f"E, 35 mm/rad       {answer.error_mm2:.3f} mm^2"] if unit == "mm" else [])
 
 
 def _modes(answer: "Comparison") -> list[str]:

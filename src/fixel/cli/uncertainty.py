@@ -138,8 +138,8 @@ def _lines(found: "Uncertainty", kept: "Kept", pictures: list[Path], folder: Pat
     from fixel.cli.screen import seconds, table
 
     analysis, posterior = kept.analysis, found.posterior
-    lines = list(analysis.headline)
-    lines += [f"Mind: {sentence}" for sentence in analysis.warnings]
+    lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: it may not be quoted
+    lines += analysis.headline
     for one in analysis.tables:
         lines += ["", one.title, *table(one.head, one.rows)]
     lines += [

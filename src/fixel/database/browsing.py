@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import sqlalchemy as sa
 
 from fixel.database import rows
+from fixel.database.query import RELATIONS, Bound, condition_holds, condition_of
 from fixel.database.tables import (
     calibration,
     calibration_member,
@@ -23,16 +23,7 @@ from fixel.database.tables import (
 )
 from fixel.errors import InvalidInput
 
-Relation = Literal["=", "!=", "<", "<=", ">", ">="]
 MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
-
-
-class Bound(NamedTuple):
-    """A column or a condition against a value."""
-
-    name: str
-    relation: Relation
-    value: str | float
 
 
 @final
@@ -198,29 +189,10 @@ SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
     "after_mm": _after.c.error_mm2,
     "error_mm": sa.func.coalesce(_after.c.error_mm2, _before.c.error_mm2),
 }
-_RELATIONS: Final[dict[str, Callable[[Any, Any], Any]]] = {
-    "=": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
 
 
 def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
-    """A condition as text and as number; null where it is not there or is no number."""
-    if not re.fullmatch(r"\w[\w. -]{0,99}", name):
-        raise InvalidInput(
-            "column", found=repr(name), expected="a column or the name of a condition"
-        )
-    entry = experiment.c.conditions[name]
-    kind = (
-        sa.func.json_typeof(entry).in_(("number",))
-        if connection.dialect.name == "postgresql"
-        else sa.func.json_type(experiment.c.conditions, f'$."{name}"').in_(("integer", "real"))
-    )
-    return entry.as_string(), sa.case((kind, entry.as_float()), else_=None)
+    return condition_of(connection.dialect.name, name)
 
 
 # --- questions --------------------------------------------------------------------------------
@@ -399,7 +371,7 @@ def _where(connection: sa.Connection, view: View) -> list[sa.ColumnElement[bool]
 
 
 def _held(connection: sa.Connection, bound: Bound) -> Any:
-    relate = _RELATIONS[bound.relation]
+    relate = RELATIONS[bound.relation]
     name, value = bound.name, bound.value
     if name in TEXTS:
         return relate(TEXTS[name], str(value) if isinstance(value, str) else f"{value:g}")
@@ -410,12 +382,7 @@ def _held(connection: sa.Connection, bound: Bound) -> Any:
             return relate(NUMBERS[name], value)
         # Nothing is as small as a negative bound; all is as large.
         return relate(SQUARES[name], value * abs(value))
-    text, number = _condition(connection, name)
-    if isinstance(value, str):
-        return (
-            sa.or_(text != value, text.is_(None)) if bound.relation == "!=" else relate(text, value)
-        )
-    return relate(number, value)
+    return condition_holds(connection.dialect.name, bound)
 
 
 def _has_word(word: str) -> Any:

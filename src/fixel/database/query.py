@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import operator
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 import sqlalchemy as sa
 
 from fixel.database.tables import experiment, flag
+from fixel.errors import InvalidInput
+
+Relation = Literal["=", "!=", "<", "<=", ">", ">="]
+
+RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
+    "=": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+
+
+class Bound(NamedTuple):
+    """Comparison of a column or a condition with a value."""
+
+    name: str
+    relation: Relation
+    value: str | float
 
 
 @final
@@ -27,6 +49,8 @@ class Query:
     contact_mode : str, optional
     conditions : mapping of str to str or float
         Exact values.
+    bounds : tuple of Bound
+        Conditions compared with values.
     flag : str, optional
         Only those with this flag; then flagged ones are not left out.
     flagged : bool
@@ -42,6 +66,7 @@ class Query:
     real: bool | None = None
     contact_mode: str | None = None
     conditions: Mapping[str, str | float] = field(default_factory=dict)
+    bounds: tuple[Bound, ...] = ()
     flag: str | None = None
     flagged: bool = False
     deleted: bool = False
@@ -93,7 +118,32 @@ _REPLACED = sa.select(experiment.c.replaces_id).where(
 )
 
 
-def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
+def condition_of(dialect: str, name: str) -> tuple[Any, Any]:
+    """A condition as text and as number; null where it is not there or is no number."""
+    if not re.fullmatch(r"\w[\w. -]{0,99}", name):
+        raise InvalidInput(
+            "column", found=repr(name), expected="a column or the name of a condition"
+        )
+    entry = experiment.c.conditions[name]
+    kind = (
+        sa.func.json_typeof(entry).in_(("number",))
+        if dialect == "postgresql"
+        else sa.func.json_type(experiment.c.conditions, f'$."{name}"').in_(("integer", "real"))
+    )
+    return entry.as_string(), sa.case((kind, entry.as_float()), else_=None)
+
+
+def condition_holds(dialect: str, bound: Bound) -> Any:
+    """The clause of a condition that is compared with a value."""
+    relate, (text, number) = RELATIONS[bound.relation], condition_of(dialect, bound.name)
+    if not isinstance(bound.value, str):
+        return relate(number, bound.value)
+    if bound.relation == "!=":
+        return sa.or_(text != bound.value, text.is_(None))
+    return relate(text, bound.value)
+
+
+def conditions_of(query: Query, dialect: str) -> list[sa.ColumnElement[bool]]:
     """The query but for `flagged`."""
     found: list[sa.ColumnElement[bool]] = []
     gone = experiment.c.deleted_at_utc
@@ -113,6 +163,7 @@ def conditions_of(query: Query) -> list[sa.ColumnElement[bool]]:
         found.append(
             entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
         )
+    found += [condition_holds(dialect, bound) for bound in query.bounds]
     if query.flag is not None:
         found.append(experiment.c.id.in_(_FLAGGED.where(flag.c.name == query.flag)))
     return found

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 import sqlalchemy as sa
@@ -25,6 +25,8 @@ from fixel.model.records import (
     Member,
     SimulationRecord,
 )
+
+MOST_NAMES: Final = 20_000  # experiments that a mistyped name is compared with
 
 
 class Added(NamedTuple):
@@ -183,20 +185,54 @@ class Store:
             return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
 
     def find(self, key: str) -> int:
-        """Id of the newest experiment with this id, name, or dataset/name."""
-        if key.isdecimal() and self._has(int(key)):
-            return int(key)
-        dataset, slash, name = key.partition("/")
-        query = Query(dataset=dataset, name=name) if slash else Query(name=key)
-        found = self.experiments(replace(query, flagged=True), limit=2)
-        if found.total == 0:
-            raise _absent(f"experiment {key!r}")
-        if found.total > 1:
+        """Id of an experiment: `id:7` or `7`, its name, or `dataset/name`.
+
+        Raises
+        ------
+        NotStored
+            No such experiment, several of one name, or a number that is the id of one experiment
+            and the name of another.
+        """
+        number = key.removeprefix("id:")
+        if key.startswith("id:") and number.isdecimal() and self._has(int(number)):
+            return int(number)
+        table = tables.experiment
+        live = conditions_of(Query(), self.engine_name)
+        whole = table.c.dataset + "/" + table.c.name
+        named = sa.select(table.c.id, whole).where(sa.or_(table.c.name == key, whole == key), *live)
+        with reading(self._engine) as connection:
+            found: dict[int, str] = {row[0]: row[1] for row in connection.execute(named)}
+        if key.isdecimal() and self._has(int(key)) and int(key) not in found:
+            if not found:
+                return int(key)
             raise NotStored(
-                f"single experiment {key!r}: {found.total} have that name",
-                hint="write DATASET/NAME",
+                f"single experiment {key!r}: it is the id of one and the name of another",
+                hint=f"write id:{key} or {next(iter(found.values()))}",
             )
-        return found.summaries[0].id
+        if len(found) > 1:
+            raise NotStored(
+                f"single experiment {key!r}: {len(found)} have that name",
+                hint="write one of " + ", ".join(list(found.values())[:5]),
+            )
+        if not found:
+            raise _absent(f"experiment {key!r}", self._resembling(key))
+        (number_found,) = found
+        return number_found
+
+    def _resembling(self, key: str) -> str | None:
+        """What was perhaps meant by a name that no experiment has."""
+        table = tables.experiment
+        wanted = sa.select(table.c.dataset, table.c.name).where(
+            *conditions_of(Query(), self.engine_name)
+        )
+        with reading(self._engine) as connection:
+            keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MOST_NAMES)).all()
+        known = {name: f"{dataset}/{name}" for dataset, name in keys}
+        known |= {whole: whole for whole in known.values()}
+        close = difflib.get_close_matches(key, known, n=1)
+        if not close:
+            return None
+        return f"did you mean {known[close[0]]!r}? fixel list shows what there is"
 
     def _has(self, number: int) -> bool:
         with reading(self._engine) as connection:
@@ -208,7 +244,7 @@ class Store:
     ) -> Listing:
         """Summaries of the experiments that match, by id."""
         query = query or Query()
-        wanted = conditions_of(query)
+        wanted = conditions_of(query, self.engine_name)
         clean = only_clean(query)
         table = tables.experiment
         page = (
@@ -237,7 +273,7 @@ class Store:
     def datasets(self) -> dict[str, int]:
         """How many experiments of each dataset there are, flagged ones too."""
         table = tables.experiment
-        wanted = conditions_of(Query(flagged=True))
+        wanted = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
             sa.select(table.c.dataset, sa.func.count())
             .where(*wanted)
@@ -250,10 +286,11 @@ class Store:
     def flags(self) -> dict[str, int]:
         """How many experiments carry each flag."""
         flag = tables.flag
+        live = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
             sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
             .join(tables.experiment)
-            .where(flag.c.deleted_at_utc.is_(None), *conditions_of(Query(flagged=True)))
+            .where(flag.c.deleted_at_utc.is_(None), *live)
             .group_by(flag.c.name)
             .order_by(flag.c.name)
         )
@@ -671,5 +708,5 @@ def _flag_row(number: int, flag: Flag) -> dict[str, Any]:
     }
 
 
-def _absent(what: str) -> NotStored:
-    return NotStored(what, hint="see what there is with: fixel list")
+def _absent(what: str, hint: str | None = None) -> NotStored:
+    return NotStored(what, hint=hint or "see what there is with: fixel list")

@@ -34,11 +34,11 @@ MARGIN = 0.05  # of the larger side, around everything drawn
 LEAST_SIDE = 5e-3  # [m] of a view: noise alone is no path
 MOST_OUTLINES = 60  # that the extent is measured by
 FEW = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
+DOTTED: Final = (0, (1, 1))
 MOST_NAMES = 12  # fixels with names beside them
 STEPS = 2  # outlines between start and end in a comparison
 
 DASHED: Final = (0, (3, 2))
-DOTTED: Final = (0, (1, 1))
 
 
 def draw_experiment(experiment: Experiment, path: str | Path) -> None:
@@ -329,13 +329,15 @@ def _rgb(colour: str) -> tuple[float, float, float]:
 
 
 def _joined(track: Trajectory) -> dict[str, Any]:
-    """Style of a line: dots on poses, and dotted between, where nothing else was measured."""
+    """Style of a line; of start and end alone, dots: nothing was measured between them."""
     if len(track.time) > FEW:
         return {"linestyle": "-"}
-    return {"linestyle": DOTTED, "marker": "o", "markersize": 2.2}
+    return {"linestyle": "none", "marker": "o", "markersize": 3.0}
 
 
 def _path(axes: Axes, track: Trajectory, label: str, **style: Any) -> Artist:
+    if len(track.time) <= FEW:
+        label = label.replace(", path", ", poses")
     (line,) = axes.plot(*(track.pose[:, :2].T * MM.per_metre), label=label, **style)
     return line
 

@@ -13,7 +13,7 @@ from fixel.drawing import palette
 from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import Box, Unit, unit_for
 from fixel.kernels.arrays import FloatArray
-from fixel.model import Disk, placed
+from fixel.model import Disk, SupportPoints, placed
 from fixel.sampling import Layout, Offset, Plan, PlannedShape
 from fixel.sampling.plan import object_pose
 from fixel.sampling.rig import shape_of
@@ -33,6 +33,7 @@ MOST_GHOSTS: Final = 200  # outlines in one panel; of more, an even choice
 # [inch] of the page: the width of two columns of text, and margins of the panels.
 WIDTH: Final = 7.16
 LEFT, RIGHT, BOTTOM, TOP = 0.48, 0.06, 0.36, 0.18
+WIDE_LEFT: Final = 0.60  # of a narrow page, whose numbers may have four digits
 BETWEEN, ABOVE = 0.07, 0.17
 SHAPE_GAP: Final = 0.20  # before the rows of the next shape
 LEGEND_ROW: Final = 0.18
@@ -65,7 +66,8 @@ def plan_figure(plan: Plan) -> Figure:
     columns = max(len(row) for row in rows)
     box = _extent(plan, panels)
     page = palette.COLUMN if columns <= 2 else WIDTH
-    width = (page - LEFT - RIGHT - BETWEEN * (columns - 1)) / columns
+    margin = LEFT if page == WIDTH else WIDE_LEFT
+    width = (page - margin - RIGHT - BETWEEN * (columns - 1)) / columns
     height = width * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
     breaks = sum(_begins_shape(rows, k) for k in range(1, len(rows)))
     legend = LEGEND_ROW * (1 if page == WIDTH else 2)
@@ -76,9 +78,9 @@ def plan_figure(plan: Plan) -> Figure:
     for k, row in enumerate(rows):
         top -= ABOVE + (SHAPE_GAP if k and _begins_shape(rows, k) else 0.0)
         if _begins_shape(rows, k):
-            _shape_name(figure, row[0][0], LEFT / page, (top + ABOVE) / total)
+            _shape_name(figure, row[0][0], margin / page, (top + ABOVE) / total)
         for column, panel in enumerate(row):
-            left = LEFT + column * (width + BETWEEN)
+            left = margin + column * (width + BETWEEN)
             place = (left / page, (top - height) / total, width / page, height / total)
             axes = figure.add_axes(place)
             handles = _draw_panel(plan, panel, axes, box)
@@ -111,7 +113,9 @@ def _extent(plan: Plan, panels: list[Panel]) -> Box:
     corners = [_head_outline(plan, 0.0), _head_outline(plan, plan.rig.travel)]
     shapes = {shape.name: shape for shape, _ in panels}
     for shape in shapes.values():
-        corners += [_zone(plan, shape), *_ghosts(plan, shape)]
+        corners += _ghosts(plan, shape)
+        if any(layout.pegs for _, layout in panels):
+            corners.append(_zone(plan, shape))
     points = np.concatenate(corners)
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     margin = 0.03 * (right - left)
@@ -124,12 +128,13 @@ def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Box) -> list[Artist]:
     unit = unit_for(box.size)
     frame_axes(axes, box, unit)
     shape, layout = panel
-    handles = [_draw_zone(plan, shape, axes, unit)]
+    handles = [_draw_zone(plan, shape, axes, unit)] if layout.pegs else []
     handles += _draw_head(plan, axes, unit)
     handles += _draw_object(plan, shape, axes, unit)
-    _draw_pegs(plan, panel, axes, unit)
-    handles.append(_peg_key())
-    axes.set_title(layout.name, loc="left", fontsize=palette.FONT_SIZE, pad=2.0)
+    if layout.pegs:
+        _draw_pegs(plan, panel, axes, unit)
+        handles.append(_peg_key())
+    axes.set_title(layout.title, loc="left", fontsize=palette.FONT_SIZE, pad=2.0)
     return handles
 
 
@@ -168,7 +173,19 @@ def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: Unit) -> lis
     nominal |= {"facecolor": (*tint(palette.BODY, 0.25), 0.55)}
     _patches(axes, _ghosts(plan, shape), unit, zorder=2, **ghost)
     _patches(axes, [_outline(plan, shape, Offset(axis="nominal", step=0.0))], unit, **nominal)
-    return [_key("object, nominal", nominal), _key("object, offset", ghost | {"linewidth": 0.6})]
+    handles = [_key("object, nominal", nominal), _key("object, offset", ghost | {"linewidth": 0.6})]
+    if isinstance(shape.support, SupportPoints):
+        pose = object_pose(plan.rig, shape, Offset(axis="nominal", step=0.0))
+        handles += axes.plot(
+            *(placed(shape.support.points, pose).T * unit.per_metre),
+            marker="^",
+            linestyle="none",
+            color=palette.INK,
+            markersize=3.5,
+            label="support point",
+            zorder=5,
+        )
+    return handles
 
 
 def _draw_pegs(plan: Plan, panel: Panel, axes: Axes, unit: Unit) -> None:

@@ -51,7 +51,7 @@ class ParameterRow(NamedTuple):
     value: float
     low: float | None = None  # ends of the interval; None where the data set no end
     high: float | None = None
-    likely: float | None = None  # the value that the interval is about, where it is another
+    best_fit: float | None = None  # the value that predicts best, where it is another
     verdict: str = ""
     others: tuple[float, ...] = ()  # with other sets of parameters
 
@@ -111,8 +111,8 @@ class ParametersChart(AbstractChart):
             label = f"{100 * self.level:g} % interval; an arrow: no end in the data"
             entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
                                   label=label))  # fmt: skip
-        if any(row.likely is not None for row in self.rows):
-            entries.append(Line2D([], [], label="most likely value, where it is another",
+        if any(row.best_fit is not None for row in self.rows):
+            entries.append(Line2D([], [], label="best fit for prediction, where it is another",
                                   **_dot(palette.BODY, "o", hollow=True)))  # fmt: skip
         entries.append(
             Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
@@ -130,11 +130,11 @@ class ParametersChart(AbstractChart):
 
     def table(self) -> Table:
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
-                   "interval_low", "interval_high", "most_likely", "verdict",
+                   "interval_low", "interval_high", "best_fit", "verdict",
                    *self.others)  # fmt: skip
         rows: list[tuple[Value, ...]] = [
             (row.label, row.unit, *row.bounds, row.before, row.value, row.low, row.high,
-             row.likely, row.verdict, *row.others)
+             row.best_fit, row.verdict, *row.others)
             for row in self.rows
         ]  # fmt: skip
         return Table(columns, rows)
@@ -183,15 +183,16 @@ def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
         axes.plot([share(value)], [k], zorder=6, **dot)
     colour = _colour(row.verdict) if row.judged else palette.BODY
     axes.plot([share(row.value)], [k], zorder=5, **_dot(colour, "o"))
-    if row.likely is not None:
-        axes.plot([share(row.likely)], [k], zorder=4, **_dot(colour, "o", hollow=True))
+    if row.best_fit is not None:
+        axes.plot([share(row.best_fit)], [k], zorder=4, **_dot(colour, "o", hollow=True))
 
 
 def _colour(verdict: str) -> str:
-    """Blue where the data say it, purple for what holds together with others, else vermilion."""
+    """Blue where the data say it, purple for what holds together with others or with this model
+    only, else vermilion."""
     if verdict in ("", IDENTIFIED):
         return palette.BODY
-    return palette.CONE if verdict.startswith("trades off") else palette.FORCE
+    return palette.CONE if verdict.startswith(("trades off", "effective")) else palette.FORCE
 
 
 def _write_row(axes: Axes, k: int, row: ParameterRow) -> None:
@@ -241,11 +242,18 @@ class ProfilesChart(AbstractChart):
     panels : sequence of ProfilePanel
     level : float
         Of the intervals.
+    misfits : bool
+        Whether the model misfits: the intervals to quote are then wider than those drawn.
     """
 
     title: str
     panels: Sequence[ProfilePanel]
     level: float = 0.95
+    misfits: bool = False
+
+    @property
+    def _interval(self) -> str:
+        return f"{100 * self.level:g} % interval" + (", misfit left out" if self.misfits else "")
 
     def figure(self) -> Figure:
         n = len(self.panels)
@@ -255,7 +263,7 @@ class ProfilesChart(AbstractChart):
         figure = sheet(width, 0.55 + 1.75 * rows, self.title)
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, self.panels, strict=False):
-            _draw_profile(axes, panel, self.level)
+            _draw_profile(axes, panel, self._interval)
         for axes in grid.flat[n:]:
             axes.axis("off")
         for row in grid:
@@ -284,12 +292,12 @@ class ProfilesChart(AbstractChart):
         return Table(columns, rows)
 
 
-def _draw_profile(axes: Axes, panel: ProfilePanel, level: float) -> None:
+def _draw_profile(axes: Axes, panel: ProfilePanel, interval: str) -> None:
     unit = readable(panel.unit)
     left, right = _range(panel)
     ends = (left if panel.low is None else panel.low, right if panel.high is None else panel.high)
     axes.axvspan(*(unit.factor * np.array(ends)), color=palette.TRAIL, alpha=0.25, linewidth=0.0,
-                 label=f"{100 * level:g} % interval")  # fmt: skip
+                 label=interval)  # fmt: skip
     axes.axhline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
     for values, rises, style in (
         (panel.slice_values, panel.slice_rises, _SLICE),

@@ -75,11 +75,15 @@ def thumbnail(experiment: Experiment) -> str:
 
     shapes = "".join(f'<path d="{path(world, "Z")}" {look}/>' for world, look in outlines)
     end = path(trail[-1:], "m-3 0h6m-3 -3v6") if scene is None else ""
+    # Start and end alone are two dots: what lies between was not measured.
+    dots = "".join(path(row[None], "h0") for row in trail)
+    line = path(trail, "") if len(trail) > 2 else dots
+    width = 1.4 if len(trail) > 2 else 3.5
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'stroke-linejoin="round" stroke-width="1.2">{shapes}'
-        f'<path d="{path(trail, "")}{end}" fill="none" stroke="{palette.INK}" '
-        'stroke-width="1.4" stroke-linecap="round"/></svg>'
+        f'<path d="{line}{end}" fill="none" stroke="{palette.INK}" '
+        f'stroke-width="{width}" stroke-linecap="round"/></svg>'
     )
 
 

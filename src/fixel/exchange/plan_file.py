@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from fixel.errors import InvalidInput
@@ -19,13 +20,22 @@ from fixel.exchange.scene_schema import (
     NonNegative,
     Number,
     Point,
+    PointsRecord,
     Positive,
     Record,
     Triple,
     TripodRecord,
     UniformRecord,
 )
-from fixel.model import Disk, NoSupport, Polygon, Support, Tripod, UniformPressure
+from fixel.model import (
+    Disk,
+    NoSupport,
+    Polygon,
+    Support,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+)
 from fixel.sampling import (
     Axis,
     Grid,
@@ -63,6 +73,7 @@ class RestRecord(Record):
     """Exactly one form."""
 
     tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
+    points: PointsRecord | None = Field(None, description="support at given points")
     uniform: UniformRecord | None = Field(None, description="even pressure over the footprint")
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
@@ -97,6 +108,7 @@ class ShapeRecord(Record):
 class LayoutRecord(Record):
     name: str
     pegs: list[Point] = Field(description="u, v in the unit square of the zone, from 0 to 1")
+    number: int | None = Field(None, description="by which a publication calls it")
 
 
 class AxisRecord(Record):
@@ -227,6 +239,9 @@ def _support(record: RestRecord | None, path: str) -> Support:
     with within(path):
         if record.tripod:
             return Tripod(**record.tripod.model_dump())
+        if record.points:
+            given = record.points
+            return SupportPoints(points=given.at, friction=given.friction, loads=given.loads)  # type: ignore[arg-type]
         if record.uniform:
             return UniformPressure(**record.uniform.model_dump())
     return NoSupport()
@@ -234,7 +249,8 @@ def _support(record: RestRecord | None, path: str) -> Support:
 
 def _layout(record: LayoutRecord, path: str) -> Layout:
     with within(path, f"layout {record.name!r}.", "layout."):
-        return Layout(name=record.name, pegs=tuple((u, v) for u, v in record.pegs))
+        pegs = tuple((u, v) for u, v in record.pegs)
+        return Layout(name=record.name, pegs=pegs, number=record.number)
 
 
 def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
@@ -275,7 +291,11 @@ def _content(plan: Plan) -> dict[str, Any]:
         "nominal": {"gap": rig.gap, "angle": rig.angle},
         "shapes": [_shape_content(shape) for shape in plan.shapes],
         "layouts": [
-            {"name": layout.name, "pegs": [list(peg) for peg in layout.pegs]}
+            {
+                "name": layout.name,
+                **({} if layout.number is None else {"number": layout.number}),
+                "pegs": [list(peg) for peg in layout.pegs],
+            }
             for layout in plan.layouts
         ],
         "offsets": [_scheme_content(scheme) for scheme in plan.schemes],
@@ -308,12 +328,16 @@ def _support_content(shape: PlannedShape) -> dict[str, Any]:
     if isinstance(support, Tripod):
         turned = {"angle": support.angle} if support.angle else {}
         return {"tripod": {"radius": support.radius, "friction": support.friction, **turned}}
+    if isinstance(support, SupportPoints):
+        loads = {} if support.loads is None else {"loads": support.loads.tolist()}
+        friction = np.asarray(support.friction).tolist()
+        return {"points": {"at": support.points.tolist(), "friction": friction, **loads}}
     if isinstance(support, UniformPressure):
         return {"uniform": {"friction": support.friction, "n_points": support.n_points}}
     raise InvalidInput(
         f"shape {shape.name!r}.support",
         found=f"a {type(support).__name__}",
-        expected="a Tripod, UniformPressure or NoSupport: plan files have no others",
+        expected="a Tripod, SupportPoints, UniformPressure or NoSupport: plan files have no others",
     )
 
 

@@ -7,7 +7,8 @@ a text editor could check.
 from __future__ import annotations
 
 import difflib
-from typing import Annotated, Any, Literal, get_args, get_origin
+from collections.abc import Iterator
+from typing import Annotated, Any, Final, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -21,6 +22,9 @@ Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Waypoint = Annotated[list[Number], Field(min_length=4, max_length=4)]
 Path = tuple[str | int, ...]
+
+# Stands in a template for what only the user knows.
+FILL_IN: Final = "FILL_IN"
 
 
 def _one_of(*forms: str) -> dict[str, Any]:
@@ -181,6 +185,8 @@ def scene_record(raw: Any) -> SceneRecord:
     try:
         return SceneRecord.model_validate(raw)
     except ValidationError as problems:
+        if left := list(_placeholders(raw)):
+            raise _unfilled(left) from None
         raise _explained(problems, raw) from None
 
 
@@ -226,6 +232,29 @@ def _record_in(annotation: Any) -> type[Record] | None:
         return annotation
     inner = (_record_in(argument) for argument in get_args(annotation))
     return next((record for record in inner if record), None)
+
+
+def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
+    """Paths at which the placeholder of a template is left."""
+    if raw == FILL_IN:
+        yield path
+    entries = (
+        raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
+    )
+    for key, value in entries:
+        yield from _placeholders(value, (*path, key))
+
+
+def _unfilled(left: list[Path]) -> InvalidInput:
+    first, record = left[0], record_at(left[0])
+    forms = [f"{{{k}: {v.description}}}" for k, v in record.model_fields.items()] if record else []
+    also = ", ".join(written(path) for path in left[1:])
+    return InvalidInput(
+        written(first),
+        found=f"the placeholder {FILL_IN}",
+        expected=" or ".join(forms) or f"a value: {_description(first) or 'see the scene file'}",
+        hint=f"{FILL_IN} is left at {also} too" if also else None,
+    )
 
 
 def _explained(problems: ValidationError, raw: Any) -> InvalidInput:

@@ -184,7 +184,11 @@ class _Clerk:
     def enter(self, state: files.State, reason: str = "") -> None:
         """The job is in another state."""
         self.say(f"{state}: {reason}" if reason else state)
-        still = {"rate": 0.0, "left_s": None, "workers": 0} if state in files.ENDED else {}
+        still: dict[str, Any] = {}
+        if state in files.ENDED:
+            still = {"rate": 0.0, "left_s": None, "workers": 0}
+        if state == "done":
+            still["share"] = 1.0
         self._write(state=state, reason=reason, **still)
 
     def say(self, sentence: str) -> None:
@@ -197,7 +201,7 @@ class _Clerk:
         """The job has got on."""
         if self._progress is not None:
             self._progress(progress)
-        if time.monotonic() - self._written > BETWEEN_WORDS_S or progress.done == progress.total:
+        if time.monotonic() - self._written > BETWEEN_WORDS_S or progress.share == 1.0:
             waiting = getattr(self.engine, "note", "")
             self._write(reason=waiting, **progress._asdict())
 

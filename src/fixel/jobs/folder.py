@@ -118,7 +118,9 @@ class Status(_Record):
     done, total, failed : int
         Chunks.
     rate, left_s : float
-        Chunks a second; time left [s].
+        Chunks a second; time left [s], None where nobody knows.
+    share : float, optional
+        Part of the work that is done; None where nobody knows how much work follows.
     note : str
         What the work says of itself.
     workers : int
@@ -136,6 +138,7 @@ class Status(_Record):
     failed: int = 0
     rate: float = 0.0
     left_s: float | None = None
+    share: float | None = None
     note: str = ""
     workers: int = 0
     deaths: int = 0

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # [s] The rate is that of this long ago until now: workers come and go.
 RATE_WINDOW_S: Final = 60.0
+# Largest share of a work that has not ended: its result is still to be made.
+ALMOST: Final = 0.99
 
 
 class Chunk(NamedTuple):
@@ -60,14 +62,15 @@ class Round(NamedTuple):
     chunks : sequence of Chunk
     note : str
         What a progress bar says: `"best 2.31 mm"`.
-    expected : int, optional
-        Chunks of the whole work, this round and all others, where that is known.
+    left : int, optional
+        Chunks of the rounds after this one, known or estimated; None where the work may grow by
+        any number. Without it a progress bar shows no share and no time left.
     """
 
     function: str
     chunks: Sequence[Chunk]
     note: str = ""
-    expected: int | None = None
+    left: int | None = None
 
 
 Answers = dict[str, Answer]
@@ -89,6 +92,9 @@ class Progress(NamedTuple):
         What the work says of itself.
     workers : int
         Processes that compute now.
+    share : float or None
+        Part of the whole work that is done, 1 only at its end; None while nobody knows how much
+        work follows.
     """
 
     done: int
@@ -98,6 +104,7 @@ class Progress(NamedTuple):
     left_s: float | None
     note: str
     workers: int
+    share: float | None = None
 
 
 class Stopped(Exception):
@@ -136,6 +143,7 @@ def run_work(
             turn = work.send(_answered(turn, engine, inputs, journal, tally, stop))
     except StopIteration as end:
         result: bytes = end.value or b""
+        tally.finish()
         return result
     finally:
         work.close()
@@ -201,13 +209,14 @@ class _Tally:
         self._engine = engine
         self._done = self._total = self._failed = 0
         self._note = ""
+        self._open, self._ended = True, False
         self._recent = deque([(time.monotonic(), 0)])
         self._fresh = 0
 
     def begin(self, turn: Round, known: Answers) -> None:
         self._note = turn.note
-        known_total = self._done + len(turn.chunks)
-        self._total = max(known_total, turn.expected or 0)
+        self._open, self._ended = turn.left is None, False
+        self._total = self._done + len(turn.chunks) + (turn.left or 0)
         self._count(known)
         self._say()
 
@@ -221,6 +230,11 @@ class _Tally:
             self._recent.popleft()
         self._say()
 
+    def finish(self) -> None:
+        """All rounds are answered."""
+        self._total, self._open, self._ended = self._done, False, True
+        self._say()
+
     def _count(self, answers: Answers) -> None:
         self._done += len(answers)
         self._failed += sum(isinstance(answer, Failure) for answer in answers.values())
@@ -231,6 +245,22 @@ class _Tally:
         begun, count = self._recent[0]
         elapsed = time.monotonic() - begun
         rate = (self._fresh - count) / elapsed if elapsed > 0 else 0.0
-        left = (self._total - self._done) / rate if rate > 0 else None
-        workers = self._engine.workers
-        self._show(Progress(self._done, self._total, self._failed, rate, left, self._note, workers))
+        known = rate > 0 and not self._open
+        left = (self._total - self._done) / rate if known else None
+        self._show(
+            Progress(
+                self._done,
+                self._total,
+                self._failed,
+                rate,
+                left,
+                self._note,
+                self._engine.workers,
+                self._share(),
+            )
+        )
+
+    def _share(self) -> float | None:
+        if self._ended:
+            return 1.0
+        return None if self._open else min(self._done / max(1, self._total), ALMOST)

@@ -20,31 +20,52 @@ class ParameterInfo(NamedTuple):
     meaning: str
     lowest: float = 0.0  # a value below is refused
     above: bool = False  # whether `lowest` itself is refused too
+    # Property of the real object that a value found with a wrong model stands for; empty where the
+    # parameter itself is one.
+    stands_for: str = ""
 
 
 _ANY = -math.inf
+_LOADS = "how the load is spread under the body"
+_CENTRE = "the centre of pressure and the unevenness of the plane"
 
 KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
     {
         "mass": ParameterInfo("kg", "mass of the free body, its inertia in proportion", above=True),
-        "mu_support": ParameterInfo("-", "friction of every support against the plane"),
+        "mu_support": ParameterInfo(
+            "-",
+            "friction of every support against the plane",
+            stands_for="what happens where the drive stalls or the body coasts",
+        ),
         "mu_fixel": ParameterInfo("-", "friction of every free body against every fixel"),
         "mu_pusher": ParameterInfo("-", "friction of every free body against every pusher"),
         "tripod_radius": ParameterInfo(
-            "m", "distance of tripod points from the centre of mass", above=True
+            "m",
+            "distance of tripod points from the centre of mass",
+            above=True,
+            stands_for=_LOADS,
         ),
         **{
             f"support_{k}_{axis}": ParameterInfo(
-                "m", f"{axis} of the free support point {k}, in the frame of the shape", _ANY
+                "m",
+                f"{axis} of the free support point {k}, in the frame of the shape",
+                _ANY,
+                stands_for=_LOADS,
             )
             for k in (1, 2, 3)
             for axis in "xy"
         },
-        "friction_centre_x": ParameterInfo("m", "shift of all supports along the body's x", _ANY),
-        "friction_centre_y": ParameterInfo("m", "shift of all supports along the body's y", _ANY),
-        "ellipsoid_force": ParameterInfo("N", "largest friction force of an ellipsoid", above=True),
+        "friction_centre_x": ParameterInfo(
+            "m", "shift of all supports along the body's x", _ANY, stands_for=_CENTRE
+        ),
+        "friction_centre_y": ParameterInfo(
+            "m", "shift of all supports along the body's y", _ANY, stands_for=_CENTRE
+        ),
+        "ellipsoid_force": ParameterInfo(
+            "N", "largest friction force of an ellipsoid", above=True, stands_for=_LOADS
+        ),
         "ellipsoid_torque": ParameterInfo(
-            "N m", "largest friction torque of an ellipsoid", above=True
+            "N m", "largest friction torque of an ellipsoid", above=True, stands_for=_LOADS
         ),
         "anisotropy_xy": ParameterInfo(
             "-", "friction of the plane along world x above its mean, and along y below it", -0.9
@@ -53,18 +74,24 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "-", "the same along the diagonals of world x and y", -0.9
         ),
         "table_bend": ParameterInfo(
-            "-", "extra load far from the centroid, on a table that is not flat", _ANY
+            "-",
+            "extra load far from the centroid, on a table that is not flat",
+            _ANY,
+            stands_for=_LOADS,
         ),
         "table_bend_xy": ParameterInfo(
-            "-", "extra load far along world x, and less far along y, on such a table", _ANY
+            "-",
+            "extra load far along world x, and less far along y, on such a table",
+            _ANY,
+            stands_for=_LOADS,
         ),
         "table_bend_diagonal": ParameterInfo(
-            "-", "the same between the diagonals of world x and y", _ANY
+            "-", "the same between the diagonals of world x and y", _ANY, stands_for=_LOADS
         ),
         "table_slope_x": ParameterInfo(
-            "-", "extra load towards larger world x, on such a table", _ANY
+            "-", "extra load towards larger world x, on such a table", _ANY, stands_for=_LOADS
         ),
-        "table_slope_y": ParameterInfo("-", "the same along world y", _ANY),
+        "table_slope_y": ParameterInfo("-", "the same along world y", _ANY, stands_for=_LOADS),
         "registration_x": ParameterInfo(
             "m", "shift along world x from where the pusher was recorded to where it was", _ANY
         ),
@@ -92,7 +119,9 @@ def info_of(name: str) -> ParameterInfo:
     if name in KNOWN_PARAMETERS:
         return KNOWN_PARAMETERS[name]
     if _LOAD.fullmatch(str(name)):
-        return ParameterInfo("-", f"load on support point {name[5:]}, relative to the others")
+        return ParameterInfo(
+            "-", f"load on support point {name[5:]}, relative to the others", stands_for=_LOADS
+        )
     close = difflib.get_close_matches(str(name), KNOWN_PARAMETERS, n=1)
     raise InvalidInput(
         "parameters",

@@ -1,6 +1,7 @@
 """Plans of experiments: which configurations to try."""
 
 from fixel.sampling.checks import Problem
+from fixel.sampling.eight_push import eight_push_plan
 from fixel.sampling.offsets import Axis, Grid, Listed, Nominal, Offset, OffsetScheme, Sampled
 from fixel.sampling.plan import Plan
 from fixel.sampling.rehearsal import rehearse
@@ -21,6 +22,7 @@ __all__ = [
     "RegularPolygon",
     "Rig",
     "Sampled",
+    "eight_push_plan",
     "rehearse",
     "thesis_plan",
 ]

@@ -51,7 +51,7 @@ def rehearse(plan: Plan) -> Rehearsal:
         if not result.converged[0]:
             sentence = f"the simulation stopped after {result.stopped_at[0]:.3g} s"
             problems.append(Problem(experiment.name, sentence))
-        elif not any(contacts):
+        elif scene.fixels and not any(contacts):
             problems.append(Problem(experiment.name, "simulated, the object touches no fixel"))
     return Rehearsal(touched, tuple(problems))
 

@@ -26,6 +26,7 @@ from fixel.model.fields import (
 MOST_SIDES: Final = 1000
 
 MOST_PEGS: Final = 100
+MOST_NUMBER: Final = 9999
 
 Peg = tuple[float, float]
 
@@ -137,11 +138,14 @@ class Layout:
         Unique among the plan's layouts; see `plain_name`.
     pegs : tuple of (u, v)
         In the unit square: u from the near side to the far side along the motion, v from the right
-        side to the left.
+        side to the left. None for an open plate.
+    number : int, optional
+        By which a publication calls it.
     """
 
     name: str
     pegs: tuple[Peg, ...]
+    number: int | None = None
 
     def __post_init__(self) -> None:
         where = f"layout {plain_name(self.name, 'layout.name')!r}"
@@ -150,11 +154,18 @@ class Layout:
                 raise InvalidInput(
                     f"{where}.pegs[{k}]", found=list(peg), expected="u and v, each from 0 to 1"
                 )
-        if not 1 <= len(self.pegs) <= MOST_PEGS:
+        if len(self.pegs) > MOST_PEGS:
             raise InvalidInput(
-                f"{where}.pegs", found=f"{len(self.pegs)} pegs", expected=f"1 to {MOST_PEGS}"
+                f"{where}.pegs", found=f"{len(self.pegs)} pegs", expected=f"at most {MOST_PEGS}"
             )
+        if self.number is not None and not 1 <= self.number <= MOST_NUMBER:
+            raise InvalidInput(f"{where}.number", found=self.number, expected=f"1 to {MOST_NUMBER}")
         settle(self, pegs=tuple((float(u), float(v)) for u, v in self.pegs))
+
+    @property
+    def title(self) -> str:
+        """Its name, behind its number where it has one: `4 collinear-minus45`."""
+        return self.name if self.number is None else f"{self.number} {self.name}"
 
 
 @final
@@ -224,4 +235,5 @@ class Rig:
     def peg_places(self, shape: PlannedShape, layout: Layout) -> FloatArray:
         """(n, 2) centres of the fixels of a layout [m]."""
         near_right = np.array([shape.zone_start, -0.5 * self.zone_side])
-        return np.asarray(near_right + self.zone_side * np.array(layout.pegs))
+        pegs = np.array(layout.pegs, dtype=np.float64).reshape(-1, 2)
+        return np.asarray(near_right + self.zone_side * pegs)

@@ -29,18 +29,21 @@ SUPPORT_FRICTION: Final = 0.25
 # 420 experiments: offsets of 24 mm or more along y, at which it slides off beside the pegs. "Tight"
 # and "wide" lines stand square to the motion, the others run at 45 degrees from it: plus is near on
 # the right and far on the left. A concave layout is such a line whose middle peg is moved away from
-# the object.
+# the object. The thesis calls its layouts "fixel configurations" by numbers from 1 to 10: the four
+# collinear ones, read in the order of its section 4.2.4.3, then the six concave ones of section
+# 4.2.4.4. Captions of figures 4.10 and 4.12 name the wide layout first, the text, which we follow,
+# the tight one.
 LAYOUTS: Final = (
-    Layout(name="collinear-tight", pegs=((0.60, 0.34), (0.60, 0.50), (0.60, 0.66))),
-    Layout(name="collinear-wide", pegs=((0.56, 0.22), (0.56, 0.50), (0.56, 0.78))),
-    Layout(name="collinear-plus45", pegs=((0.54, 0.29), (0.65, 0.40), (0.76, 0.51))),
-    Layout(name="collinear-minus45", pegs=((0.54, 0.71), (0.65, 0.60), (0.76, 0.49))),
-    Layout(name="concave-tight", pegs=((0.53, 0.27), (0.69, 0.50), (0.53, 0.73))),
-    Layout(name="concave-wide", pegs=((0.46, 0.12), (0.70, 0.50), (0.46, 0.88))),
-    Layout(name="concave-plus45", pegs=((0.50, 0.26), (0.72, 0.26), (0.72, 0.48))),
-    Layout(name="concave-minus45", pegs=((0.50, 0.74), (0.72, 0.74), (0.72, 0.52))),
-    Layout(name="asymmetric-a", pegs=((0.57, 0.21), (0.65, 0.58), (0.47, 0.80))),
-    Layout(name="asymmetric-b", pegs=((0.53, 0.31), (0.59, 0.42), (0.52, 0.75))),
+    Layout(number=1, name="collinear-tight", pegs=((0.60, 0.34), (0.60, 0.50), (0.60, 0.66))),
+    Layout(number=2, name="collinear-wide", pegs=((0.56, 0.22), (0.56, 0.50), (0.56, 0.78))),
+    Layout(number=3, name="collinear-plus45", pegs=((0.54, 0.29), (0.65, 0.40), (0.76, 0.51))),
+    Layout(number=4, name="collinear-minus45", pegs=((0.54, 0.71), (0.65, 0.60), (0.76, 0.49))),
+    Layout(number=5, name="concave-tight", pegs=((0.53, 0.27), (0.69, 0.50), (0.53, 0.73))),
+    Layout(number=6, name="concave-wide", pegs=((0.46, 0.12), (0.70, 0.50), (0.46, 0.88))),
+    Layout(number=7, name="concave-plus45", pegs=((0.50, 0.26), (0.72, 0.26), (0.72, 0.48))),
+    Layout(number=8, name="concave-minus45", pegs=((0.50, 0.74), (0.72, 0.74), (0.72, 0.52))),
+    Layout(number=9, name="asymmetric-a", pegs=((0.57, 0.21), (0.65, 0.58), (0.47, 0.80))),
+    Layout(number=10, name="asymmetric-b", pegs=((0.53, 0.31), (0.59, 0.42), (0.52, 0.75))),
 )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,8 +146,11 @@ class Simulation:
         return answer
 
 
+MOST_NAMES: Final = 12  # bodies that a printed batch lists
+
+
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class BatchResult:
     """What many rollouts leave behind.
 
@@ -191,3 +195,26 @@ class BatchResult:
     def pose_of(self, name: str) -> FloatArray:
         """(n, n_sample, 3) poses of one body."""
         return self.pose[:, :, self.names.index(name)]
+
+    def __repr__(self) -> str:
+        """A few lines: how many rollouts ended how, and where bodies are at the end."""
+        n, n_sample = self.pose.shape[:2]
+        ended = Counter(codes.STATUS_NAMES[int(code)] for code in self.status)
+        lines = [
+            f"BatchResult of {n} rollouts, {n_sample} samples up to {self.time[-1]:g} s"
+            if n_sample
+            else f"BatchResult of {n} rollouts without samples",
+            "  " + ", ".join(f"{name} {count}" for name, count in ended.most_common()),
+            f"  {self.steps.sum()} steps, {self.fallbacks.sum()} fallbacks; worst residual"
+            f" {np.max(self.max_residual, initial=0.0):.1e}",
+        ]
+        if n and n_sample:
+            shown = self.names[:MOST_NAMES]
+            rows = [(name, np.median(self.final[:, k], axis=0)) for k, name in enumerate(shown)]
+            lines += [
+                f"  {name}: median end x {x:.6g} m, y {y:.6g} m, angle {angle:.6g} rad"
+                for name, (x, y, angle) in rows
+            ]
+            left_out = len(self.names) - len(shown)
+            lines += [f"  ... and {left_out} more bodies"] if left_out else []
+        return "\n".join(lines)

@@ -26,6 +26,14 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.sampling.eight_push import (
+    PART_LENGTH,
+    PART_MASS,
+    PART_WIDTH,
+    PROBE_SIDE,
+    PROBE_TRAVEL,
+    probe_offset,
+)
 
 FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch pegs of the thesis, appendix C.3
 FINGER_RADIUS: Final = 0.005  # [m] of `free_push`
@@ -104,17 +112,6 @@ def grasp(
     )
 
 
-PART_WIDTH: Final = 842e-6  # [m], along the body's x axis
-PART_LENGTH: Final = 1621e-6  # [m], along the body's y axis
-# [kg], beryllium copper of 8250 kg/m^3, 1.5 mil thick.
-PART_MASS: Final = 8250.0 * PART_WIDTH * PART_LENGTH * 38.1e-6
-PROBE_SIDE: Final = 25e-6  # [m]
-PROBE_TRAVEL: Final = 700e-6  # [m]
-
-# Where the probe meets the side, as parts of that side from its midpoint: points C, B, D, A, E of
-# the long side, then G, F, H of the short one. The paper numbers only test 1 (point C) for sure.
-_MICRO_OFFSETS: Final = (0.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.5, -0.5)
-
 Estimate = Literal["p1", "p2"]
 
 _ESTIMATES: Final[dict[str, tuple[tuple[tuple[float, float], ...], float, float]]] = {
@@ -149,9 +146,8 @@ def micro_push(
         raise InvalidInput("test", found=test, expected="a test from 1 to 8")
     points, mu_probe, mu_plane = _ESTIMATES[estimate]
     upright = test <= 5
-    side, depth = (PART_LENGTH, PART_WIDTH) if upright else (PART_WIDTH, PART_LENGTH)
-    reach = 0.5 * (side - PROBE_SIDE)
-    offset = float(np.clip(_MICRO_OFFSETS[test - 1] * side, -reach, reach))
+    depth = PART_WIDTH if upright else PART_LENGTH
+    offset = probe_offset(test)
     part = Body(
         name="part",
         shape=box(PART_WIDTH, PART_LENGTH),

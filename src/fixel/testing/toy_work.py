@@ -36,7 +36,7 @@ def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
             FUNCTION,
             [Chunk(name, _payload(name, x, options)) for name, x in points.items()],
             note=f"best {best_value:.6g}" if k else "",
-            expected=rounds * chunks,
+            left=(rounds - 1 - k) * chunks,
         )
         for name, x in points.items():
             answer = answers[name]

@@ -99,7 +99,7 @@ def create_app(
 
     @app.get("/")
     def home() -> RedirectResponse:
-        return RedirectResponse(pages[0].path, status_code=303)
+        return RedirectResponse(gate.root + pages[0].path, status_code=303)
 
     @app.get("/palette.css")
     def palette() -> Response:
@@ -154,6 +154,7 @@ def _renderer(pages: Sequence[Page], name: str, gate: Gate) -> Any:
     common = {
         "pages": sorted((page for page in pages if page.listed), key=lambda page: page.place),
         "project": name,
+        "root": gate.root,
         "word": gate.word,
         "version": fixel.__version__,
     }

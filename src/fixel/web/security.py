@@ -2,9 +2,11 @@
 
 The server listens on this machine only, but everything that runs here can reach it: other people's
 programs, and the pages of any site that is open in the browser. So a page opens only with the token
-of the link, which becomes a cookie; requests must name the server as the link does, or a foreign
-name could be made to point here (DNS rebinding); and what changes anything needs a word that only
-our own pages know (CSRF).
+of the link. The token becomes two things: a cookie, and a secret first part of all paths. Cookies
+know no ports: a browser sends those of this server to every other server of this machine, except
+that it sends them to their own path alone, and no other server knows that path. Requests must name
+the server as the link does, or a foreign name could be made to point here (DNS rebinding); and what
+changes anything needs a word that only our own pages know (CSRF).
 """
 
 from __future__ import annotations
@@ -56,6 +58,8 @@ class Gate:
         In the link that opens the pages, and in the header of programs.
     session : str
         In the cookie the link is exchanged for.
+    prefix : str
+        First part of the path of every page; the cookie is sent with no other path.
     word : str
         In our own pages, sent back with everything that changes something.
     cookie : str
@@ -64,8 +68,19 @@ class Gate:
 
     token: str = field(default_factory=_secret, repr=False)
     session: str = field(default_factory=_secret, repr=False)
+    prefix: str = field(default_factory=lambda: secrets.token_urlsafe(16), repr=False)
     word: str = field(default_factory=_secret, repr=False)
     cookie: str = field(default_factory=lambda: f"fixel-{secrets.token_hex(4)}")
+
+    @property
+    def root(self) -> str:
+        """Path below which browsers find the pages."""
+        return f"/{self.prefix}"
+
+    def inside(self, path: str) -> str | None:
+        """Return a path without the prefix; None if it does not begin with the prefix."""
+        first, _, rest = path.removeprefix("/").partition("/")
+        return f"/{rest}" if _same(first, self.prefix) else None
 
     def opens(self, headers: Headers) -> bool:
         """Whether a request carries the cookie."""
@@ -84,9 +99,17 @@ class Gate:
 
 
 def at_home(headers: Headers) -> bool:
-    """Whether a request comes from no page at all, or from one of this server."""
+    """Whether a request comes from no page at all, or from one of this server.
+
+    A page of another port of this machine is of the same *site*, and not ours. A link on it may be
+    followed: what a link opens changes nothing, and no other page can read it.
+    """
     origin = headers.get("origin")
-    return origin is None or origin == f"http://{headers.get('host', '')}"
+    if origin is not None and origin != f"http://{headers.get('host', '')}":
+        return False
+    navigation = (headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest"))
+    site = headers.get("sec-fetch-site", "none")  # older browsers, and programs, do not send it
+    return site in ("none", "same-origin") or navigation == ("navigate", "document")
 
 
 class SecurityHeaders:
@@ -107,7 +130,10 @@ class SecurityHeaders:
 
 
 class Guard:
-    """Lets through what carries the cookie, and exchanges the token of the link for it."""
+    """Lets through what has the cookie and knows the prefix; exchanges the token for both.
+
+    What is behind it is told paths without the prefix.
+    """
 
     def __init__(self, app: ASGIApp, gate: Gate) -> None:
         self.app = app
@@ -117,10 +143,12 @@ class Guard:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        refused = self._refused(scope)
-        await (refused or self.app)(scope, receive, send)
+        path = self.gate.inside(scope["path"])
+        inner = {**scope, "path": scope["path"] if path is None else path}
+        refused = self._refused(inner, path is not None)
+        await (refused or self.app)(inner, receive, send)
 
-    def _refused(self, scope: Scope) -> Response | None:
+    def _refused(self, scope: Scope, knows_prefix: bool) -> Response | None:
         if scope["type"] != "http":
             return PlainTextResponse("Not found", status_code=404)
         headers, query = Headers(scope=scope), parse_qsl(scope["query_string"].decode("latin-1"))
@@ -130,19 +158,22 @@ class Guard:
             return self._let_in(scope["path"], [pair for pair in query if pair[0] != "token"])
         if "authorization" in headers:
             return None if self.gate.knows(headers) else _refusal(scope, 401, WRONG_TOKEN)
-        if not self.gate.opens(headers):
+        # The cookie alone opens nothing: it may have come from anywhere.
+        if not (knows_prefix and self.gate.opens(headers)):
             return _refusal(scope, 403, NO_COOKIE)
-        # A page of another port of this machine is of the same site: the cookie comes with it.
         if not at_home(headers) or (not safe and not self.gate.admits(headers)):
             return _refusal(scope, 403, NOT_OURS)
         return None
 
     def _let_in(self, path: str, query: list[tuple[str, str]]) -> Response:
-        # Two slashes at the start would name another machine.
-        address = "/" + path.lstrip("/\\") + (f"?{urlencode(query)}" if query else "")
+        address = self.gate.root + path + (f"?{urlencode(query)}" if query else "")
         response = RedirectResponse(address, status_code=303)
         response.set_cookie(
-            self.gate.cookie, self.gate.session, httponly=True, samesite="lax", path="/"
+            self.gate.cookie,
+            self.gate.session,
+            httponly=True,
+            samesite="lax",
+            path=self.gate.root,
         )
         return response
 

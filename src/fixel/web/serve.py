@@ -92,9 +92,14 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Where the pages are, without the token."""
+        """Where programs ask, with the token in a header."""
         name = socket.gethostname() if self.host in EVERYWHERE else self.host
         return f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
+
+    @property
+    def home(self) -> str:
+        """Address below which a browser that has opened the link finds the pages."""
+        return f"{self.address}{self.gate.prefix}/"
 
     @property
     def link(self) -> str:

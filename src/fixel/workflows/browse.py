@@ -10,7 +10,8 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, Bound, Relation, View
+from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, View
+from fixel.database.query import Bound, Relation
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray

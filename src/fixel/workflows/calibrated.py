@@ -12,7 +12,8 @@ from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, Mean
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
-from fixel.model import Scene
+from fixel.model import Experiment, Parameters, Scene
+from fixel.model.parameters import KNOWN_PARAMETERS
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel, Dynamic
@@ -115,6 +116,32 @@ def calibrated(
             hint="calibrate first: fixel calibrate",
         )
     return Calibrated(own, store.calibration(own))
+
+
+def parameters_of(
+    store: Store,
+    number: int,
+    experiment: Experiment,
+    changed: Parameters,
+    motion: AbstractMotionModel | None = None,
+) -> tuple[Parameters, AbstractMotionModel]:
+    """Return the parameters of a stored calibration for an experiment, and the motion model.
+
+    Parameters
+    ----------
+    store : Store
+    number : int
+        Id of the calibration.
+    experiment : Experiment
+    changed : Parameters
+        Instead of the calibration's.
+    motion : AbstractMotionModel, optional
+        Instead of the calibration's.
+    """
+    one = calibrated(store, number)
+    values = one.values({**experiment.conditions, "experiment": experiment.key})
+    known = {name: value for name, value in values.items() if name in KNOWN_PARAMETERS}
+    return Parameters({**known, **changed}), motion or one.motion
 
 
 def newest(store: Store, experiment: int | None = None) -> int | None:

@@ -25,6 +25,7 @@ from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, s
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
 SAMPLES: Final = 200  # of a simulation of two poses
+MICRO: Final = 3e-3  # [m], radius of objects below which lengths are read in micrometres
 NOISE: Final = 1e-3  # [m]; a way is measured in strides no shorter than this
 
 
@@ -296,12 +297,27 @@ def frame_rate(track: Trajectory) -> float | None:
     return float(1.0 / np.median(np.diff(track.time))) if len(track.time) > 2 else None
 
 
-def travelled(track: Trajectory) -> float:
-    """Length of a path [m], in strides of a millimetre at least: noise is no way."""
+def length_unit(experiment: Experiment) -> tuple[str, float]:
+    """Return the unit in which people read an experiment's lengths, and its size [m].
+
+    Micrometres for objects below `MICRO`; by how far the object moved where its outline is unknown.
+    """
+    reach = float(np.ptp(experiment.trajectory.pose[:, :2], axis=0).max())
+    if experiment.scene is not None:
+        reach = max(
+            float(np.hypot(*np.asarray(body.shape.outline).T).max())
+            for body in experiment.scene.bodies
+            if body.name == experiment.object_name
+        )
+    return ("um", 1e-6) if 0.0 < reach < MICRO else ("mm", 1e-3)
+
+
+def travelled(track: Trajectory, noise: float = NOISE) -> float:
+    """Length of a path [m], in strides of `noise` [m] at least: noise is no way."""
     here, length = track.pose[0, :2], 0.0
     for place in track.pose[1:, :2]:
         stride = float(np.hypot(*(place - here)))
-        if stride >= NOISE:
+        if stride >= noise:
             here, length = place, length + stride
     return length + float(np.hypot(*(track.pose[-1, :2] - here)))
 

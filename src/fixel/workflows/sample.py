@@ -10,7 +10,7 @@ from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.exchange.atomic import refuse_unwritable, written_whole
 from fixel.exchange.plan_file import load_plan, plan_text
-from fixel.sampling import Plan, Problem, rehearse, thesis_plan
+from fixel.sampling import Plan, Problem, eight_push_plan, rehearse, thesis_plan
 from fixel.workflows.engine import Say, get_ready
 
 PLAN_ENDINGS = (".yaml", ".yml")
@@ -47,6 +47,7 @@ class SampleAnswer:
             "configurations": plan.configurations,
             "repetitions": plan.repetitions,
             "total": plan.total,
+            "layout_numbers": {x.name: x.number for x in plan.layouts if x.number is not None},
             "duration_s": plan.rig.duration,
             "rehearsed": self.rehearsed,
             "problems": [problem._asdict() for problem in self.problems],
@@ -64,6 +65,7 @@ def sample(
     output: Path | None = None,
     plot: Path | None = None,
     simulate: bool = False,
+    eight_push: bool = False,
     say: Say | None = None,
 ) -> SampleAnswer:
     """Read a plan, check it, and write and draw it where asked.
@@ -76,6 +78,8 @@ def sample(
         The plan as a plan file: `.yaml`.
     plot : Path, optional
         A drawing: `.png`, `.svg` or `.pdf`.
+    eight_push : bool
+        The ASME paper's plan instead of the thesis's, where no file is given.
     simulate : bool
         Simulate every experiment too, to see whether the object touches a fixel.
     say : callable, optional
@@ -88,7 +92,10 @@ def sample(
     """
     files = {kind: file for kind, file in (("output", output), ("plot", plot)) if file is not None}
     _refuse_files(path, files)
-    plan = thesis_plan() if path is None else load_plan(path)
+    if path is not None:
+        plan = load_plan(path)
+    else:
+        plan = eight_push_plan() if eight_push else thesis_plan()
     problems = plan.check()
     if simulate and plan.experiments:
         get_ready(plan.experiments[0].scene, say)

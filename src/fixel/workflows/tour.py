@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
+
+import numpy as np
 
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
+from fixel.model import Experiment
 from fixel.sampling.thesis import thesis_plan
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.uncertainty.starts import StartError
+from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
 from fixel.workflows.calibration.unknowns import default_unknowns
@@ -47,10 +51,13 @@ class Tour:
     ----------
     project : Path
     report : Report
+    truth : TextTable
+        What was found beside what was true of the laboratory.
     """
 
     project: Path
     report: Report
+    truth: TextTable
 
 
 def run_tour(folder: Path, say: Say | None = None) -> Tour:
@@ -86,7 +93,7 @@ def run_tour(folder: Path, say: Say | None = None) -> Tour:
     report = write_report(
         project, folder.parent / "report", number=number, command=f"fixel report {at}"
     )
-    return Tour(project=folder, report=report)
+    return Tour(project=folder, report=report, truth=_beside_truth(project, number))
 
 
 def _perform(store: Store) -> None:
@@ -108,6 +115,43 @@ def _calibrate(project: Project, command: str) -> int:
     job = calibration.prepare(project, chosen, request)
     calibration.run(job)
     return calibration.collect(project, job, command, chosen.left_out).ids[-1]
+
+
+def _beside_truth(project: Project, number: int) -> TextTable:
+    """Estimates beside the mean friction that the simulated laboratory really had."""
+    with project.store() as store:
+        record = store.calibration(number)
+        experiments = [store.experiment(member.experiment_id) for member in record.members]
+    rows = []
+    for estimate in record.estimates:
+        unit, factor = {"m": ("mm", 1e3)}.get(estimate.unit, ("", 1.0))
+        true = _true_mean(estimate.label, experiments)
+        low, high = ("open" if x is None else f"{factor * x:.3g}" for x in
+                     (estimate.low, estimate.high))  # fmt: skip
+        rows.append((
+            estimate.label, f"{factor * estimate.value:.3g} {unit}".rstrip(), f"{low} to {high}",
+            "none in this world" if true is None else f"{true:.3g}", estimate.verdict,
+        ))  # fmt: skip
+    head = ("parameter", "value", "interval", "truth", "verdict")
+    return TextTable(title="Found, and true", head=head, rows=tuple(rows))
+
+
+def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
+    """Mean true friction; None where the laboratory has no such property."""
+    kind = label.removeprefix("mu_")
+    if kind not in ("pusher", "fixel", "support"):
+        return None
+    found = []
+    for experiment in experiments:
+        scene = experiment.scene
+        assert scene is not None
+        body = scene.bodies[0]
+        nominal = float(np.mean(getattr(body.support, "friction", math.nan)))
+        if kind != "support":
+            thing = scene.pushers[0] if kind == "pusher" else scene.fixels[0]
+            nominal = scene.friction(body.name, thing.name)
+        found.append(nominal * float(experiment.conditions[f"{TRUTH}{kind}_friction_ratio"]))
+    return float(np.mean(found))
 
 
 def _ask_starts(project: Project, number: int, at: str) -> None:

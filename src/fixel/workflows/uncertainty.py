@@ -28,7 +28,7 @@ from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, Progress
-from fixel.workflows.calibrated import Calibrated, calibrated, searched_space
+from fixel.workflows.calibrated import Calibrated, calibrated, newest, searched_space
 from fixel.workflows.calibration.unknowns import default_unknowns, fitted
 
 # For the rough fit that tells the noise, before there is one.
@@ -114,6 +114,9 @@ class Uncertainty:
     near_names : tuple of str
     motion : str
     calibration : Calibrated, optional
+    compared : Calibrated, optional
+        The same, or the newest one that the first experiment is a member of: what the posterior
+        should not contradict silently.
     """
 
     request: UncertaintyRequest
@@ -125,6 +128,7 @@ class Uncertainty:
     near: NearOptimal | None = None
     near_names: tuple[str, ...] = ()
     calibration: Calibrated | None = None
+    compared: Calibrated | None = None
 
     @property
     def held_out(self) -> tuple[Predicted, ...]:
@@ -158,6 +162,8 @@ def find_uncertainty(
                 expected="others",
             )
         experiments = [store.experiment(number) for number in (*ids, *held)]
+        known = newest(store, ids[0]) if one is None else None
+        compared = one if known is None else calibrated(store, known)
     targets = [target_of(experiment) for experiment in experiments]
     unknowns = _unknowns(project, request, one, targets[: len(ids)])
     motion = _motion(request, one)
@@ -184,6 +190,7 @@ def find_uncertainty(
         near=near,
         near_names=names,
         calibration=one,
+        compared=compared,
     )
 
 

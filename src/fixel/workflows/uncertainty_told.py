@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from math import degrees
 from typing import Any, Final
@@ -14,6 +15,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.analysis import Analysis, Kept, TextTable, keep, rounded
+from fixel.workflows.calibration.told import misfit_of
 from fixel.workflows.uncertainty import Predicted, Uncertainty
 from fixel.workflows.uncertainty_pictures import curves_of, pictures_of, what_of
 
@@ -197,6 +199,7 @@ _MEANT: Final = {
 
 def _warnings(found: Uncertainty) -> Iterator[str]:
     posterior = found.posterior
+    yield from _beside_calibration(found)
     if posterior.effective < found.request.samples:
         yield (
             f"{posterior.effective:.0f} effective samples in place of {found.request.samples}:"
@@ -214,6 +217,45 @@ def _warnings(found: Uncertainty) -> Iterator[str]:
         k = posterior.labels.index(LABEL)
         if posterior.quantiles((0.5,))[0, k] > 0.5 * posterior.high[k]:
             yield "Model error is as large as its prior allows: this model does not fit."
+
+
+def _beside_calibration(found: Uncertainty) -> Iterator[str]:
+    """Misfit that the calibration found, and where the posterior contradicts it."""
+    if found.compared is None:
+        return
+    record, number = found.compared.record, found.compared.id
+    yield from (f"Calibration {number}: {sentence}" for sentence in misfit_of(record)[:1])
+    own = sum(not one.held_out for one in found.predicted)
+    few = own < len(record.members)
+    of = f"{own} experiment{'s' * (own != 1)}"
+    low, middle, high = found.posterior.quantiles()
+    estimates = {estimate.label: estimate for estimate in record.estimates}
+    for k, label in enumerate(found.posterior.labels):
+        estimate = estimates.get(label)
+        if estimate is None or not estimate.verdict or estimate.verdict == "frozen":
+            continue
+        bottom = -math.inf if estimate.low is None else estimate.low
+        top = math.inf if estimate.high is None else estimate.high
+        if bottom <= middle[k] <= top:
+            continue
+        unit = readable(found.posterior.units[k])
+        apart = high[k] < bottom or low[k] > top
+        yield (
+            f"{label} {'contradicts' if apart else 'disagrees with'} calibration {number}: this"
+            f" posterior of {of} has {unit.text(low[k])} to {unit.text(high[k])} {unit.name}, the"
+            f" calibration of {len(record.members)} has {unit.text(estimate.value)}"
+            f" ({_end(unit, estimate.low)} to {_end(unit, estimate.high)}). "
+            + (
+                "Few experiments cannot show how results vary from one to the next: quote the"
+                " calibration."
+                if few
+                else "The two allow for model error differently: quote the wider interval."
+            )
+        )
+
+
+def _end(unit: Any, value: float | None) -> str:
+    return "open" if value is None else str(unit.text(value))
 
 
 def _methods(found: Uncertainty) -> Iterator[str]:

@@ -21,6 +21,8 @@ from fixel.exchange.importers.base import (
     rate_of,
     remark,
 )
+from fixel.exchange.importers.own_scene import with_scene
+from fixel.exchange.importers.plausible import refuse_implausible
 from fixel.model import Channel, Experiment, Flag, Trajectory
 
 DATASET: Final = "csv"
@@ -89,7 +91,8 @@ _OPTIONS: Final = {
     "simulated_by": "what made the table, where it was not measured",
     "time_unit": "of a time without unit: s, ms or us",
     "length_unit": "of positions without unit: m, mm, cm or um",
-    "angle_unit": "of angles without unit: rad or deg",
+    "angle_unit": "of angles, whatever the header has: rad or deg",
+    "scene": "scene file with the object, the pusher and the pegs",
 }
 
 
@@ -112,6 +115,17 @@ class CsvTable(Importer):
             raise InvalidInput(source.name, found="a folder", expected="one CSV file")
         plain = {name: _text_option(name, value) for name, value in options.items()}
         experiment, understood = _experiment(source, read_table(source), plain)
+        scene = plain.get("scene")
+        if scene is not None:
+            experiment, more = with_scene(
+                experiment,
+                Path(scene),
+                plain.get("object_name"),
+                sure_of_angles="angle_unit" in plain,
+            )
+            understood += more
+        else:
+            understood += ("There is no scene, so it can be shown but not simulated.",)
         return ImportPlan(DATASET, source, understood, 1, lambda: iter((experiment,)))
 
 
@@ -175,6 +189,8 @@ def _experiment(
     if "pusher_x" in reading.roles:
         pusher, more = _poses(reading, time, "pusher_")
         flags = (*flags, *more)
+    if "angle_unit" not in options:
+        _check_units(reading, trajectory, pusher)
     channels, conditions = _channels(reading, time), _conditions(reading)
     if reading.guesses:
         flags = (*flags, remark("guessed-units", " ".join(reading.guesses)))
@@ -276,11 +292,14 @@ def _refuse_incomplete(reading: _Reading) -> None:
 
 def _settle_unit(reading: _Reading, role: str) -> None:
     column = reading.roles[role]
-    if column.unit is not None:
-        return
     kind = _kind(role)
     given = reading.options.get(f"{kind}_unit")
+    # The header decides, but for angles: their unit is what headers most often get wrong.
+    if column.unit is not None and (given is None or kind != "angle"):
+        return
     lack = f"the unknown unit {column.unknown!r}" if column.unknown else "no unit"
+    if column.unit is not None:
+        lack = f"the unit {_name(column.unit)}"
     if given is not None:
         if given not in UNITS or UNITS[given].kind != kind:
             known = ", ".join(name for name, unit in UNITS.items() if unit.kind == kind)
@@ -296,12 +315,16 @@ def _settle_unit(reading: _Reading, role: str) -> None:
     )
 
 
+def _name(wanted: Unit) -> str:
+    return next(name for name, unit in UNITS.items() if unit == wanted)
+
+
 def _guess(reading: _Reading, kind: str, column: _Column) -> tuple[str, str]:
     """A unit, and why."""
     siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
     if len(siblings) == 1:
         (sibling,) = siblings
-        name = next(name for name, unit in UNITS.items() if unit == sibling)
+        name = _name(sibling)
         return name, f"others of its kind are in {name}"
     if kind == "time":
         numbers = reading.numbers(column)
@@ -356,6 +379,18 @@ def _poses(reading: _Reading, time: FloatArray, whose: str) -> tuple[Trajectory,
     kept = pose[there]
     kept[:, 2] = np.unwrap(kept[:, 2])
     return Trajectory(time=time[there], pose=kept), flags
+
+
+def _check_units(reading: _Reading, track: Trajectory, pusher: Trajectory | None) -> None:
+    """Refuse units in which nothing on a plate moves so; the angles as the file has them."""
+    column = reading.roles.get("theta")
+    unit = None if column is None or column.unit is None else _name(column.unit)
+    turned = track
+    if unit is not None:  # before angles were unwrapped in a unit that may be wrong
+        pose = np.column_stack([reading.si(role) for role in ("x", "y", "theta")])
+        turned = Trajectory(time=track.time, pose=pose[~np.isnan(pose).any(axis=1)])
+    where = f"{reading.table.source}, column {column.title if column else ''}"
+    refuse_implausible(turned, pusher, reading.table.source, where, unit)
 
 
 def _channels(reading: _Reading, time: FloatArray) -> tuple[Channel, ...]:
@@ -418,7 +453,8 @@ def _understood(reading: _Reading, experiment: Experiment, time: FloatArray) -> 
             " starts at the first row."
         )
         for role, column in reading.roles.items():
-            unit = next(name for name, known in UNITS.items() if known == column.unit)
+            assert column.unit is not None
+            unit = _name(column.unit)
             si = UNITS[unit].si
             into = f"{unit} to {si}" if unit != si else si
             unwrapped = ", unwrapped" if role.endswith("theta") else ""
@@ -427,6 +463,6 @@ def _understood(reading: _Reading, experiment: Experiment, time: FloatArray) -> 
             yield f"Channel {channel.name}: {', '.join(channel.columns)}."
         yield from (f"Guess: {guess}" for guess in reading.guesses)
         yield from reading.remarks
-        yield "Positions are taken as those of the object's own frame; there is no scene."
+        yield "Positions are taken as those of the object's own frame."
 
     return tuple(lines())

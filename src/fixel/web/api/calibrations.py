@@ -67,8 +67,7 @@ class RunningOut(BaseModel):
     rate: float = Field(description="evaluations a second, lately")
     left_s: float | None = Field(description="at that rate; none where nobody knows")
     at_most: bool = Field(description="whether it may end earlier: searches end when they stand")
-    done: int = Field(description="chunks of work")
-    total: int
+    share: float | None = Field(description="of the work that is done; none where nobody knows")
     best: float | None = Field(description="mean error of an experiment")
     start: float | None = Field(description="the same at the nominal values")
     started_utc: str
@@ -108,8 +107,10 @@ class RowOut(BaseModel):
 
     label: str
     unit: str
-    found: float = Field(description="by the search")
-    likeliest: float | None = Field(description="what the interval is about")
+    value: float = Field(description="value to quote, inside its interval")
+    best_fit: float = Field(
+        description="value that predicts best; not the true one of a wrong model"
+    )
     low: float | None = Field(description="end of the interval; none where the data set none")
     high: float | None
     bounds: tuple[float, float] | None = Field(description="of the search")
@@ -170,6 +171,7 @@ class CalibrationOut(BaseModel):
     objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
     starts: list[StartOut] = Field(description="the best first; empty where there was one")
     curves: list[CurveOut]
+    misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
     noise: str
     note: str
     ended: str
@@ -361,7 +363,7 @@ def _listed(one: Listed) -> ListedOut:
 
 def _running(one: Watched, desk: Desk) -> dict[str, Any]:
     status, request = one.status.status, one.request
-    left = status.left_s if request.mode == "each" and status.total > 1 else None
+    left = status.left_s
     at_most = left is None and one.most is not None and one.rate > 0.0
     if at_most and one.most is not None:
         left = (one.most - one.evaluations) / one.rate
@@ -383,8 +385,7 @@ def _running(one: Watched, desk: Desk) -> dict[str, Any]:
         "rate": one.rate,
         "left_s": None if one.status.ended or left is None else max(0.0, left),
         "at_most": at_most,
-        "done": status.done,
-        "total": status.total,
+        "share": status.share,
         "best": one.best,
         "start": one.start,
         "started_utc": status.started_utc,
@@ -421,6 +422,7 @@ def _whole(one: Told, desk: Desk) -> CalibrationOut:
             )
             for curve in one.curves
         ],
+        misfit=one.misfit,
         noise=one.noise,
         note=one.note,
         ended=str(record.method.get("ended", "")),

@@ -34,6 +34,7 @@ class JobOut(BaseModel):
     kept: int = Field(description="answers in the journal, which no accident takes away")
     rate_per_s: float
     left_s: float | None
+    share: float | None = Field(description="of the work that is done; none where nobody knows")
     workers: int = Field(description="that compute now")
     deaths: int = Field(description="workers that died while they computed")
     again: int = Field(description="chunks that were given out once more")
@@ -132,6 +133,7 @@ def job_out(job: Posted) -> JobOut:
         kept=known.kept if known else 0,
         rate_per_s=said.rate if said else 0.0,
         left_s=said.left_s if said else None,
+        share=said.share if said else None,
         workers=said.workers if said and known and not known.ended else 0,
         deaths=said.deaths if said else 0,
         again=said.again if said else 0,

@@ -1,9 +1,9 @@
 // @ts-check
 // Asking fixel: JSON in and out, refusals as sentences, undo.
 
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 
-const BASE = "/api/v1";
+const BASE = `${ROOT}/api/v1`;
 const SHOWN_FOR = 8000; // [ms]
 
 /** @typedef {{dtype: string, shape: number[], base64: string}} Packed */

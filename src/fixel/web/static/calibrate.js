@@ -2,7 +2,7 @@
 // A calibration to begin: which experiments, which parameters, which search.
 
 import { complain, get, send, toast } from "./api.js";
-import { at, input, make, settled } from "./dom.js";
+import { ROOT, at, input, make, settled } from "./dom.js";
 import { shownIn } from "./quantity.js";
 import { several } from "./units.js";
 
@@ -106,8 +106,8 @@ async function begin(event) {
       verdicts: input("verdicts").checked,
     });
     location.assign(begun.stored.length
-      ? `/calibrations/${begun.stored.at(-1)}`
-      : `/calibrations/running/${encodeURIComponent(begun.name)}`);
+      ? `${ROOT}/calibrations/${begun.stored.at(-1)}`
+      : `${ROOT}/calibrations/running/${encodeURIComponent(begun.name)}`);
   } catch (problem) {
     complain(problem);
     button.disabled = false;

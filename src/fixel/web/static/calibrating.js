@@ -2,12 +2,12 @@
 // A calibration while it runs: its objective as it falls, stop and resume.
 
 import { complain, copy, get, send, toast } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { Plot } from "./plot.js";
 import { digits, lasting, rms } from "./quantity.js";
 import { count } from "./units.js";
 
-/** @typedef {{name: string, label: string, mode: string, optimiser: string, experiments: number, unknowns: string[], unit: string, state: string, ended: boolean, reason: string, stage: string, evaluations: number, most: number | null, rate: number, left_s: number | null, at_most: boolean, done: number, total: number, best: number | null, start: number | null, started_utc: string, stored: number[], command: string}} Running */
+/** @typedef {{name: string, label: string, mode: string, optimiser: string, experiments: number, unknowns: string[], unit: string, state: string, ended: boolean, reason: string, stage: string, evaluations: number, most: number | null, rate: number, left_s: number | null, at_most: boolean, share: number | null, best: number | null, start: number | null, started_utc: string, stored: number[], command: string}} Running */
 /** @typedef {Running & {since: number, objective: (number | null)[], singles: {id: number, before: number | null, after: number | null}[]}} Live */
 
 const AGAIN = 700; // [ms]
@@ -55,7 +55,7 @@ function arrive(live) {
   if (leaving) return;
   leaving = true;
   toast("Done and stored.");
-  location.replace(`/calibrations/${live.stored.at(-1)}`);
+  location.replace(`${ROOT}/calibrations/${live.stored.at(-1)}`);
 }
 
 /** @param {Live} live */
@@ -73,9 +73,9 @@ function show(live) {
   )));
   /** @type {HTMLProgressElement} */
   const bar = /** @type {HTMLProgressElement} */ (at("bar"));
-  bar.hidden = live.mode !== "each" || live.ended;
-  bar.max = Math.max(1, live.total);
-  bar.value = live.done;
+  bar.hidden = live.share === null || live.ended;
+  bar.max = 1;
+  bar.value = live.share ?? 0;
   draw(live);
   root.dataset.evaluations = String(live.evaluations);
   root.dataset.state = live.state;
@@ -105,7 +105,7 @@ function figures(live) {
 /** @type {Record<string, string>} */
 const STAGES = {
   nominal: "values as they were", "all together": "one set for all", squares: "least squares",
-  alone: "each experiment by itself", verdicts: "what the data determine", best: "at the best", neighbours: "neighbours' values",
+  alone: "each experiment by itself", verdicts: "intervals and verdicts", best: "at the best", neighbours: "neighbours' values",
 };
 
 /** @param {Live} live */

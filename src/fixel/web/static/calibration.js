@@ -2,16 +2,16 @@
 // One calibration: did the search end, what did it find, do the data determine it, where is it off.
 
 import { complain, copy, get, numbers } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { Plot } from "./plot.js";
 import { digits, rms, shown, shownIn, verdictOf } from "./quantity.js";
 import { several } from "./units.js";
 
-/** @typedef {{label: string, unit: string, found: number, likeliest: number | null, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
+/** @typedef {{label: string, unit: string, value: number, best_fit: number, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
 /** @typedef {{id: number, key: string, before: number | null, after: number | null}} Residual */
 /** @typedef {{error: number | null, point: number[], evaluations: number, good: boolean}} Start */
 /** @typedef {{label: string, unit: string, values: number[], rises: (number | null)[], slice_values: number[], slice_rises: (number | null)[], low: number | null, high: number | null, threshold: number}} Curve */
-/** @typedef {{id: number, name: string, unit: string, level: number, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
+/** @typedef {{id: number, name: string, unit: string, level: number, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], misfit: string[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
 
 const MOST_BARS = 60;
 const root = at("calibration");
@@ -27,6 +27,8 @@ async function open() {
   waterfall();
   profiles();
   residuals();
+  at("misfit").hidden = one.misfit.length === 0;
+  at("misfit").textContent = one.misfit.join(" ");
   at("note").textContent = [one.note, one.noise].filter(Boolean).join(". ");
   root.dataset.ready = "yes";
 }
@@ -52,11 +54,11 @@ function parameters() {
     return make(
       "tr", {},
       make("th", { scope: "row" }, row.label, unit ? make("small", {}, `[${unit}]`) : null),
-      make("td", { class: "number" }, make("strong", {}, shown(row.found, row.unit))),
-      make("td", { class: "number" }, shown(row.likeliest, row.unit)),
+      make("td", { class: "number" }, make("strong", {}, shown(row.value, row.unit))),
       make("td", { class: "number interval" }, interval),
       make("td", { class: "span" }, strip(row)),
       make("td", {}, row.verdict ? button : "\u2013", reason),
+      make("td", { class: "number" }, shown(row.best_fit, row.unit)),
     );
   }));
   at("level").textContent = `${+(100 * one.level).toPrecision(3)} % interval`;
@@ -83,7 +85,7 @@ function strip(row) {
     node.append(before);
   }
   const dot = make("span", { class: "is" });
-  dot.style.left = place(row.found);
+  dot.style.left = place(row.value);
   node.append(dot);
   return make("div", {}, node, make("div", { class: "ends" }, make("small", {}, shown(low, row.unit)), make("small", {}, shown(high, row.unit))));
 }
@@ -177,8 +179,8 @@ function residuals() {
   at("worst").replaceChildren(...values.slice(0, one.worst.length).map((each, k) => make(
     "li", {},
     make("span", { class: "figure-of" }, digits(each.after), make("small", {}, " mm")),
-    make("a", { href: `/experiments/${each.id}` }, each.key),
-    make("a", { class: "button", href: `/compare?experiment=${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
+    make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key),
+    make("a", { class: "button", href: `${ROOT}/compare?experiment=id:${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
     k === 0 ? make("span", { class: "tag fault" }, "worst") : null,
   )));
   at("bars").replaceChildren(...values.slice(0, MOST_BARS).map((each) => bar(each, largest)));
@@ -200,7 +202,7 @@ function bar(each, largest) {
   was.hidden = each.before === null;
   return make(
     "tr", {},
-    make("th", { scope: "row" }, make("a", { href: `/experiments/${each.id}` }, each.key)),
+    make("th", { scope: "row" }, make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key)),
     make("td", { class: "track" }, make("div", { class: "track-of", "aria-hidden": "true" }, filled, was)),
     make("td", { class: "number" }, digits(each.before)),
     make("td", { class: "number" }, make("strong", {}, each.after === null ? "none" : digits(each.after))),
@@ -213,11 +215,11 @@ function siblings() {
   const place = one.siblings.findIndex(({ id }) => id === number);
   at("siblings").hidden = one.siblings.length < 2;
   if (one.siblings.length < 2) return;
-  const select = make("select", { "aria-label": "Set of this run", onchange: () => location.assign(`/calibrations/${select.value}`) },
+  const select = make("select", { "aria-label": "Set of this run", onchange: () => location.assign(`${ROOT}/calibrations/${select.value}`) },
     ...one.siblings.map(({ id, name }) => make("option", { value: id, selected: id === number }, name)));
   /** @param {number} to @param {string} sign @param {string} words */
   const step = (to, sign, words) => (one.siblings[to]
-    ? make("a", { class: "button", href: `/calibrations/${one.siblings[to].id}`, "aria-label": words, id: to < place ? "previous" : "next" }, sign)
+    ? make("a", { class: "button", href: `${ROOT}/calibrations/${one.siblings[to].id}`, "aria-label": words, id: to < place ? "previous" : "next" }, sign)
     : null);
   at("siblings").replaceChildren(...[step(place - 1, "\u2190", "Previous set (k)"), select, step(place + 1, "\u2192", "Next set (j)")].filter((node) => node !== null));
 }

@@ -2,7 +2,7 @@
 // The list of calibrations: those that run, and what came of those that ended.
 
 import { complain, get } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { digits, lasting, rms, verdictOf } from "./quantity.js";
 import { several } from "./units.js";
 
@@ -40,12 +40,13 @@ function card(one) {
   const left = one.left_s === null ? "" : `${one.at_most ? "at most " : ""}${lasting(one.left_s)} left`;
   const told = [
     several(one.experiments, "experiment"), one.mode, one.optimiser,
-    one.evaluations ? several(one.evaluations, "evaluation") : `${one.done} of ${one.total} parts`,
+    one.evaluations ? several(one.evaluations, "evaluation") : "",
+    one.share === null ? "" : `${Math.floor(100 * one.share)} %`,
     best === null ? "" : `best ${digits(best)} mm`, left,
   ];
   return make(
     "li", { class: "card run-card" },
-    make("a", { href: `/calibrations/running/${encodeURIComponent(one.name)}` }, one.label),
+    make("a", { href: `${ROOT}/calibrations/running/${encodeURIComponent(one.name)}` }, one.label),
     make("span", { class: `tag ${one.ended ? "simulated" : "good"}` }, one.state),
     make("span", { class: "told" }, told.filter(Boolean).join(", ")),
   );
@@ -57,7 +58,7 @@ function row(one) {
   return make(
     "tr", {},
     make("th", { scope: "row" },
-      make("a", { href: `/calibrations/${one.id}` }, one.name),
+      make("a", { href: `${ROOT}/calibrations/${one.id}` }, one.name),
       make("small", {}, one.sets > 1 ? `${one.mode}, ${one.sets} sets` : one.how)),
     make("td", { class: "number" }, one.experiments),
     make("td", {}, one.optimiser || "\u2013"),

@@ -88,7 +88,8 @@ export class Charts extends EventTarget {
     for (const { values, panel } of this.rows) {
       const series = "series" in panel ? panel.series : [];
       series.forEach((one, k) => {
-        const value = one.values.length ? valueAt(one.time, one.values, time) : NaN;
+        const known = one.values.length > 2 || Array.from(one.time).includes(time);
+        const value = known && one.values.length ? valueAt(one.time, one.values, time) : NaN;
         const digits = "digits" in panel ? panel.digits ?? 1 : 1;
         values[k].textContent = Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "\u2013";
       });
@@ -189,6 +190,16 @@ export class Charts extends EventTarget {
     context.rect(LEFT, 0, width - LEFT - RIGHT, bottom);
     context.clip();
     for (const one of panel.series) {
+      if (one.time.length <= 2) {
+        // Two poses are no measured line.
+        context.fillStyle = one.colour;
+        for (let k = 0; k < one.time.length; k += 1) {
+          context.beginPath();
+          context.arc(this.#x(one.time[k], width), y(one.values[k]), 4, 0, 2 * Math.PI);
+          context.fill();
+        }
+        continue;
+      }
       context.beginPath();
       for (let k = 0; k < one.time.length; k += 1) {
         context.lineTo(this.#x(one.time[k], width), y(one.values[k]));

@@ -2,6 +2,7 @@
 // Sets of parameters against one experiment; moving a slider simulates at once.
 
 import { complain, copy, get, send, toast } from "./api.js";
+import { calibratedOf } from "./offered.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
 import { at, make } from "./dom.js";
 import { Motion } from "./motion.js";
@@ -328,9 +329,12 @@ async function open() {
   sets = [{ id: LIVE, label: "adjusted", parameters: {}, motion: "dynamic", answer: null, shown: null }];
   player.show(story);
   measured = player.motions[0];
-  const nominal = { ...offered[0], answer: null, shown: null };
-  await Promise.all([simulated(live()), simulated(nominal)]);
-  sets.push(nominal);
+  // What a calibration changed is what one looks for: nominal values against calibrated ones.
+  const calibrated = calibratedOf(offered);
+  if (calibrated) Object.assign(live(), { parameters: { ...calibrated.parameters }, motion: calibrated.motion });
+  const first = [offered[0], calibrated].flatMap((one) => (one ? [{ ...one, answer: null, shown: null }] : []));
+  await Promise.all([live(), ...first].map((set) => simulated(set)));
+  sets.push(...first);
   at("measured-mode").textContent = `measured ${live().answer?.measured_contact_mode || "unknown"}`;
   offer();
   build();

@@ -2,7 +2,7 @@
 // The domain: where held-out errors stay below a threshold, cell by cell, and what lies in a cell.
 
 import { complain, copy, get, send, toast } from "./api.js";
-import { at, input, make } from "./dom.js";
+import { ROOT, at, input, make } from "./dom.js";
 import { digits } from "./quantity.js";
 import { several } from "./units.js";
 
@@ -416,7 +416,7 @@ function cellOf(g, c) {
     own.length
       ? make("ul", { class: "members" }, ...own.map((point) => make(
         "li", {},
-        make("a", { href: `/experiments/${point.id}` }, point.key),
+        make("a", { href: `${ROOT}/experiments/${point.id}` }, point.key),
         make("span", { class: "number" }, point.error === null ? "failed" : `${digits(+point.error.toPrecision(3))}${unit}`,
           " ", make("span", { class: `tag ${point.error !== null && point.error <= threshold ? "good" : "fault"}` },
             point.error !== null && point.error <= threshold ? "\u2713 within" : "\u2715 above")),
@@ -445,7 +445,7 @@ async function follow() {
 
 async function watch() {
   const state = await follow().catch(() => "unknown");
-  if (state === "done") location.assign("/domain");
+  if (state === "done") location.assign(`${ROOT}/domain`);
   else if (state && !["failed", "stopped", "cancelled", "lost"].includes(state)) setTimeout(watch, AGAIN);
 }
 
@@ -482,7 +482,7 @@ if (name) {
   input("points").addEventListener("change", paint);
   at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
   document.getElementById("which")?.addEventListener("change", (event) => {
-    location.assign(`/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
+    location.assign(`${ROOT}/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
   });
   load(question).catch((problem) => {
     at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);

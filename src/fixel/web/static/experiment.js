@@ -3,13 +3,15 @@
 
 import { complain, copy, get, send, undoNewest } from "./api.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
-import { at, make, typing } from "./dom.js";
+import { ROOT, at, make, typing } from "./dom.js";
 import * as marks from "./marks.js";
 import { Motion } from "./motion.js";
+import { calibratedOf } from "./offered.js";
 import { Player } from "./player.js";
 import { tags } from "./rows.js";
 import { deg, fixed, mm } from "./units.js";
 import { Film } from "./video.js";
+import { stylesOf, swatch } from "./view.js";
 
 const root = at("experiment");
 const number = Number(root.dataset.experiment);
@@ -31,12 +33,49 @@ async function show() {
   root.dataset.ready = "yes";
 }
 
-/** The newest stored simulation, made again for its forces; without one, with nominal values. @param {Player} player */
+/** Nominal against calibrated values; without a calibration, one simulation. @param {Player} player */
 async function simulate(player) {
-  const [newest] = (await get(`${address}/simulations`, { limit: 1 })).simulations;
-  const parameters = newest?.parameters ?? {};
-  const motion = ["dynamic", "quasistatic", "first-order"].find((name) => name === newest?.method?.motion) ?? "dynamic";
-  const label = newest ? `simulation ${newest.id}` : "simulated now";
+  const { sets } = await get(`${address}/comparison`).catch(() => ({ sets: [] }));
+  const calibrated = calibratedOf(sets);
+  if (calibrated) await both(player, [sets[0], calibrated]);
+  else await newest(player);
+}
+
+/**
+ * @param {Player} player
+ * @param {{id: string, label: string, parameters: Record<string, number>, motion: string}[]} sets
+ */
+async function both(player, sets) {
+  try {
+    const answers = await Promise.all(sets.map(({ parameters, motion }) => send(`${address}/comparison`, { parameters, motion })));
+    const motions = answers.map((answer, k) => new Motion({ ...answer.motion, id: sets[k].id, label: sets[k].label }));
+    player.setMotions([...player.motions, ...motions], { keepTime: true });
+    const styles = stylesOf(at("player"), player.motions);
+    at("which").textContent = `nominal against ${sets[1].label}`;
+    /** @type {[string, (answer: any) => string][]} */
+    const lines = [
+      ["error (root of E) [mm]", (answer) => fixed(answer.error_mm2 === null ? null : Math.sqrt(answer.error_mm2), 2)],
+      ["distance, rms [mm]", (answer) => mm(answer.position_rms_m, 2)],
+      ["distance, end [mm]", (answer) => mm(answer.final_position_m, 2)],
+      ["angle, end [deg]", (answer) => deg(answer.final_angle_rad, 2)],
+      ["contacts", (answer) => `${answer.contact_mode || "\u2013"}${answer.measured_contact_mode && answer.contact_mode !== answer.measured_contact_mode ? ` \u2260 ${answer.measured_contact_mode}` : ""}`],
+    ];
+    at("figures").replaceWith(make("table", { id: "figures", class: "plain against" },
+      make("thead", {}, make("tr", {}, make("td"), ...motions.map((motion, k) =>
+        make("th", { scope: "col" }, swatch(styles.get(motion.id)), " ", k ? "calibrated" : "nominal")))),
+      make("tbody", {}, ...lines.map(([name, value]) => make("tr", {}, make("th", { scope: "row" }, name),
+        ...answers.map((answer) => make("td", {}, answer.error_mm2 === null ? answer.motion.status : value(answer))))))));
+  } catch (problem) {
+    refused(problem);
+  }
+}
+
+/** The newest stored simulation, made again for its forces; without one, with nominal values. @param {Player} player */
+async function newest(player) {
+  const [stored] = (await get(`${address}/simulations`, { limit: 1 })).simulations;
+  const parameters = stored?.parameters ?? {};
+  const motion = ["dynamic", "quasistatic", "first-order"].find((name) => name === stored?.method?.motion) ?? "dynamic";
+  const label = stored ? `simulation ${stored.id}` : "simulated now";
   try {
     const answer = await send(`${address}/comparison`, { parameters, motion });
     const values = Object.entries(parameters).map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`);
@@ -57,9 +96,14 @@ async function simulate(player) {
     ]));
     player.setMotions([...player.motions, new Motion({ ...answer.motion, id: "simulated", label })], { keepTime: true });
   } catch (problem) {
-    at("which").textContent = "not simulated";
-    at("figures").replaceChildren(figure("why", problem instanceof Error ? problem.message : String(problem), "", "words"));
+    refused(problem);
   }
+}
+
+/** @param {unknown} problem */
+function refused(problem) {
+  at("which").textContent = "not simulated";
+  at("figures").replaceChildren(figure("why", problem instanceof Error ? problem.message : String(problem), "", "words"));
 }
 
 /** @param {string} name @param {string} value @param {string} unit @param {string} [kind] */
@@ -146,7 +190,7 @@ function link(id, to) {
   if (to === undefined) {
     node.setAttribute("aria-disabled", "true");
     node.removeAttribute("href");
-  } else node.setAttribute("href", `/experiments/${to}`);
+  } else node.setAttribute("href", `${ROOT}/experiments/${to}`);
 }
 
 document.addEventListener("keydown", (event) => {
@@ -163,7 +207,7 @@ document.addEventListener("keydown", (event) => {
     f: acts.flag,
     n: acts.note,
     Delete: acts.delete,
-    Escape: () => location.assign(`/experiments?${sessionStorage.getItem("fixel-list") ?? ""}`),
+    Escape: () => location.assign(`${ROOT}/experiments?${sessionStorage.getItem("fixel-list") ?? ""}`),
   };
   const act = keys[event.key];
   if (act) {

@@ -3,8 +3,9 @@
 
 import { complain, get, Refusal, toast, undoNewest } from "./api.js";
 import { Coverage } from "./coverage.js";
-import { at, input, make, settled, typing } from "./dom.js";
+import { ROOT, at, input, make, settled, typing } from "./dom.js";
 import { and, about, has, quoted, without } from "./filter.js";
+import { offerImport } from "./import.js";
 import * as marks from "./marks.js";
 import { Nominal } from "./nominal.js";
 import { awaited, COLUMNS, drawnRow, Rows, Window } from "./rows.js";
@@ -204,8 +205,8 @@ function selectNone() {
 function calibrate(ids) {
   if (!ids.length || at("act-calibrate").hidden) return;
   // An address holds so many ids and no more; all that match are named by the filter.
-  if (ids.length <= MOST_CHOSEN) location.assign(`/calibrations/new?experiments=${ids.sort((a, b) => a - b).join(",")}`);
-  else if (ids.length === rows.total) location.assign(`/calibrations/new?${new URLSearchParams({ filter: question.filter })}`);
+  if (ids.length <= MOST_CHOSEN) location.assign(`${ROOT}/calibrations/new?experiments=${ids.sort((a, b) => a - b).join(",")}`);
+  else if (ids.length === rows.total) location.assign(`${ROOT}/calibrations/new?${new URLSearchParams({ filter: question.filter })}`);
   else toast(`At most ${count(MOST_CHOSEN)} experiments can be chosen one by one: filter the table, and select all that match.`, { bad: true });
 }
 
@@ -251,8 +252,8 @@ at("rows").addEventListener("click", (event) => {
 function open(index, aside = false) {
   const row = rows.at(index);
   if (!row) return;
-  if (aside) window.open(`/experiments/${row.id}`, "_blank", "noopener");
-  else location.assign(`/experiments/${row.id}`);
+  if (aside) window.open(`${ROOT}/experiments/${row.id}`, "_blank", "noopener");
+  else location.assign(`${ROOT}/experiments/${row.id}`);
 }
 
 /** @param {number} index */
@@ -331,5 +332,6 @@ at("show-coverage").addEventListener("click", () => {
   if (!hidden) coverage.show(question.filter);
 });
 if (localStorage.getItem("fixel-coverage") && innerWidth > 1000) at("show-coverage").click();
+offerImport(changed);
 ask();
 picks().catch(complain);

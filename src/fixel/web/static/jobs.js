@@ -18,6 +18,7 @@ import { count, several } from "./units.js";
  * @property {number} kept
  * @property {number} rate_per_s
  * @property {number | null} left_s
+ * @property {number | null} share
  * @property {number} workers
  * @property {number} deaths
  * @property {number} again
@@ -70,16 +71,16 @@ function row(job) {
     make("th", { scope: "row" }, make("button", {
       type: "button", class: "open", "aria-pressed": job.name === chosen ? "true" : "false", onclick: () => choose(job.name),
     }, job.name)),
-    make("td", {}, tag(job.state)),
-    make("td", {},
-      make("progress", { max: Math.max(1, job.total), value: job.done, "aria-label": `Progress of ${job.name}` }),
-      `${count(job.done)} of ${count(job.total)}`),
-    make("td", { class: job.failed ? "number bad" : "number" }, count(job.failed)),
-    make("td", { class: "number" }, count(job.workers)),
-    make("td", { class: job.deaths ? "number off" : "number" }, count(job.deaths)),
-    make("td", { class: job.again ? "number off" : "number" }, count(job.again)),
-    make("td", { class: "number" }, running ? job.rate_per_s.toPrecision(3) : "\u2013"),
-    make("td", { class: "number" }, running ? left(job.left_s) : "\u2013"),
+    make("td", { class: "state" }, tag(job.state)),
+    make("td", { class: "progress" },
+      job.share === null ? null : make("progress", { max: 1, value: job.share, "aria-label": `Progress of ${job.name}` }),
+      job.share === null ? `${count(job.done)} done` : `${count(job.done)} of ${count(job.total)}`),
+    make("td", { "data-label": "failed", class: job.failed ? "number bad" : "number" }, count(job.failed)),
+    make("td", { "data-label": "workers", class: "number" }, count(job.workers)),
+    make("td", { "data-label": "lost", class: job.deaths ? "number off" : "number" }, count(job.deaths)),
+    make("td", { "data-label": "again", class: job.again ? "number off" : "number" }, count(job.again)),
+    make("td", { "data-label": "rate [1/s]", class: "number" }, running ? job.rate_per_s.toPrecision(3) : "\u2013"),
+    make("td", { "data-label": "left", class: "number" }, running ? left(job.left_s) : "\u2013"),
   );
 }
 

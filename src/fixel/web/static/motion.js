@@ -114,6 +114,11 @@ export class Motion {
     };
   }
 
+  /** Whether start and end are all that was measured, so that nothing is drawn between them. */
+  get ends() {
+    return this.kind === "measured" && this.time.length <= 2;
+  }
+
   /** First and last instant [s]. */
   get span() {
     return [this.time[0], this.time[this.time.length - 1]];

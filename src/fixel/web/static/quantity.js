@@ -37,6 +37,8 @@ const VERDICTS = {
   "not identified": { sign: "?", kind: "off" },
   "not excited": { sign: "\u2205", kind: "off" },
   "at bound": { sign: "\u21e5", kind: "fault" },
+  effective: { sign: "\u2248", kind: "off" },
+  "precise, but the model misfits": { sign: "\u2260", kind: "fault" },
   frozen: { sign: "\u2016", kind: "" },
 };
 

@@ -2,7 +2,7 @@
 // A long table of which only what is seen exists: rows are fetched by the page and drawn by the screen.
 
 import { get } from "./api.js";
-import { make, svg } from "./dom.js";
+import { ROOT, make, svg } from "./dom.js";
 import { condition, deg, fixed, mm, s } from "./units.js";
 
 /**
@@ -207,10 +207,10 @@ export function told(conditions) {
  */
 export function drawnRow(row, index, { selected, active }) {
   const key = `${row.dataset}/${row.name}`;
-  const address = `/experiments/${row.id}`;
+  const address = `${ROOT}/experiments/${row.id}`;
   const cells = {
     select: make("input", { type: "checkbox", "aria-label": `Select ${key}`, checked: selected, tabindex: "-1" }),
-    run: make("img", { src: `/api/v1/experiments/${row.id}/thumbnail.svg?content=${row.content}`, alt: "", width: 84, height: 56, loading: "lazy", decoding: "async" }),
+    run: make("img", { src: `${ROOT}/api/v1/experiments/${row.id}/thumbnail.svg?content=${row.content}`, alt: "", width: 84, height: 56, loading: "lazy", decoding: "async" }),
     name: make("span", { class: "named" },
       make("a", { href: address, tabindex: "-1" }, row.name),
       make("small", {},

@@ -2,7 +2,7 @@
 // Self-test, check and backup on demand.
 
 import { complain, get, send, toast } from "./api.js";
-import { at, make } from "./dom.js";
+import { ROOT, at, make } from "./dom.js";
 import { bytes, several } from "./units.js";
 
 /** @typedef {{name: string, path: string, size_bytes: number, made_utc: string}} Backup */
@@ -82,7 +82,7 @@ async function backups() {
   const found = (await get("/system")).backups;
   at("no-backups").hidden = found.length > 0;
   at("backups").replaceChildren(...found.map((one) => make("li", {},
-    make("a", { href: `/api/v1/system/backups/${encodeURIComponent(one.name)}`, download: one.name }, one.name),
+    make("a", { href: `${ROOT}/api/v1/system/backups/${encodeURIComponent(one.name)}`, download: one.name }, one.name),
     make("span", {}, bytes(one.size_bytes)),
     make("small", {}, one.path))));
   document.body.dataset.ready = "yes";

@@ -148,6 +148,10 @@ export class TopView {
       if (thing.role === "fixel") continue;
       const pose = motion.poseAt(thing.name, this.time) ?? (motion === first ? thing.pose : null);
       if (!pose) continue;
+      if (motion.ends && thing.name === this.object) {
+        this.#ends(stage, thing, motion);
+        continue;
+      }
       if (thing.role === "pusher") {
         // One of them is enough; they differ by what nobody sees.
         const leader = shown.find((one) => one.pose.has(thing.name)) ?? first;
@@ -170,6 +174,35 @@ export class TopView {
   }
 
   /**
+   * Start and end of a motion of which nothing else was measured.
+   * @param {Stage} stage
+   * @param {Thing} thing
+   * @param {Motion} motion
+   */
+  #ends(stage, thing, motion) {
+    const { context } = stage;
+    const style = this.styles.get(motion.id);
+    const rows = /** @type {import("./motion.js").Numbers} */ (motion.pose.get(thing.name));
+    for (let k = 0; k < motion.time.length; k += 1) {
+      const last = k === motion.time.length - 1;
+      const pose = rows.subarray(3 * k, 3 * k + 3);
+      stage.outline(thing.shape, pose);
+      context.setLineDash(last ? [] : [5, 4]);
+      context.strokeStyle = context.fillStyle = style?.colour ?? "#0072b2";
+      context.globalAlpha = last ? 0.13 : 0.03;
+      context.fill();
+      context.globalAlpha = last ? 1 : 0.6;
+      context.lineWidth = 2.5;
+      context.stroke();
+      context.globalAlpha = 1;
+      const [x, y] = stage.toScreen(placed(pose, this.reference));
+      context.beginPath();
+      context.arc(x, y, 3.5, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+
+  /**
    * Where the reference point has been.
    * @param {CanvasRenderingContext2D} context
    * @param {Stage} stage
@@ -178,7 +211,7 @@ export class TopView {
   #trail(context, stage, motion) {
     const rows = motion.pose.get(this.object);
     const now = motion.poseAt(this.object, this.time);
-    if (!rows || !now) return;
+    if (!rows || !now || motion.ends) return;
     const style = this.styles.get(motion.id);
     const end = lastBefore(motion.time, this.time);
     context.beginPath();

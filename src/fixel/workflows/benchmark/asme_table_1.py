@@ -32,8 +32,9 @@ from fixel.drawing.reproductions import ClusterPicture, TriangleCluster
 from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
+from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Case, Ensemble
-from fixel.testing.scenes import PART_LENGTH, PART_WIDTH, box, micro_push
+from fixel.testing.scenes import box, micro_push
 from fixel.workflows.benchmark.reproduction import Progress, Reproduction, Row
 
 # Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.

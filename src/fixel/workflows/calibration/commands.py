@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from fixel.workflows.calibration.request import Request
 
@@ -46,6 +47,31 @@ def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
     return shlex.join(words if request.verdicts else [*words, "--no-verdicts"])
 
 
+# Unknowns that let a model fit better where it is wrong: pressure is hardly ever centred.
+ENLARGED: Final = ("friction_centre_x", "friction_centre_y")
+# Options that say which unknowns there are; others cannot be added beside them.
+_ELSEWHERE: Final = ("--space", "--dakota")
+
+
+def enlarged_command(command: str, request: Request) -> str:
+    """What to type for the same calibration of a larger model; empty where there is none to offer.
+
+    Parameters
+    ----------
+    command : str
+        What was typed for the calibration.
+    request : Request
+    """
+    words = shlex.split(command)
+    known = {unknown.name for unknown in request.unknowns}
+    if words[:2] != ["fixel", "calibrate"] or known & {*ENLARGED} or {*words} & {*_ELSEWHERE}:
+        return ""
+    free = () if "--fit" in words else [u.name for u in request.unknowns if not u.frozen]
+    for name in (*free, *ENLARGED):
+        words += ["--fit", name]
+    return shlex.join(words)
+
+
 def python_of(folder: Path, number: int) -> str:
     """What to write to have a stored calibration in a script."""
     return (
@@ -53,6 +79,7 @@ def python_of(folder: Path, number: int) -> str:
         "from fixel.database.project import Project\n\n"
         f"with Project.open(Path({str(folder)!r})).store() as store:\n"
         f"    calibration = store.calibration({number})\n"
-        "for name, value in calibration.parameters.items():\n"
-        "    print(name, value)  # SI\n"
+        "for one in calibration.estimates:\n"
+        "    print(one.label, one.value, one.low, one.high, one.verdict)  # SI\n"
+        "print(calibration.parameters)  # best fit, for prediction\n"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, final
@@ -65,6 +66,7 @@ class Found:
     members : tuple of int
         Places of the experiments.
     point : (n_free,) float64
+        Best fit: what predicts best. `values` are those to quote.
     errors : (n_member,) float64
         Of each experiment with it; inf where it has none.
     trace : Trace, optional
@@ -75,6 +77,11 @@ class Found:
         One a free unknown; none where nobody asked.
     noise : str
         What the intervals take the scatter of the measurements to be.
+    misfit : tuple of str
+        Warning that the model is wrong by more than the noise explains, the size first; empty where
+        it is not, or where nobody asked.
+    misfit_ratio : float
+        Residuals over noise; nan where the noise is not known.
     solutions : (n_solution, n_free) float64
         Where several starts ended nearly as well as the best, in places apart; the best first.
     seconds : float
@@ -91,9 +98,18 @@ class Found:
     estimates: tuple[Estimate, ...] = ()
     profiles: tuple[Curve, ...] = ()
     noise: str = ""
+    misfit: tuple[str, ...] = ()
+    misfit_ratio: float = math.nan
     solutions: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     seconds: float = 0.0
     note: str = ""
+
+    def values(self, labels: Sequence[str]) -> FloatArray:
+        """(n_free,) values to quote of the free unknowns, each inside its interval; `point` where
+        nobody asked what the data determine."""
+        known = {estimate.label: estimate.value for estimate in self.estimates}
+        pairs = zip(labels, self.point.tolist(), strict=True)
+        return np.array([known.get(label, value) for label, value in pairs])
 
 
 @final
@@ -176,6 +192,8 @@ def found_arrays(found: Sequence[Found]) -> dict[str, Any]:
                     for curve in one.profiles
                 ],
                 "noise": one.noise,
+                "misfit": list(one.misfit),
+                "misfit_ratio": None if math.isnan(one.misfit_ratio) else one.misfit_ratio,
                 "seconds": one.seconds,
                 "note": one.note,
                 "ended": None if one.trace is None else one.trace.ended,
@@ -202,6 +220,8 @@ def found_of(arrays: dict[str, Any]) -> list[Found]:
                 for j, curve in enumerate(entry["profiles"])
             ),
             noise=entry["noise"],
+            misfit=tuple(entry.get("misfit", ())),
+            misfit_ratio=math.nan if entry.get("misfit_ratio") is None else entry["misfit_ratio"],
             solutions=arrays[f"solutions_{k}"],
             seconds=entry["seconds"],
             note=entry["note"],

@@ -261,6 +261,7 @@ def _seconds_chart(desk: Desk, searched: list[Found]) -> SecondsChart:
 def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
     others = _other_sets(desk, one)
     estimates = {estimate.label: estimate for estimate in one.estimates}
+    values = one.values(desk.space.labels)
     rows = []
     for k, unknown in enumerate(desk.space.free):
         own = estimates.get(unknown.label)
@@ -270,10 +271,10 @@ def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
                 unit=unknown.unit,
                 bounds=(unknown.low, unknown.high),
                 before=unknown.nominal,
-                value=float(one.point[k]),
+                value=float(values[k]),
                 low=None if own is None else own.low,
                 high=None if own is None else own.high,
-                likely=None if own is None else _elsewhere(own.value, float(one.point[k]), unknown),
+                best_fit=_elsewhere(float(one.point[k]), float(values[k]), unknown),
                 verdict="" if own is None else own.verdict,
                 others=tuple(float(point[k]) for point in others.values()),
             )
@@ -286,9 +287,9 @@ def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
     )
 
 
-def _elsewhere(likely: float, value: float, unknown: Unknown) -> float | None:
-    """The value an interval is about: weighted by noise, the best may lie elsewhere."""
-    return likely if abs(likely - value) > VISIBLE * (unknown.high - unknown.low) else None
+def _elsewhere(best: float, value: float, unknown: Unknown) -> float | None:
+    """The best fit, where it lies visibly elsewhere than the value to quote."""
+    return best if abs(best - value) > VISIBLE * (unknown.high - unknown.low) else None
 
 
 def _other_sets(desk: Desk, one: Found) -> dict[str, FloatArray]:
@@ -305,6 +306,7 @@ def _profiles_chart(desk: Desk, word: str, one: Found) -> ProfilesChart:
         title=title_of(desk, one, word),
         panels=[_panel(curve, units[curve.label]) for curve in one.profiles],
         level=desk.request.level,
+        misfits=bool(one.misfit),
     )
 
 

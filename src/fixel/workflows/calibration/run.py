@@ -32,6 +32,7 @@ from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import Found, Outcome, outcome_of
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.work import REQUEST
+from fixel.workflows.mistyped import refuse_mistyped
 from fixel.workflows.readable import readable
 
 MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
@@ -67,6 +68,8 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
     ids = list(dict.fromkeys(store.find(key) for key in keys))
     if not ids:
         ids = [summary.id for summary in store.experiments(query).summaries]
+        if not ids:
+            refuse_mistyped(store, query)
     found: list[int] = []
     targets: list[Target] = []
     left_out: dict[str, str] = {}
@@ -152,6 +155,8 @@ class Calibration:
     ids : list of int
         Of the stored calibrations, one a set of parameters found.
     left_out : mapping from key to reason
+    command : str
+        What was typed.
     """
 
     folder: Path
@@ -159,6 +164,7 @@ class Calibration:
     outcome: Outcome
     ids: list[int]
     left_out: Mapping[str, str]
+    command: str = ""
 
     @property
     def targets(self) -> list[Target]:
@@ -189,7 +195,10 @@ def _found(one: Found, number: int, outcome: Outcome) -> dict[str, Any]:
         "calibration": number,
         "how": one.how,
         "experiments": [outcome.keys[m] for m in one.members],
-        "parameters": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
+        "misfit": list(one.misfit),
+        "misfit_ratio": _finite(one.misfit_ratio),
+        "parameters": dict(zip(outcome.labels, one.values(outcome.labels).tolist(), strict=True)),
+        "best_fit": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
         "errors": [_finite(error) for error in one.errors.tolist()],
         "evaluations": 0 if one.trace is None else len(one.trace.errors),
         "ended": "" if one.trace is None else one.trace.ended,
@@ -241,7 +250,14 @@ def collect(
     with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
         outcome = outcome_of(path.read_bytes())
     ids = _stored(project, folder, request, outcome, command)
-    return Calibration(folder=folder, request=request, outcome=outcome, ids=ids, left_out=left_out)
+    return Calibration(
+        folder=folder,
+        request=request,
+        outcome=outcome,
+        ids=ids,
+        left_out=left_out,
+        command=command,
+    )
 
 
 def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
@@ -353,5 +369,7 @@ def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dic
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,
+        **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
+        **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
         **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
     }

@@ -27,8 +27,8 @@ class Row(NamedTuple):
 
     label: str
     unit: str
-    found: float  # by the search
-    likeliest: float | None  # what the interval is about
+    value: float  # inside its interval
+    best_fit: float  # what predicts best, found by the search
     low: float | None
     high: float | None
     bounds: tuple[float, float] | None
@@ -76,6 +76,8 @@ class Told(NamedTuple):
     units : dict from label to str
     level : float
         Of the intervals.
+    misfit : list of str
+        Warning that the model is wrong by more than the noise explains; empty where it is not.
     noise, note : str
     siblings : list of (int, str)
         Ids and names of the sets that came of the same job.
@@ -93,6 +95,7 @@ class Told(NamedTuple):
     curves: tuple[Curve, ...]
     units: dict[str, str]
     level: float
+    misfit: list[str]
     noise: str
     note: str
     siblings: list[tuple[int, str]]
@@ -130,6 +133,7 @@ def tell(project: Project, store: Store, number: int) -> Told:
         curves=() if one is None else one.profiles,
         units={estimate.label: estimate.unit for estimate in record.estimates},
         level=0.95 if desk is None else desk.request.level,
+        misfit=misfit_of(record),
         noise="" if one is None else one.noise,
         note=trouble if one is None else one.note,
         siblings=_siblings(calibration, store),
@@ -156,16 +160,21 @@ def starts_of(desk: Desk, one: Found) -> list[Start]:
     return sorted(found, key=lambda start: start.error)
 
 
+def misfit_of(record: CalibrationRecord) -> list[str]:
+    """Warning that was stored with a calibration, one sentence each."""
+    return str(record.method.get("misfit", "")).splitlines()
+
+
 def _rows(record: CalibrationRecord, desk: Desk | None, one: Found | None) -> list[Row]:
     estimates = {estimate.label: estimate for estimate in record.estimates}
     if desk is None or one is None:
         values = dict(record.parameters)
         return [
-            Row(e.label, e.unit, values.get(parted(e.label)[0], e.value), e.value, e.low, e.high,
+            Row(e.label, e.unit, e.value, values.get(parted(e.label)[0], e.value), e.low, e.high,
                 None, None, e.verdict, e.reason)
             for e in record.estimates
         ] or [
-            Row(name, "", value, None, None, None, None, None, "", "")
+            Row(name, "", value, value, None, None, None, None, "", "")
             for name, value in values.items()
         ]  # fmt: skip
     rows = []
@@ -175,8 +184,8 @@ def _rows(record: CalibrationRecord, desk: Desk | None, one: Found | None) -> li
             Row(
                 label=unknown.label,
                 unit=unknown.unit,
-                found=value,
-                likeliest=None if own is None else own.value,
+                value=value if own is None else own.value,
+                best_fit=value,
                 low=None if own is None else own.low,
                 high=None if own is None else own.high,
                 bounds=(unknown.low, unknown.high),

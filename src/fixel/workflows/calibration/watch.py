@@ -209,7 +209,7 @@ def _take(name: str, arrays: dict[str, Any], progress: Progress, request: Reques
             progress.objective += _combined(table, request).tolist()
             progress.waiting.clear()
     elif stage == SEARCHES[1]:
-        squares = np.einsum("km,km->k", arrays["residuals"], arrays["residuals"])
+        squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
         progress.objective += squares.tolist()
 
 

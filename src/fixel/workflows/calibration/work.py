@@ -17,7 +17,14 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from fixel.calibration.assess import Frames, assess
+from fixel.calibration.assess import (
+    Asking,
+    Assessment,
+    Frames,
+    answer,
+    assessing,
+    conducted_here,
+)
 from fixel.calibration.cost import Prior
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluated, Objective
@@ -83,7 +90,7 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     before, _ = yield from _asked(at_points(members, start[None]), "nominal")
     found: list[Found] = []
     if request.mode in ("each", "campaign"):
-        alone = yield from _alone(comparer, n)
+        alone = yield from _alone(request, comparer, n)
         found += alone
     if request.mode == "campaign" and n > 1:
         found = yield from _campaign(request, comparer, found)
@@ -95,7 +102,7 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
         one = _by_squares if request.least_squares is not None else _direct
         found.append((yield from one(request, comparer, members, start)))
     if request.verdicts and request.mode != "each":
-        found = yield from _judged(comparer, found)
+        found = yield from _judged(request, comparer, found)
     return outcome_bytes(
         Outcome(
             keys=tuple(target.key for target in comparer.targets),
@@ -168,12 +175,13 @@ def evaluate(inputs: Path, payload: bytes) -> bytes:
 # --- every experiment by itself -----------------------------------------------------------------
 
 
-def _alone(comparer: Comparer, n: int) -> Rounds[list[Found]]:
+def _alone(request: Request, comparer: Comparer, n: int) -> Rounds[list[Found]]:
     chunks = [
         Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + MEMBERS_A_CHUNK))))
         for at in range(0, n, MEMBERS_A_CHUNK)
     ]
-    answers = yield Round(f"{HERE}:calibrate_alone", chunks, note="each experiment")
+    left = 0 if request.mode == "each" else None
+    answers = yield Round(f"{HERE}:calibrate_alone", chunks, note="each experiment", left=left)
     found: list[Found] = []
     for chunk in chunks:
         answer = answers[chunk.name]
@@ -337,7 +345,7 @@ def _by_squares(
         ]
         note = f"least squares, best {best:.4g} mm^2" if tried[1:] else "least squares"
         answers = yield Round(f"{HERE}:residuals", chunks, note=note)
-        table = np.concatenate([_residuals(answers[c.name], c) for c in chunks])
+        table = np.concatenate([_table(answers[c.name], c) for c in chunks])
         search.tell(table)
         tried.append(points)
         errors.append(np.einsum("km,km->k", table, table))
@@ -362,10 +370,11 @@ def _by_squares(
     )
 
 
-def _residuals(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
+def _table(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
+    """One row for each point of a chunk."""
     if isinstance(answer, Failure):
-        raise InvalidInput(chunk.name, found=answer.reason, expected="residuals")
-    table: FloatArray = arrays_of(answer)["residuals"]
+        raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
+    table: FloatArray = arrays_of(answer)["table"]
     return table
 
 
@@ -381,57 +390,87 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
     frames = Frames(comparer, members)
     table = frames.residuals(noise)(arrays_of(payload)["points"])
     share = len(members) if request.combine == "mean" else 1
-    return bytes_of(residuals=table / np.sqrt(share * frames.weights))
+    return bytes_of(table=table / np.sqrt(share * frames.weights))
 
 
 # --- what the data determine --------------------------------------------------------------------
 
 
-def _judged(comparer: Comparer, found: list[Found]) -> Rounds[list[Found]]:
+def _judged(request: Request, comparer: Comparer, found: list[Found]) -> Rounds[list[Found]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
-    wanted = [k for k, one in enumerate(found) if one.how == DIRECT]
-    # Without the time that the search took here: it is another after every interruption, and a
-    # chunk of another payload would be judged once more.
-    timeless = {k: dataclasses.replace(found[k], seconds=0.0) for k in wanted}
-    chunks = [Chunk(f"verdicts/{k}", bytes_of(**found_arrays([timeless[k]]))) for k in wanted]
-    answers = yield Round(f"{HERE}:judge", chunks, note="verdicts")
-    for k, chunk in zip(wanted, chunks, strict=True):
-        answer = answers[chunk.name]
-        if isinstance(answer, Failure):
-            found[k] = dataclasses.replace(found[k], note=f"no verdicts: {answer.reason}")
-        else:
-            judged = found_of(arrays_of(answer))[0]
-            found[k] = dataclasses.replace(judged, seconds=found[k].seconds)
-    return found
+    judged = []
+    for one in found:
+        wanted = one.how == DIRECT
+        judged.append((yield from _with_verdicts(request, comparer, one)) if wanted else one)
+    return judged
 
 
-def judge(inputs: Path, payload: bytes) -> bytes:
-    """Chunk: verdicts on one set."""
-    request, comparer = _desk(inputs)
-    one = found_of(arrays_of(payload))[0]
-    return bytes_of(**found_arrays([_with_estimates(request, comparer, one)]))
+def _with_verdicts(request: Request, comparer: Comparer, one: Found) -> Rounds[Found]:
+    """With a verdict on every unknown; every simulation behind them is an answer in the journal."""
+    if not np.isfinite(one.errors).all():
+        return one
+    members = np.array(one.members, np.int64)
+    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
+    running = _assessing(request, comparer, one)
+    try:
+        ask = next(running)
+        while True:
+            chunks = [
+                Chunk(
+                    f"verdicts/{k}",
+                    bytes_of(
+                        kind=ask.kind, members=members, points=ask.points[at : at + per_chunk]
+                    ),
+                )
+                for k, at in enumerate(range(0, len(ask.points), per_chunk))
+            ]
+            left = None if ask.left is None else math.ceil(ask.left / per_chunk)
+            answers = yield Round(f"{HERE}:assess_points", chunks, note=ask.note, left=left)
+            ask = running.send(np.concatenate([_table(answers[c.name], c) for c in chunks]))
+    except StopIteration as end:
+        return _with_assessment(comparer, one, end.value)
+    except InvalidInput as problem:  # the values that were found stay worth having
+        return dataclasses.replace(one, note=f"no verdicts: {problem}")
+
+
+def assess_points(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: answers to a question of `assessing`."""
+    _, comparer = _desk(inputs)
+    asked = arrays_of(payload)
+    kind = str(asked["kind"])
+    return bytes_of(table=answer(comparer, asked["members"], kind, asked["points"]))
+
+
+def _assessing(request: Request, comparer: Comparer, one: Found) -> Asking[Assessment]:
+    return assessing(
+        comparer,
+        one.members,
+        one.point,
+        noise=request.noise,
+        level=request.level,
+        solutions=list(one.solutions[1:]),
+    )
 
 
 def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
-    """With a verdict on every unknown, and the profiles behind it; or a note why not."""
+    """The same within one chunk, for an experiment by itself."""
     if not np.isfinite(one.errors).all():
         return one
     try:
-        found = assess(
-            comparer,
-            one.members,
-            one.point,
-            noise=request.noise,
-            level=request.level,
-            solutions=list(one.solutions[1:]),
-        )
-    except InvalidInput as problem:  # the values that were found stay worth having
+        found = conducted_here(comparer, one.members, _assessing(request, comparer, one))
+    except InvalidInput as problem:
         return dataclasses.replace(one, note=f"no verdicts: {problem}")
+    return _with_assessment(comparer, one, found)
+
+
+def _with_assessment(comparer: Comparer, one: Found, found: Assessment) -> Found:
     return dataclasses.replace(
         one,
         estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
         profiles=_curves(comparer.space.labels, found.profiles),
         noise=_said(found.noise),
+        misfit=() if found.misfit is None else found.misfit.sentences,
+        misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
     )
 
 
@@ -478,6 +517,7 @@ def _said(noise: Noise) -> str:
         "stated": "as stated",
         "repetitions": "from the scatter of repetitions",
         "residuals": "what the fit leaves, model errors included",
+        "differences": "second differences of the poses",
     }[noise.source]
     together = f", {noise.correlation:.0f} frames say as much as one" * (noise.correlation > 1.5)
     return (

@@ -14,6 +14,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import Kept, Kind, kept
 from fixel.workflows.calibrated import Calibrated, calibrated
 from fixel.workflows.calibration.run import Calibration, reopened
+from fixel.workflows.calibration.told import misfit_of
 from fixel.workflows.pictures import ENDINGS
 from fixel.workflows.report.content import Content, Figure, Section
 from fixel.workflows.report.of_calibration import (
@@ -149,7 +150,13 @@ def _warnings(
     found = [
         *data_warnings(data),
         *(words for kind, words in MISSING.items() if kind not in there),
-        *(words for answer in analyses for words in answer.analysis.warnings),
+        *misfit_of(one.record),  # first: it decides what the rest is worth
+        *(
+            words
+            for answer in analyses
+            for words in answer.analysis.warnings
+            if not words.endswith(tuple(misfit_of(one.record)[:1]))
+        ),
         *calibration_warnings(one, keys),
     ]
     return list(dict.fromkeys(found))

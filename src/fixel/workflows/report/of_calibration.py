@@ -16,6 +16,7 @@ from fixel.workflows.calibrated import Calibrated
 from fixel.workflows.calibration.desk import Desk
 from fixel.workflows.calibration.pictures import pictures_of
 from fixel.workflows.calibration.run import Calibration
+from fixel.workflows.calibration.told import misfit_of
 from fixel.workflows.pictures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
@@ -27,7 +28,19 @@ SUSPECT: Final = {
     "not identified": "is not identified: any value in its interval does as well. Do not quote it",
     "not excited": "is not excited: nothing in these experiments depends on it",
     "at bound": "is at a bound of the search: widen the bounds, or doubt the model",
+    "effective": "is effective: a number that makes this model fit, not a property of the object",
+    "precise, but the model misfits": "is precise as far as noise goes, but not when the model's"
+    " own errors are allowed for. Do not quote the narrow interval",
 }
+_LIKELIEST: Final = (
+    "The likeliest values, with intervals from profile likelihoods. The best fit is what the search"
+    " found: it weighs positions and angles otherwise."
+)
+MISFIT: Final = (
+    "The model is wrong by more than the noise explains. Values are from a mixed-effects fit, in"
+    " which every experiment has shifts of its own; intervals allow for variation over experiments"
+    " and for the disagreement with least squares. The best fit is for prediction."
+)
 OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
@@ -78,10 +91,10 @@ def errors_section(
 def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
     """Values with their intervals and verdicts."""
     estimates = one.record.estimates
-    head = ("parameter", "value", "interval", "unit", "verdict")
+    head = ("parameter", "value", "interval", "unit", "verdict", "best fit")
     rows = [_row(one, estimate) for estimate in estimates]
     rows += [
-        (name, f"{value:.4g}", "", "SI", "nobody asked")
+        (name, f"{value:.4g}", "", "SI", "nobody asked", f"{value:.4g}")
         for name, value in one.record.parameters.items()
         if not estimates
     ]
@@ -89,7 +102,7 @@ def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
     return Section(
         title="Parameters, and what the data say about them",
         anchor="parameters",
-        lead=("The likeliest values, with intervals from profile likelihoods.",)
+        lead=(MISFIT if misfit_of(one.record) else _LIKELIEST,)
         if estimates
         else ("Nobody asked what the data determine: calibrate without --no-verdicts.",),
         tables=(TextTable(title="Parameters", head=head, rows=tuple(rows)),),
@@ -100,7 +113,7 @@ def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
 
 def calibration_warnings(one: Calibrated, keys: Mapping[int, str]) -> list[str]:
     """What to know before using the values."""
-    found = []
+    found = misfit_of(one.record)
     for estimate in one.record.estimates:
         for verdict, words in SUSPECT.items():
             if estimate.verdict == verdict:
@@ -134,6 +147,9 @@ def headline(one: Calibrated, nominal: FloatArray | None) -> str:
     good = [e.label for e in one.record.estimates if e.verdict == "identified"]
     if one.record.estimates:
         sentence += f"; the data determine {', '.join(good) if good else 'no parameter by itself'}"
+        if misfit_of(one.record):
+            ratio = float(one.record.method.get("misfit_ratio", math.nan))
+            sentence += f", with intervals that allow for residuals {ratio:.2g} times the noise"
     return sentence + "."
 
 
@@ -154,6 +170,13 @@ def methods(one: Calibrated) -> list[str]:
             "Intervals are from profile likelihoods; a parameter whose profile stays flat is"
             " reported as not identified."
         )
+        if misfit_of(one.record):
+            sentences.append(
+                f"Residuals were {float(method['misfit_ratio']):.2g} times the noise; values and"
+                " intervals are therefore those of a mixed-effects fit, with the larger of its"
+                " model-based and CR3 variance over experiments plus the squared difference to"
+                " least squares, and Student's t with the effective number of experiments."
+            )
     return sentences
 
 
@@ -236,7 +259,9 @@ def _row(one: Calibrated, estimate: Estimate) -> tuple[str, ...]:
     if estimate.verdict == "frozen":
         interval = ""
     value = f"{factor * estimate.value:.4g}"
-    return (estimate.label, value, interval, unit, estimate.verdict)
+    best = one.record.parameters.get(estimate.label)
+    fitted = "" if best is None else f"{factor * best:.4g}"
+    return (estimate.label, value, interval, unit, estimate.verdict, fitted)
 
 
 def _in_order(figures: list[Figure]) -> tuple[Figure, ...]:

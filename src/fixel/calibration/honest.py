@@ -1,0 +1,327 @@
+"""Intervals of parameters that allow for a model that is wrong.
+
+Two fits weigh the data differently: least squares over all frames, and a mixed-effects fit in which
+every experiment has shifts of its own (`mixed`). Of a right model they agree within their errors;
+of a wrong one they do not, and how far they are apart is the only sign in the data of an error that
+all experiments share. The interval is that of the mixed fit, with the variance
+
+    max(model-based, jackknife over experiments) + (mixed - least squares)^2
+
+and Student's t with the effective number of experiments.
+
+Source: Hausman (1978) for what two estimators that disagree say; `clusters` and `mixed` have
+theirs. Measured on simulated laboratories: `python -m benchmarks misfit`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.clusters import jackknife, numbered
+from fixel.calibration.mixed import Bounds, Linear, fit_mixed
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import ANGLE_SCALE, Comparer
+from fixel.calibration.repetitions import same_configuration
+from fixel.calibration.target import Target
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.space import ParameterSpace, Unknown
+
+ROUNDS: Final = 4  # linearisations
+INSTANTS: Final = 27  # of an experiment
+# Shifts that each experiment has of its own: step of the derivative, and standard deviation about
+# which thirty times less and thirty times more are searched.
+SHIFTS: Final = {
+    "mu_pusher": (0.02, 0.02),
+    "mu_fixel": (0.02, 0.02),
+    "friction_centre_x": (7e-4, 1e-3),
+    "friction_centre_y": (7e-4, 1e-3),
+    "start_x": (7e-4, 3e-4),
+    "start_y": (7e-4, 3e-4),
+    "start_theta": (6e-3, 4e-3),
+}
+SEARCHED_EVERYWHERE: Final = ("mu_pusher", "mu_fixel")  # shifts only of what is itself searched
+SPAN: Final = math.log(30.0)
+STEP: Final = 0.2  # of the derivative of other parameters [scales]
+MOST_SCALES: Final = 3.0  # that one round may move a parameter
+MOST_SD: Final = 4.0  # of an own shift
+WEAK: Final = 0.5  # standard deviation of a prior about the best [ranges]
+LEAST_FREEDOM: Final = 1.5
+MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
+
+
+class Mixed(NamedTuple):
+    """Result of a mixed fit.
+
+    Attributes
+    ----------
+    value : (n_free,) float64
+    sd : (n_free,) float64
+        Standard error: model-based or over experiments, whichever is larger.
+    effective : (n_free,) float64
+        Effective number of conditions behind each parameter.
+    clusters : int
+        Conditions under which experiments were done.
+    evaluations : int
+        Rollouts.
+    """
+
+    value: FloatArray
+    sd: FloatArray
+    effective: FloatArray
+    clusters: int
+    evaluations: int
+
+
+class Honest(NamedTuple):
+    """Estimate that allows for a model that is wrong.
+
+    Attributes
+    ----------
+    value : (n_free,) float64
+        Of the mixed fit.
+    sd : (n_free,) float64
+        Standard error, disagreement of the fits included.
+    freedom : (n_free,) float64
+        Degrees of freedom behind it.
+    clusters : int
+        Conditions under which experiments were done.
+    """
+
+    value: FloatArray
+    sd: FloatArray
+    freedom: FloatArray
+    clusters: int
+
+    @classmethod
+    def of(cls, mixed: Mixed, best: FloatArray) -> Honest:
+        """A mixed fit beside the best (n_free,) of least squares."""
+        freedom = np.maximum(mixed.effective - 1.0, LEAST_FREEDOM)
+        sd = np.hypot(mixed.sd, mixed.value - best)
+        return cls(mixed.value, sd, freedom, mixed.clusters)
+
+    def ends(self, level: float) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper ends (n_free,) of intervals, before any bounds."""
+        from scipy.special import stdtrit
+
+        reach = stdtrit(self.freedom, 0.5 * (1.0 + level)) * self.sd
+        return self.value - reach, self.value + reach
+
+
+class Shifted:
+    """Experiments with shifts of their own, for the rollouts of a mixed fit.
+
+    Parameters
+    ----------
+    comparer : Comparer
+        Of the calibration.
+    """
+
+    def __init__(self, comparer: Comparer) -> None:
+        self.searched = comparer.space
+        self.space = _with_shifts(comparer.space)
+        self.targets = comparer.targets
+        self.free = [self.space.labels.index(label) for label in comparer.space.labels]
+        self.columns = [_columns(self.space, target) for target in self.targets]
+        self.instants = [_instants(len(target.pose)) for target in self.targets]
+        self._comparer = comparer.over(self.space)
+
+    def differences(self, rows: FloatArray) -> FloatArray:
+        """Simulated less measured poses (k, 3 INSTANTS) [mm].
+
+        Parameters
+        ----------
+        rows : (k, 1 + n) float64
+            Number of an experiment, and a point of `space`.
+
+        Returns
+        -------
+        (k, 3 INSTANTS) float64
+            Zero beyond an experiment's last instant, inf without a simulation.
+        """
+        which = rows[:, 0].astype(np.int64)
+        found, good, _ = self._comparer.differences(which, rows[:, 1:])
+        out = np.zeros((len(which), 3, INSTANTS))
+        for row, member in enumerate(which.tolist()):
+            own = self.instants[member]
+            out[row, :, : len(own)] = (found[row, own] * MM).T
+        out[~good] = math.inf
+        return out.reshape(len(rows), -1)
+
+
+def mixed_study(
+    shifted: Shifted, members: Sequence[int], point: FloatArray, noise: Noise
+) -> Generator[FloatArray, FloatArray, Mixed]:
+    """Rollouts of a mixed fit: yields rows, and is sent `Shifted.differences` of them.
+
+    Parameters
+    ----------
+    shifted : Shifted
+    members : sequence of int
+        Numbers of the experiments.
+    point : (n_free,) array
+        Best of least squares, where the fit begins.
+    noise : Noise
+        Of the camera.
+    """
+    space = shifted.searched
+    names = [name for name in SHIFTS if any(name in shifted.columns[m] for m in members)]
+    unit = np.array([SHIFTS[name][1] for name in names])
+    n, p, q = len(members), len(space.free), len(names)
+    cluster = numbered([_condition(shifted.targets[m]) for m in members])
+    weight = 1.0 / np.bincount(cluster)[cluster]
+    precision, anchor = _prior(space, point)
+    theta, own, evaluations = np.array(point, np.float64), np.zeros((n, q)), 0
+    log_sd = np.zeros(q + 3)
+    bounds = Bounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
+    for _ in range(ROUNDS):
+        probes = [
+            _Probes(shifted, m, names, theta, one * unit)
+            for m, one in zip(members, own, strict=True)
+        ]
+        count = [len(one.points) for one in probes]
+        which = np.repeat(np.asarray(members, np.float64), count)
+        points = np.concatenate([one.points for one in probes])
+        told = yield np.column_stack((which, points))
+        parts = np.split(told.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
+        evaluations += len(points)
+        y = np.zeros((n, 3, INSTANTS))
+        common, single = np.zeros((n, 3, INSTANTS, p)), np.zeros((n, 3, INSTANTS, q))
+        share = np.zeros((n, INSTANTS))
+        for k, (one, part) in enumerate(zip(probes, parts, strict=True)):
+            if not np.isfinite(part[0]).all():
+                continue
+            common[k], single[k] = one.slopes(part, space.scale, unit)
+            y[k] = single[k] @ own[k] - part[0]
+            share[k] = _share(shifted, members[k])
+        data = Linear(
+            y,
+            common,
+            single,
+            share,
+            MM * noise.standard_deviations,
+            weight,
+            precision * np.outer(space.scale, space.scale),
+            (anchor - theta) / space.scale,
+        )
+        fit = fit_mixed(data, log_sd, bounds)
+        log_sd = fit.log_sd
+        reach = MOST_SD * np.exp(log_sd[:q])
+        own = np.clip(fit.shifts, -reach, reach)
+        step = space.scale * np.clip(fit.step, -MOST_SCALES, MOST_SCALES)
+        theta = np.clip(theta + step, space.low, space.high)
+    left_out = jackknife(fit.information, fit.gradient, fit.covariance, cluster)
+    variance = np.maximum(np.diag(fit.covariance), np.diag(left_out.covariance))
+    return Mixed(
+        value=theta,
+        sd=np.sqrt(variance) * space.scale,
+        effective=left_out.effective,
+        clusters=int(cluster.max()) + 1,
+        evaluations=evaluations,
+    )
+
+
+class _Probes:
+    """Points about one experiment's own, for central differences."""
+
+    def __init__(
+        self,
+        shifted: Shifted,
+        member: int,
+        names: Sequence[str],
+        theta: FloatArray,
+        shift: FloatArray,
+    ) -> None:
+        space, own = shifted.space, shifted.columns[member]
+        low, high = space.low, space.high
+        base = np.array(space.nominal)
+        base[shifted.free] = theta
+        self._shifts = [own.get(name) for name in names]
+        for column, value in zip(self._shifts, shift.tolist(), strict=True):
+            if column is not None:
+                base[column] += value
+        base = np.clip(base, low, high)
+        self._free = shifted.free
+        moved = {*own.values()} & {*shifted.free, *(c for c in self._shifts if c is not None)}
+        points, self._moves = [base], {}
+        for column in sorted(moved):
+            step = _step(space.free[column])
+            ends = [min(base[column] + step, high[column]), max(base[column] - step, low[column])]
+            self._moves[column] = (len(points), ends[0] - ends[1])
+            for end in ends:
+                point = base.copy()
+                point[column] = end
+                points.append(point)
+        self.points = np.array(points)
+
+    def slopes(
+        self, rows: FloatArray, scale: FloatArray, unit: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(3, m, p) change a scale of each parameter, (3, m, q) a unit of each shift; zero where a
+        simulation failed."""
+        table = {}
+        for column, (at, span) in self._moves.items():
+            slope = (rows[at] - rows[at + 1]) / span
+            table[column] = np.where(np.isfinite(slope).all(), slope, 0.0)
+        nothing = np.zeros(rows.shape[1:])
+        common = [table.get(c, nothing) * s for c, s in zip(self._free, scale, strict=True)]
+        single = [
+            nothing if c is None else table[c] * u for c, u in zip(self._shifts, unit, strict=True)
+        ]
+        return np.stack(common, -1), np.stack(single, -1)
+
+
+def _with_shifts(space: ParameterSpace) -> ParameterSpace:
+    """The space with all unknowns free, and one for each shift that it has not got."""
+    unknowns = [replace(u, frozen=False) for u in space.unknowns]
+    known = {u.name for u in unknowns}
+    for name, (step, _) in SHIFTS.items():
+        if name not in known and name not in SEARCHED_EVERYWHERE:
+            reach = 100.0 * step
+            unknowns.append(Unknown(name=name, low=-reach, high=reach, nominal=0.0, scale=step))
+    return ParameterSpace(unknowns=tuple(unknowns))
+
+
+def _columns(space: ParameterSpace, target: Target) -> dict[str, int]:
+    """Which free unknown gives an experiment its value of each parameter."""
+    found: dict[str, int] = {}
+    for k, unknown in enumerate(space.free):
+        if unknown.covers(target.conditions):
+            found.setdefault(unknown.name, k)
+    return found
+
+
+def _step(unknown: Unknown) -> float:
+    return SHIFTS[unknown.name][0] if unknown.name in SHIFTS else STEP * float(unknown.scale or 0.0)
+
+
+def _instants(length: int) -> IntArray:
+    """Evenly spread frames of an experiment, the last among them."""
+    count = min(length, INSTANTS)
+    return np.asarray(np.round(np.linspace(length / count, length, count)) - 1, np.int64)
+
+
+def _share(shifted: Shifted, member: int) -> FloatArray:
+    """(INSTANTS,) share of the time that has passed; zero beyond the last."""
+    own, times = shifted.instants[member], shifted.targets[member].case.times
+    out = np.zeros(INSTANTS)
+    out[: len(own)] = times[own] / times[-1]
+    return out
+
+
+def _condition(target: Target) -> object:
+    """What experiments done under the same conditions have in common."""
+    same = same_configuration(target)
+    return target.case.scene if same == target.key else same
+
+
+def _prior(space: ParameterSpace, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Precision (n, n) and mean (n,): of half the range about the best, and of priors given."""
+    weak = 1.0 / (WEAK * (space.high - space.low)) ** 2
+    given = np.array([0.0 if u.prior is None else u.prior**-2 for u in space.free])
+    mean = (weak * point + given * space.nominal) / (weak + given)
+    return np.diag(weak + given), mean

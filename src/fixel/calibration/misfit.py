@@ -1,0 +1,163 @@
+"""How much worse simulations fit than the noise of the measurements allows.
+
+The noise is read off second differences of the measured poses: smooth motion and errors of a model
+nearly cancel in them, white noise of the camera does not. They need no repetitions and no model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.noise import LEAST_SCATTER, Noise
+from fixel.calibration.target import Target
+from fixel.kernels.arrays import FloatArray
+
+NOTED: Final = 1.5  # residuals over noise from which intervals allow for misfit...
+WARNED: Final = 3.0  # ... and from which results are headed by a warning
+# Second differences needed in all.
+LEAST_COUNT: Final = 20
+# Second differences of white noise have a correlation of -2/3 with the next ones. Of poses that
+# were smoothed, or of motion without noise, neighbours agree: their noise cannot be read off.
+WHITE: Final = -0.4
+EVEN: Final = 0.1  # by how much intervals between frames may differ
+NAMED: Final = 3  # of these
+OUTLYING: Final = 4.0  # squared residuals over the median's that name an experiment
+_HOW: Final = {
+    "stated": "as stated",
+    "repetitions": "scatter of repetitions",
+    "differences": "second differences of the measured poses",
+    "residuals": "what the fit leaves",
+}
+
+
+class Misfit(NamedTuple):
+    """Residuals of a calibration beside the noise of its measurements.
+
+    Attributes
+    ----------
+    position_m, angle_rad : float
+        Root mean square of the residuals.
+    noise : Noise
+        What they are compared with.
+    worst : tuple of str
+        Experiments with more than `OUTLYING` times the median squared residual, the worst first.
+    share : float
+        Their share of all squared residuals, noise divided out.
+    experiments : int
+        Number of experiments.
+    """
+
+    position_m: float
+    angle_rad: float
+    noise: Noise
+    worst: tuple[str, ...] = ()
+    share: float = 0.0
+    experiments: int = 0
+
+    @property
+    def ratio(self) -> float:
+        """Residual over noise: of position or angle, whichever is larger."""
+        return max(self.position_m / self.noise.position_m, self.angle_rad / self.noise.angle_rad)
+
+    @property
+    def noted(self) -> bool:
+        """Whether intervals have to allow for it."""
+        return self.ratio >= NOTED
+
+    @property
+    def warned(self) -> bool:
+        """Whether it has to be said first."""
+        return self.ratio >= WARNED
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Warning for people, the size first; empty where there is nothing to warn of."""
+        if not self.noted:
+            return ()
+        sizes = (self.position_m, self.noise.position_m, 1e3, "mm")
+        if self.angle_rad / self.noise.angle_rad > self.position_m / self.noise.position_m:
+            sizes = (self.angle_rad, self.noise.angle_rad, 1e3, "mrad")
+        residual, noise, factor, unit = sizes
+        first = (
+            f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of"
+            f" {factor * residual:.2g} {unit} are {self.ratio:.2g} times the noise of"
+            f" {factor * noise:.2g} {unit} ({_HOW[self.noise.source]}). Intervals allow for it as"
+            " far as these experiments can show it; an error that all of them share stays unseen."
+        )
+        more = []
+        if self.experiments == 1:
+            more.append(
+                "There is one experiment only: how results vary from experiment to experiment"
+                " cannot be seen, so its intervals say little about other experiments."
+            )
+        elif self.worst:
+            n = len(self.worst)
+            names = ", ".join(self.worst[:NAMED]) + (", ..." if n > NAMED else "")
+            more.append(
+                f"{100.0 * self.share:.0f} % of the squared residuals come from {n} of"
+                f" {self.experiments} experiments: {names}."
+            )
+        return first, *more
+
+
+def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
+    """White noise of measured poses; None where there are too few frames or they were smoothed.
+
+    1.4826 median |p(t+1) - 2 p(t) + p(t-1)| / sqrt(6), over all experiments, x and y together.
+    """
+    found = [_second_differences(target) for target in targets]
+    position = [column for one in found for series in one for column in series[:, :2].T]
+    angle = [series[:, 2] for one in found for series in one]
+    if sum(map(len, angle)) < LEAST_COUNT or not (_white(position) and _white(angle)):
+        return None
+    scale = 1.4826 / math.sqrt(6.0)
+    return Noise(
+        position_m=max(LEAST_SCATTER, scale * float(np.median(np.abs(np.concatenate(position))))),
+        angle_rad=max(LEAST_SCATTER, scale * float(np.median(np.abs(np.concatenate(angle))))),
+        source="differences",
+    )
+
+
+def misfit_of(residuals: Sequence[FloatArray], keys: Sequence[str], noise: Noise) -> Misfit:
+    """Compare residuals (n_frame, 3) of experiments with a noise."""
+    table = np.concatenate(residuals)
+    squares = np.mean(table**2, axis=0)
+    sizes = [float(np.mean((one / noise.standard_deviations) ** 2)) for one in residuals]
+    middle, total = float(np.median(sizes)), sum(sizes)
+    order = sorted(range(len(sizes)), key=lambda k: -sizes[k])
+    worst = [k for k in order if sizes[k] > OUTLYING * middle]
+    return Misfit(
+        position_m=math.sqrt(squares[:2].mean()),
+        angle_rad=math.sqrt(squares[2]),
+        noise=noise,
+        worst=tuple(keys[k] for k in worst),
+        share=sum(sizes[k] for k in worst) / total if total > 0.0 else 0.0,
+        experiments=len(sizes),
+    )
+
+
+def _second_differences(target: Target) -> list[FloatArray]:
+    """(k, 3) of every stretch of frames at even intervals."""
+    times, pose = target.case.times, target.pose.copy()
+    if len(times) < 3:
+        return []
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    gaps = np.diff(times)
+    usual = float(np.median(gaps))
+    even = np.abs(gaps - usual) <= EVEN * usual
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], even, [False])).astype(int)))
+    stretches = [pose[a : b + 1] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [np.diff(one, n=2, axis=0) for one in stretches if len(one) >= 3]
+
+
+def _white(series: Sequence[FloatArray]) -> bool:
+    """Whether neighbours differ as those of white noise do; signs count, so that a jolt does not
+    decide."""
+    pairs = sum(float(np.sign(one[1:]) @ np.sign(one[:-1])) for one in series)
+    count = sum(int(np.count_nonzero(one[1:] * one[:-1])) for one in series)
+    # Signs of normal variables agree with the correlation 2/pi asin(rho).
+    return count > 0 and pairs / count < 2.0 / math.pi * math.asin(WHITE)

@@ -1,0 +1,210 @@
+"""Mixed-effects fit: parameters that all experiments share, and shifts that each has of its own.
+
+The residuals of experiment e near a point are taken to be linear,
+
+    y_e = J_e d + G_e b_e + walk_e + white_e,
+
+with the common change d of the parameters, own shifts b_e ~ N(0, diag) of friction, pressure centre
+and start, a random walk for what the model gets wrong on the way, and white noise of the camera.
+All variances are estimated by restricted maximum likelihood (REML), d by generalised least squares.
+
+Source: Patterson & Thompson (1971), REML; Lindstrom & Bates (1990), linearisation about the
+conditional means.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray
+
+ITERATIONS: Final = 60  # of the search for variances
+
+
+class Linear(NamedTuple):
+    """Linearised experiments; arrays are padded with zeros beyond an experiment's last residual.
+
+    Attributes
+    ----------
+    y : (n, 3, m) float64
+        What simulations lack of the measurement, without own shifts [mm].
+    common : (n, 3, m, p) float64
+        Change a unit of each parameter.
+    own : (n, 3, m, q) float64
+        Change a unit of each own shift.
+    share : (n, m) float64
+        Of the way of the walk that lies behind each instant; 0 beyond the last.
+    white : (3,) float64
+        Standard deviations of the camera [mm].
+    weight : (n,) float64
+        How often an experiment counts: 1 over how many were done under its conditions.
+    precision : (p, p) float64
+        Of what is known of d before.
+    mean : (p,) float64
+        The same, of its mean.
+    """
+
+    y: FloatArray
+    common: FloatArray
+    own: FloatArray
+    share: FloatArray
+    white: FloatArray
+    weight: FloatArray
+    precision: FloatArray
+    mean: FloatArray
+
+
+class Bounds(NamedTuple):
+    """Logarithms of standard deviations: of own shifts, walk in position and angle, white noise."""
+
+    low: FloatArray  # (q + 3,)
+    high: FloatArray
+
+
+class MixedFit(NamedTuple):
+    """Result of one fit.
+
+    Attributes
+    ----------
+    step : (p,) float64
+        d.
+    shifts : (n, q) float64
+        Conditional means of b_e.
+    log_sd : (q + 3,) float64
+        Estimated standard deviations, in the order of `Bounds`.
+    information : (n, p, p) float64
+        J' V^-1 J of each experiment, times its weight.
+    gradient : (n, p) float64
+        J' V^-1 (y - J d) of each, times its weight.
+    covariance : (p, p) float64
+        Inverse of the summed information and the prior's precision.
+    """
+
+    step: FloatArray
+    shifts: FloatArray
+    log_sd: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+    covariance: FloatArray
+
+
+def fit_mixed(data: Linear, start: FloatArray, bounds: Bounds) -> MixedFit:
+    """Fit variances, common step and own shifts.
+
+    Parameters
+    ----------
+    data : Linear
+    start : (q + 3,) array
+        Logarithms of standard deviations to begin with.
+    bounds : Bounds
+    """
+    from scipy.optimize import minimize
+
+    rotated = _rotated(data)
+    found = minimize(
+        lambda at: _criterion(rotated, at)[:2],
+        np.clip(start, bounds.low, bounds.high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.column_stack(bounds),
+        options={"maxiter": ITERATIONS},
+    )
+    return _criterion(rotated, found.x)[2]
+
+
+class _Rotated(NamedTuple):
+    """The data along the axes of the walks, where all noise is independent."""
+
+    y: FloatArray  # (n, k)
+    common: FloatArray  # (n, k, p)
+    own: FloatArray  # (n, k, q)
+    variance: FloatArray  # (n, k) of a walk of unit size
+    seen: FloatArray  # (n, k) 1 where there is a residual
+    angle: FloatArray  # (k,) 1 for angles
+    white: FloatArray  # (k,)
+    weight: FloatArray
+    precision: FloatArray
+    mean: FloatArray
+
+
+def _rotated(data: Linear) -> _Rotated:
+    n, _, m = data.y.shape
+    walk = np.minimum(data.share[:, :, None], data.share[:, None, :])
+    variance, axes = np.linalg.eigh(walk)
+    # Axes of padding have no variance, and neither have their residuals any size.
+    real = (axes**2 * (data.share > 0.0)[:, :, None]).sum(axis=1) > 0.5
+
+    def turned(table: FloatArray) -> FloatArray:
+        out = np.einsum("nma,ncm...->nca...", axes, table)
+        return np.asarray(out.reshape(n, 3 * m, *table.shape[3:]))
+
+    return _Rotated(
+        y=turned(data.y),
+        common=turned(data.common),
+        own=turned(data.own),
+        variance=np.tile(np.maximum(variance, 0.0), 3),
+        seen=np.tile(real, 3).astype(np.float64),
+        angle=np.repeat([0.0, 0.0, 1.0], m),
+        white=np.repeat(data.white, m),
+        weight=data.weight,
+        precision=data.precision,
+        mean=data.mean,
+    )
+
+
+def _criterion(data: _Rotated, log_sd: FloatArray) -> tuple[float, FloatArray, MixedFit]:
+    """-2 log restricted likelihood, its gradient in the logarithms, and the fit there."""
+    q = data.own.shape[2]
+    sd, walk, white = np.exp(log_sd[:q]), np.exp(2.0 * log_sd[q : q + 2]), np.exp(2.0 * log_sd[-1])
+    angle = data.angle
+    walked = data.seen * data.variance * np.where(angle > 0.0, walk[1], walk[0])
+    seen = data.seen * white * data.white**2
+    diagonal = walked + seen + (1.0 - data.seen)
+    shifted = data.own * sd
+    over = shifted / diagonal[:, :, None]  # D^-1 G L
+    core = np.linalg.inv(np.eye(q) + np.einsum("nkq,nkr->nqr", shifted, over))
+
+    def solved(table: FloatArray) -> FloatArray:
+        """V^-1 of columns (n, k, c)."""
+        inner = core @ np.einsum("nkq,nkc->nqc", over, table)
+        return np.asarray(table / diagonal[:, :, None] - over @ inner)
+
+    w = data.weight
+    vj = solved(data.common)
+    information = np.einsum("n,nkp,nkr->npr", w, data.common, vj)
+    covariance = np.linalg.inv(information.sum(axis=0) + data.precision)
+    right = np.einsum("n,nkp,nk->p", w, vj, data.y) + data.precision @ data.mean
+    step = covariance @ right
+    rest = data.y - data.common @ step
+    u = solved(rest[:, :, None])[:, :, 0]
+    off = step - data.mean
+    quadratic = float(w @ np.einsum("nk,nk->n", rest, u) + off @ data.precision @ off)
+    logs = np.log(diagonal).sum(axis=1) - np.linalg.slogdet(core)[1]
+    value = quadratic + float(w @ logs) - float(np.linalg.slogdet(covariance)[1])
+
+    # Derivatives: of V by each log standard deviation, 2 sd^2 g g' or a diagonal.
+    vg = solved(shifted)
+    gu = np.einsum("nkq,nk->nq", shifted, u)
+    gj = np.einsum("nkq,nkp->nqp", shifted, vj)
+    loss = np.einsum("nqp,pr,nqr->nq", gj, covariance, gj)
+    own = 2.0 * w @ (np.einsum("nkq,nkq->nq", shifted, vg) - gu**2 - loss)
+    inverse = 1.0 / diagonal - np.einsum("nkq,nqr,nkr->nk", over, core, over)
+    each = inverse - u**2 - np.einsum("nkp,pr,nkr->nk", vj, covariance, vj)
+    each *= 2.0 * w[:, None]
+    ends = [
+        float((each * walked * (1.0 - angle)).sum()),
+        float((each * walked * angle).sum()),
+        float((each * seen).sum()),
+    ]
+    gradient = np.concatenate([own, ends])
+    fit = MixedFit(
+        step=step,
+        shifts=gu * sd,
+        log_sd=np.asarray(log_sd, np.float64).copy(),
+        information=information,
+        gradient=np.einsum("n,nkp,nk->np", w, data.common, u),
+        covariance=covariance,
+    )
+    return value, gradient, fit

@@ -1,0 +1,82 @@
+"""Noise that is read off measured poses, and residuals beside it."""
+
+import numpy as np
+import pytest
+
+from fixel.calibration.misfit import misfit_of, noise_from_differences
+from fixel.calibration.noise import Noise
+from fixel.calibration.target import Target
+from fixel.model import Tripod
+from fixel.simulation.ensemble import Case
+from fixel.testing.scenes import free_push
+
+SCENE = free_push(Tripod(radius=0.03, friction=0.3))
+NOISE = Noise(position_m=8e-5, angle_rad=3e-3)
+
+
+def _track(seed, *, noise=True, lost=0.1, smooth=False, frames=200):
+    """A curved motion with a jolt in the middle, seen by a camera that loses frames."""
+    draw = np.random.default_rng(seed)
+    t = np.arange(1, frames + 1) / 30.0
+    pose = np.column_stack((0.0135 * t, 1e-3 * np.sin(t), 0.3 * np.sin(0.7 * t)))
+    pose[frames // 2 :] += [1e-3, 0.0, 0.05]
+    if noise:
+        pose += NOISE.standard_deviations * draw.standard_normal(pose.shape)
+    if smooth:
+        kernel = np.ones(5) / 5.0
+        pose = np.column_stack([np.convolve(column, kernel, "same") for column in pose.T])[5:-5]
+        t = t[5:-5]
+    seen = draw.random(len(t)) >= lost
+    return Target("a/b", {}, Case(SCENE, t[seen]), pose[seen])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_is_read_off_without_a_model(seed):
+    found = noise_from_differences([_track(seed), _track(seed + 100)])
+    assert found.source == "differences"
+    # Of 600 second differences, correlated, a median absolute deviation is good to 5 %.
+    assert found.position_m == pytest.approx(NOISE.position_m, rel=0.15)
+    assert found.angle_rad == pytest.approx(NOISE.angle_rad, rel=0.15)
+
+
+def test_noise_of_smoothed_poses_and_of_few_is_not_known():
+    assert noise_from_differences([_track(0, smooth=True, lost=0.0)]) is None
+    assert noise_from_differences([_track(0, noise=False)]) is None
+    assert noise_from_differences([_track(0, frames=4)]) is None
+
+
+def _residuals(scale, seed=0, n=6):
+    draw = np.random.default_rng(seed)
+    sizes = scale * NOISE.standard_deviations * [1.0, 1.0, 0.9]
+    return [sizes * draw.standard_normal((300, 3)) for _ in range(n)]
+
+
+def test_a_right_model_is_not_warned_of():
+    found = misfit_of(_residuals(1.0), list("abcdef"), NOISE)
+    assert found.ratio == pytest.approx(1.0, abs=0.1)
+    assert not found.noted
+    assert found.sentences == ()
+
+
+def test_a_wrong_one_is_with_its_size_first():
+    found = misfit_of(_residuals(30.0), list("abcdef"), NOISE)
+    assert found.warned
+    assert found.sentences[0].startswith("model misfit: residuals of 2.4 mm are 30 times the noise")
+    slight = misfit_of(_residuals(2.0), list("abcdef"), NOISE)
+    assert slight.noted
+    assert not slight.warned
+    assert slight.sentences[0].startswith("slight model misfit")
+
+
+def test_experiments_that_fit_far_worse_are_named():
+    residuals = _residuals(5.0)
+    residuals[2] *= 10.0
+    found = misfit_of(residuals, list("abcdef"), NOISE)
+    assert found.worst == ("c",)
+    assert found.share == pytest.approx(100.0 / 105.0, abs=0.02)
+    assert found.sentences[1].endswith("come from 1 of 6 experiments: c.")
+
+
+def test_of_one_experiment_the_variation_between_experiments_cannot_be_seen():
+    found = misfit_of(_residuals(5.0, n=1), ["a"], NOISE)
+    assert "one experiment only" in found.sentences[1]

@@ -1,0 +1,210 @@
+"""What all commands share: --project, what is next, errors for programs, help, completion."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import typer
+from tests.cli.shell import fixel
+
+from fixel.cli.main import SECTIONS, app
+from fixel.database.project import Project
+from fixel.model import Experiment, Provenance, Trajectory
+from fixel.testing.scenes import micro_push
+
+# Commands that look into a project.
+IN_PROJECTS = {
+    "import", "list", "show", "compare", "filter", "export", "calibrate", "domain",
+    "domain growth", "sensitivity", "uncertainty", "report", "serve", "overlay", "track",
+    "testbed run", "testbed film", "jobs status", "db upgrade", "db backup", "db check",
+}  # fmt: skip
+
+
+def commands(group, before=()):
+    """Every command with its whole name."""
+    for name, command in group.commands.items():
+        words = (*before, name)
+        if hasattr(command, "commands"):
+            yield from commands(command, words)
+        yield " ".join(words), command
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A project whose folder needs quotes, with experiments whose names do."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "my lab"
+    track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [0.05, 0.0, 0.1]])
+    with Project.create(folder).store() as store:
+        for name, speed, surface in (("run 1; true", 0.02, "felt"), ("2", 0.05, "plywood")):
+            store.add_experiment(
+                Experiment(
+                    dataset="own", name=name, real=True, trajectory=track,
+                    provenance=Provenance(version="0"),
+                    conditions={"speed_m_s": speed, "surface": surface},
+                )
+            )  # fmt: skip
+    return folder
+
+
+def test_the_project_is_named_alike_everywhere():
+    known = dict(commands(typer.main.get_command(app)))
+    for name in IN_PROJECTS:
+        options = [p for p in known[name].params if "--project" in p.opts]
+        assert [sorted(p.opts) for p in options] == [["--project", "-p"]], name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("list",), ("list", "--where", "speed_m_s>1"), ("show", "own/run 1; true"), ("db", "check"),
+        ("db", "upgrade"), ("jobs", "status"), ("import", "run.csv", "--dry-run"),
+        ("import", "run.csv"), ("export", "all.zip"),
+    ],
+)  # fmt: skip
+def test_what_is_next_can_be_pasted(capsys, lab, words):
+    (lab.parent / "run.csv").write_text("t_s,x_mm,y_mm\n0,0,0\n1,2,0\n")
+    code, out, err = fixel(capsys, *words, "--project", lab)
+    assert code == 0, err
+    known = dict(commands(typer.main.get_command(app)))
+    for line in out.splitlines():
+        if not line.startswith("Next: "):
+            continue
+        typed = shlex.split(line.removeprefix("Next: "))
+        assert typed[0] == "fixel"
+        assert not any(word.isupper() for word in typed), line
+        name = typed[1] if typed[1] in known and not hasattr(known[typed[1]], "commands") else None
+        name = name or " ".join(typed[1:3])
+        rest = typed[1 + len(name.split()) :]
+        if "--help" not in rest:
+            known[name].make_context(name, rest)  # refuses what cannot be typed
+
+
+@pytest.mark.parametrize("command", [("sample",), ("data",), ("new", "another lab")])
+def test_what_is_next_without_a_project_can_be_pasted(capsys, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    _, out, _ = fixel(capsys, *command)
+    typed = shlex.split(out.splitlines()[-1].removeprefix("Next: "))
+    assert typed[0] == "fixel"
+    assert not {"then", "or:", "then:"} & {word.strip(",") for word in typed}
+    assert not any(word.isupper() for word in typed)
+
+
+def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
+    code, out, _ = fixel(capsys, "show", "1", "--project", lab)
+    assert (code, out.splitlines()[0]) == (0, "own/run 1; true: real")
+    assert fixel(capsys, "show", "2", "--project", lab)[0] == 0  # id and name of one
+    with Project.open(lab).store() as store:
+        store.add_experiment(
+            Experiment(
+                dataset="own", name="1", real=True, provenance=Provenance(version="0"),
+                trajectory=Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))),
+            )
+        )  # fmt: skip
+    code, _, err = fixel(capsys, "show", "1", "--project", lab)
+    assert code == 2
+    assert "id:1 or own/1" in err
+    assert fixel(capsys, "show", "id:1", "--project", lab)[1].startswith("own/run 1; true")
+    assert fixel(capsys, "show", "own/1", "--project", lab)[1].startswith("own/1")
+
+
+def test_what_was_mistyped_is_asked_about(capsys, lab):
+    for words, meant in (
+        (("list", "--where", "surface=plywod"), "'plywood'"),
+        (("list", "--where", "surfaces=felt"), "'surface'"),
+        (("list", "--dataset", "onw"), "'own'"),
+        (("calibrate", "--where", "surface=flet"), "'felt'"),
+        (("show", "own/run 1; treu"), "'own/run 1; true'"),
+    ):
+        code, _, err = fixel(capsys, *words, "--project", lab)
+        assert code == 2
+        assert f"did you mean {meant}?" in err
+
+
+def test_conditions_are_compared(capsys, lab):
+    for condition, ids in (
+        ("speed_m_s>0.03", [2]), ("speed_m_s<=0.02", [1]), ("speed_m_s!=0.02", [2]),
+        ("surface!=felt", [2]), ("surface>0", []), ("speed_m_s=0.05", [2]),
+    ):  # fmt: skip
+        code, out, err = fixel(capsys, "list", "--where", condition, "--json", "--project", lab)
+        assert code == 0, err
+        assert [row["id"] for row in json.loads(out)["experiments"]] == ids, condition
+    assert fixel(capsys, "list", "--where", "speed_m_s>fast", "--project", lab)[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "kind"),
+    [
+        (("show", "nothing"), 2, "NotStored"),
+        (("list", "--where", "x"), 2, "InvalidInput"),
+        (("list", "--limits", "3"), 2, "NoSuchOption"),
+        (("show",), 2, "MissingParameter"),
+    ],
+)
+def test_errors_are_json_where_answers_are(capsys, lab, words, code, kind):
+    found, out, _ = fixel(capsys, *words, "--project", lab, "--json")
+    assert found == code
+    error = json.loads(out)["error"]
+    assert (error["exit_code"], error["kind"]) == (code, kind)
+    assert error["sentence"]
+
+
+def test_help_is_in_the_order_of_a_day(capsys):
+    _, out, _ = fixel(capsys, "--help")
+    listed = [
+        line.split()[0] for line in out.splitlines() if line.startswith("  ") and line.strip()
+    ]
+    order = [name for names in SECTIONS.values() for name in names]
+    assert [name for name in listed if name in order] == order
+    assert order.index("new") < order.index("import") < order.index("calibrate")
+    assert set(order) == set(typer.main.get_command(app).commands)
+
+
+def test_a_shell_completes_commands():
+    words = {"_FIXEL_COMPLETE": "complete_bash", "COMP_WORDS": "fixel cal", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", "from fixel.cli.main import run; run()"],
+        env=os.environ | words, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == ["calibrate"]
+
+
+def test_a_benchmark_that_needs_no_data_takes_none(capsys, monkeypatch):
+    from fixel.workflows.benchmark import reproductions
+
+    asked = []
+
+    def found(name, data, **more):
+        asked.append((name, data))
+        return reproductions.Reproduction(
+            name=name, tables={}, conclusions=["done"], settings={}, picture=None, seconds=0.0
+        )
+
+    monkeypatch.setattr(reproductions, "reproduce", found)
+    assert fixel(capsys, "benchmark", "real", "--only", "asme-table-1")[:2] == (0, "done\n")
+    assert asked == [("asme-table-1", None)]
+    code, _, err = fixel(capsys, "benchmark", "real")
+    assert code == 2
+    assert "--data" in err
+
+
+def test_small_parts_are_read_in_micrometres(capsys, lab):
+    scene = micro_push(3, "p1")
+    track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [2.5e-5, 0.0, 0.0]])
+    with Project.open(lab).store() as store:
+        store.add_experiment(
+            Experiment(
+                dataset="micro", name="push", real=True, provenance=Provenance(version="0"),
+                trajectory=track, scene=scene, object_name=scene.bodies[0].name,
+            )
+        )  # fmt: skip
+    _, out, _ = fixel(capsys, "show", "micro/push", "--project", lab)
+    assert "x [um]" in out
+    assert "travelled 25.00 um" in out
+    _, out, _ = fixel(capsys, "compare", "micro/push", "--project", lab)
+    assert " um\n" in out
+    assert " mm" not in out

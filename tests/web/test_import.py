@@ -1,0 +1,75 @@
+"""Tables and their scene through the interface for programs, and dropped on the page."""
+
+import pytest
+from tests.closed_form import push, table_text
+from tests.web.bench import Bench
+
+from fixel.workflows.project import import_texts
+
+TABLE = table_text(*push(0.15, 0.02, duration=0.4))
+
+
+@pytest.fixture
+def bench(project):
+    found = Bench(project)
+    yield found
+    found.close()
+
+
+def filled(template):
+    half = "0.045"
+    square = f"[[-{half}, -{half}], [{half}, -{half}], [{half}, {half}], [-{half}, {half}]]"
+    text = template.replace("shape: FILL_IN", f"shape: {{polygon: {square}}}", 1)
+    return text.replace("shape: FILL_IN", "shape: {disk: 0.005}").replace(
+        "mass: FILL_IN", "mass: 1"
+    )
+
+
+def test_a_table_without_a_scene_is_answered_with_a_template(bench):
+    asked = {"name": "mine.csv", "table": TABLE, "dry_run": True}
+    answer = bench.post("/api/v1/import", asked)
+    assert answer.status_code == 200
+    read = answer.json()
+    assert not read["has_scene"]
+    assert not read["stored"]
+    assert any("deg to rad" in sentence for sentence in read["understood"])
+
+    asked = {"name": "mine.csv", "table": TABLE, "scene": filled(read["template"])}
+    first, second = (bench.post("/api/v1/import", asked).json() for _ in range(2))
+    assert (first["has_scene"], first["stored"], first["known"]) == (True, True, False)
+    assert (second["stored"], second["known"]) == (False, True)
+    number = bench.desk.store.find("csv/mine")
+    assert bench.desk.store.experiment(number).scene is not None
+
+
+def test_what_cannot_be_is_refused_in_a_sentence(bench):
+    template = bench.post("/api/v1/import", {"name": "a.csv", "table": TABLE}).json()["template"]
+    for asked, status in (
+        ({"name": "../a.csv", "table": TABLE}, 422),
+        ({"name": "a.csv", "table": "no table"}, 422),
+        ({"name": "a.csv", "table": TABLE, "scene": template}, 422),
+        ({"name": "a.csv", "table": TABLE.replace("theta_deg", "theta_rad")}, 422),
+    ):
+        answer = bench.post("/api/v1/import", asked)
+        assert answer.status_code == status, asked["name"]
+        assert "sentence" in answer.json()
+
+
+def test_files_dropped_on_the_page_are_imported(browser_page, server):
+    page = browser_page
+    page.wait_for_selector("tr[data-id]")
+    template = import_texts(server.desk.store, "a.csv", TABLE, None, dry_run=True).template
+    page.evaluate(
+        """({ table, scene }) => {
+            const dataTransfer = new DataTransfer();
+            dataTransfer.items.add(new File([table], "dropped.csv"));
+            dataTransfer.items.add(new File([scene], "mine.yaml"));
+            dispatchEvent(new DragEvent("drop", { dataTransfer, cancelable: true }));
+        }""",
+        {"table": TABLE, "scene": filled(template)},
+    )
+    page.wait_for_selector("#import-do:not([disabled])")
+    assert "follows its measured path" in page.inner_text("#import-read")
+    page.click("#import-do")
+    page.wait_for_selector(".toast")
+    assert server.desk.store.find("csv/dropped")
