@@ -327,7 +327,8 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
     for o in range(n_free_dof):
         change = problem.velocity[o] - state.velocity[o]
         inertia = model.inertia[o // 3] if o % 3 == 2 else model.mass[o // 3]
-        energy -= 0.5 * inertia * change * change
+        force = problem.momentum[o] - inertia * state.velocity[o]
+        energy += 0.5 * change * (force - inertia * change)
     if energy <= scale:
         return False
     for i in range(problem.size[1]):
@@ -443,7 +444,22 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
         forward = 0.0
         for k in range(o, o + 3):
             forward += v[k] * (2.0 * v[k] - state.velocity[k])
-        reach = 2.0 if scratch[o + 2] == 0.0 and forward > 0.0 else 1.0
+        if forward <= 0.0:
+            scratch[o + 2] = 1.0
+    spreading = True
+    while spreading:  # from body to body: only together do they keep from gaining energy
+        spreading = False
+        for i in range(problem.size[1]):
+            o = problem.contact_dof[i, 0]
+            other = problem.contact_dof[i, 1]
+            if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
+                continue
+            if scratch[o + 2] != scratch[other + 2]:
+                scratch[o + 2] = 1.0
+                scratch[other + 2] = 1.0
+                spreading = True
+    for o in range(0, n_dof, 3):
+        reach = 2.0 if scratch[o + 2] == 0.0 else 1.0
         for k in range(o, o + 3):
             state.velocity[k] += reach * (v[k] - state.velocity[k])
 
