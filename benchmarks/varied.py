@@ -149,8 +149,8 @@ def _support(rng: np.random.Generator, size: float) -> Support:
         return Tripod(radius=radius, friction=friction, angle=float(rng.uniform(-3.0, 3.0)))
     if kind == "points":
         angles = np.array([0.3, 2.4, 4.3]) + rng.uniform(-0.4, 0.4, 3)
-        radius = 0.5 * size * rng.uniform(0.7, 1.0, 3)
-        points = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        reach = 0.5 * size * rng.uniform(0.7, 1.0, 3)
+        points = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return SupportPoints(points=points, friction=friction)
     return UniformPressure(friction=friction, n_points=16)
 
