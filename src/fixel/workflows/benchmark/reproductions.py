@@ -15,6 +15,7 @@ from fixel.workflows.benchmark import (
     asme_table_1,
     cmu_tripod,
     coverage,
+    new_sides,
     promise,
     rates,
     repeats,
@@ -38,6 +39,7 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "asme-table-1": Part(None, asme_table_1.run),
         "repeats": Part("cmu_two_point_push", repeats.run),
         "promise": Part("mit_push_endpoints", promise.run, keeps=True),
+        "new-sides": Part("mit_push_endpoints", new_sides.run, keeps=True),
         "coverage": Part("mit_push_endpoints", coverage.run, keeps=True),
         "rates": Part("", rates.run, keeps=True),
     }
