@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.workflows.test_benchmark_mit import made_up
 
+from fixel.applicability import scale_model
 from fixel.exchange.datasets import mit_push
 from fixel.workflows.benchmark import Request
 from fixel.workflows.benchmark.new_sides import side_labels
@@ -35,8 +36,11 @@ def test_sides_are_those_the_pushes_were_made_up_on(tmp_path: Path) -> None:
     assert len(set(zip(number.tolist(), found.tolist(), strict=True))) == 4
 
 
-def test_without_other_plates_a_new_side_has_no_data(tmp_path: Path) -> None:
+def test_without_other_plates_a_new_side_has_no_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two plates of four sides: too few left-out sides of the other plate to bound a new one."""
+    monkeypatch.setattr(scale_model, "TREES", 4)
     made_up(tmp_path / "mit_push_endpoints", 64)
 
     answer = reproduce("new-sides", tmp_path, out=tmp_path / "out", quick=True)
