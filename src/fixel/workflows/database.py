@@ -358,3 +358,30 @@ def _file_trouble(path: Path) -> str | None:
 
 def _rows(n: int) -> str:
     return "row" if n == 1 else "rows"
+
+
+def diagram(file: Path) -> list[str]:
+    """Draw the tables of a project's database and what refers to what; returns their names.
+
+    It is this program's schema, whatever a project's is: `upgrade` brings that up to it.
+    """
+    from fixel.database.tables import METADATA
+    from fixel.drawing.relations import Entity, draw_relations
+    from fixel.exchange.atomic import refuse_unwritable, written_whole
+
+    refuse_unwritable(file)
+    entities = [
+        Entity(
+            table.name,
+            [column.name for column in table.columns],
+            {
+                column.name: key.column.table.name
+                for column in table.columns
+                for key in column.foreign_keys
+            },
+        )
+        for table in METADATA.tables.values()
+    ]
+    with written_whole(file) as unfinished:
+        draw_relations(entities, unfinished)
+    return [entity.name for entity in entities]

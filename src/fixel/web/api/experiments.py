@@ -38,6 +38,7 @@ from fixel.web.api._experiments import (
 from fixel.web.api._values import LARGEST, Array, Number
 from fixel.workflows.browse import coverage, view_of, vocabulary
 from fixel.workflows.experiments import summary
+from fixel.workflows.mistyped import meant_filter
 from fixel.workflows.seen import seen_in_video
 from fixel.workflows.watchable import watchable
 
@@ -77,7 +78,8 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
         leaf = desk.store.browse(view)
         rows = [row_out(row) for row in leaf.rows]
-        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty)
+        meant = None if leaf.total else meant_filter(desk.store, filter)
+        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty, meant=meant)
 
     @router.get("/experiments/ids", summary="Ids of all that match, in order")
     def ids(
