@@ -49,7 +49,7 @@ from fixel.calibration.study import (
 from fixel.calibration.verdict import Verdict
 from fixel.errors import InvalidInput
 from fixel.exchange.array_bytes import arrays_of, bytes_of
-from fixel.jobs.functions import threads
+from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
@@ -81,6 +81,7 @@ MEMBERS_A_CHUNK: Final = 4
 ROLLOUTS_A_CHUNK: Final = 4000
 
 
+@callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """The whole calibration; its result is an `Outcome`."""
     request, comparer = _desk(inputs)
@@ -162,6 +163,7 @@ def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
     return Evaluated(arrays["error"], reasons)
 
 
+@callable_by_jobs
 def evaluate(inputs: Path, payload: bytes) -> bytes:
     """Chunk: errors of experiments under points."""
     _, comparer = _desk(inputs)
@@ -203,6 +205,7 @@ def _nothing(comparer: Comparer, member: int, reason: str) -> Found:
     )
 
 
+@callable_by_jobs
 def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
     """Chunk: the calibration of a few experiments, each by itself."""
     request, comparer = _desk(inputs)
@@ -378,6 +381,7 @@ def _table(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
     return table
 
 
+@callable_by_jobs
 def residuals(inputs: Path, payload: bytes) -> bytes:
     """Chunk: residuals of all experiments under points, whose squares add up to the summed error.
 
@@ -433,6 +437,7 @@ def _with_verdicts(request: Request, comparer: Comparer, one: Found) -> Rounds[F
         return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
 
+@callable_by_jobs
 def assess_points(inputs: Path, payload: bytes) -> bytes:
     """Chunk: answers to a question of `assessing`."""
     _, comparer = _desk(inputs)
