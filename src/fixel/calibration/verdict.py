@@ -38,6 +38,7 @@ import numpy as np
 from fixel.calibration.honest import Honest
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
+from fixel.calibration.side import ON_BOUND
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.parameters import info_of
@@ -71,8 +72,6 @@ MOVES: Final = 0.05
 SAID: Final = 2.0
 # Share of the interval's width by which its ends, interpolated between values, may be off.
 SLACK: Final = 0.1
-# Distance from a bound, as a share of the range, that counts as on it.
-ON_BOUND: Final = 1e-3
 # The interval of the prior alone, over which one that is not shorter than this share was not learnt
 # from the data.
 LIKE_PRIOR: Final = 0.9
