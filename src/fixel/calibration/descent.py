@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Damping is measured in the largest diagonal entry of the Hessian.
 FIRST_DAMPING: Final = 1e-3
+# A step that gains this share of what the model promised leaves the model good enough to correct.
+HALF_AS_GOOD: Final = 0.5
 # Below, the damped matrix is singular to rounding.
 LEAST_DAMPING: Final = 1e-10
 # Trial steps of one batch differ by this factor in damping.
@@ -175,6 +177,7 @@ class Descent:
             self._learn_probes(residuals[count:])
         elif self._borrowed is not None:
             self._rebase(self.point, self._residual, self.deviance)
+            self._columns = self._borrowed
             self._model_from(self._borrowed)
         else:
             self._differentiate()
@@ -231,8 +234,19 @@ class Descent:
             self.reason = EXHAUSTED
         elif gain <= self._enough() or abs(self._most_to_gain() - gain) <= self._enough():
             self._confirm(SETTLED)  # the second: it fell by just what the model says there is
+        elif self._options.secant and gain > HALF_AS_GOOD * self._most_to_gain():
+            self._correct()
         else:
             self._differentiate()
+
+    def _correct(self) -> None:
+        """Go on with the derivatives at hand, corrected by what the last step met."""
+        move = (self.point - self._base) / self.box.scale
+        missed = self._residual - self._base_residual - self._columns @ move
+        self._columns = self._columns + np.outer(missed, move / float(move @ move))
+        self._borrowed = self._columns
+        self._rebase(self.point, self._residual, self.deviance)
+        self._model_from(self._columns)
 
     def _confirm(self, reason: str) -> None:
         """End, unless better derivatives may still find a way down."""

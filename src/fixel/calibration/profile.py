@@ -206,6 +206,7 @@ class ProfileSearch:
         return replace(
             self._options.descent,
             differences="one-sided",
+            secant=True,
             enough=PRECISION * self._nominal + MEANINGLESS * self._roughness,
             tolerance=0.0,
             trials=min(TRIALS, self._options.descent.trials),

@@ -113,7 +113,9 @@ class Slicer:
                 if not (placed and abs(b - AIM) <= CONFIRMED):
                     found.append(pair[0] + 0.5 / b * (pair[1] - pair[0]))
             elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE:
-                found.append(pair[0] + self._share(*pair) * (pair[1] - pair[0]))
+                # Where the deviance bends, this comes slowly closer: half of the way in turn.
+                share = 0.5 if self._round % 2 == 0 else self._share(*pair)
+                found.append(pair[0] + share * (pair[1] - pair[0]))
         return found
 
     def _bracket(self, sign: int) -> tuple[float, float] | None:

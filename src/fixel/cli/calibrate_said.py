@@ -17,6 +17,7 @@ from fixel.workflows.calibration.outcome import ALONE, Found, length_of, outlier
 from fixel.workflows.calibration.run import Calibration
 
 MOST_ROWS = 20
+ENDS = ("at least", "at most")
 MOST_OUTLIERS = 5
 BEST_FIT = (
     "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
@@ -162,10 +163,15 @@ def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
         ends = [estimate.low, estimate.high]
         written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
         interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
-        verdict = estimate.verdict
+        verdict = " ".join([estimate.verdict, *_known_end(estimate.verdict, written)])
     unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
     shown, fitted = (f"{_shown(unknown.unit, x):.4g}" for x in (value, float(best)))
     return (unknown.label, shown, unit, interval, verdict, fitted)
+
+
+def _known_end(verdict: str, written: list[str]) -> list[str]:
+    """The end of the interval, of both as they are written, that a one-sided verdict is about."""
+    return [written[ENDS.index(verdict)]] if verdict in ENDS else []
 
 
 def _headed(unknown: Any) -> str:

@@ -112,7 +112,8 @@ class Estimate:
     low, high : float, optional
         Ends of its interval; none where the data set no end.
     verdict : str
-        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`, or
+        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`,
+        `"at least"` or `"at most"` (the end of the interval that is there), or
         `"frozen"`; empty where nobody asked.
     reason : str
         A sentence why.

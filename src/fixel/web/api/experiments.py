@@ -15,6 +15,7 @@ from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.exchange.trajectory_file import plain_numbers
 from fixel.model import Experiment, Trajectory
+from fixel.model.trajectory import turned
 from fixel.web.api._experiments import (
     AxisOut,
     CoverageOut,
@@ -232,7 +233,7 @@ def row_out(row: Row) -> RowOut:
         start=list(row.start),
         end=list(row.end),
         moved_m=(dx * dx + dy * dy) ** 0.5,
-        turned_rad=row.end[2] - row.start[2],
+        turned_rad=turned(row.start[2], row.end[2], row.frames),
         contacts=row.contacts,
         conditions=row.conditions,
         created_utc=row.created,

@@ -151,6 +151,9 @@ SINGLE: Final = (ALONE, NEIGHBOUR)
 STANDS_OUT: Final = 3.5
 TIMES: Final = 2.0
 LEAST_COUNT: Final = 8
+# Or it alone makes this share of the summed square, and this many times an equal share.
+RULES: Final = 0.05
+TIMES_ITS_SHARE: Final = 20.0
 
 
 def length_of(error: float, unit: str) -> float:
@@ -178,7 +181,9 @@ def outliers(errors: FloatArray, unit: str) -> list[int]:
     logs = np.log(errors[known]) * (0.5 if unit == "mm^2" else 1.0)
     middle = float(np.median(logs))
     scatter = 1.4826 * float(np.median(np.abs(logs - middle)))
-    far = known[logs > middle + max(STANDS_OUT * scatter, math.log(TIMES))]
+    squares = np.exp(2.0 * (logs - logs.max()))
+    ruling = squares > max(RULES, TIMES_ITS_SHARE / len(known)) * squares.sum()
+    far = known[(logs > middle + max(STANDS_OUT * scatter, math.log(TIMES))) | ruling]
     return sorted(far.tolist(), key=lambda k: -float(errors[k]))
 
 

@@ -31,6 +31,8 @@ SUSPECT: Final = {
     "effective": "is effective: a number that makes this model fit, not a property of the object",
     "precise, but the model misfits": "is precise as far as noise goes, but not when the model's"
     " own errors are allowed for. Do not quote the narrow interval",
+    "at least": "is bounded from below alone: quote the lower end of its interval only",
+    "at most": "is bounded from above alone: quote the upper end of its interval only",
 }
 _LIKELIEST: Final = (
     "The likeliest values, with intervals from profile likelihoods. The best fit is what the search"
