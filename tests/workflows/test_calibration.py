@@ -15,12 +15,14 @@ from fixel.model import Trajectory, UniformPressure
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.browse import view_of
 from fixel.workflows.calibrated import calibrated, searched_space
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of, outliers
 from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
+from fixel.workflows.calibration.told import listed
 from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
 from fixel.workflows.jobs import run_here, status_of
 
@@ -187,6 +189,25 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
         for mine, theirs in zip(a.profiles, b.profiles, strict=True):
             assert (mine.values == theirs.values).all()
             assert (mine.deviances == theirs.deviances).all()
+
+
+def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
+    """A root mean square is kept as its square, and shown in mm."""
+    request = _request(chosen, mode="joint", error=Choice(name="root-mean-square"))
+    done = _done(project, chosen, request)
+    (one,) = done.outcome.together
+    with project.store() as store:
+        record = store.calibration(done.ids[0])
+        (shown,) = (row for row in listed(store) if row.id == done.ids[0])
+        best = store.browse(view_of(limit=4)).rows
+    squares = [float(error) ** 2 for error in one.errors]
+    assert [member.error_mm2 for member in record.members] == squares
+    assert record.mean_error_mm2 == pytest.approx(np.mean(squares))
+    assert record.errors == pytest.approx(one.errors.tolist())
+    assert shown.unit == "mm"
+    assert shown.after == pytest.approx(one.errors.mean())
+    # The table of experiments shows roots of what is stored.
+    assert sorted(row.after_mm2 for row in best) == pytest.approx(sorted(squares))
 
 
 def _many(chosen, speeds=3, each=20):

@@ -380,7 +380,7 @@ def _record(
         name=f"{request.name}: {title}, {one.how}",
         parameters=_parameters(request, one),
         members=tuple(
-            Member(experiments[m], 1.0, error)
+            Member.of(experiments[m], 1.0, error, request.made_error.unit)
             for m, error in zip(one.members, one.errors.tolist(), strict=True)
         ),
         provenance=Provenance(version=version("fixel"), command=command, seed=request.seed),

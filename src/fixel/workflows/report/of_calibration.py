@@ -193,7 +193,7 @@ def scale_of(one: Calibrated) -> float:
 
 def errors_of(one: Calibrated) -> FloatArray:
     """(n_member,) as they were minimised; inf where there is none."""
-    return np.array([m.error_mm2 if _has(m.error_mm2) else math.inf for m in one.record.members])
+    return np.array([error if _has(error) else math.inf for error in one.record.errors])
 
 
 def rms(one: Calibrated, errors: FloatArray) -> FloatArray:
