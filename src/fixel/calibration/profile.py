@@ -41,7 +41,7 @@ USUAL: Final = {"profiles": 4.0, "bounds": 2.0, "slices": 2.5, "partners": 1.0}
 # Distance from the best [radii of the predicted interval] of the points that measure roughness, and
 # how many an unknown: a smooth deviance rises by a hundredth of the threshold there.
 DENT: Final = 0.1
-DENT_POINTS: Final = 4
+DENT_POINTS: Final = 3
 # Quantile of their rise that is taken: bumps differ, and an interval should end at none.
 DENT_QUANTILE: Final = 0.75
 # Share of the roughness that is no better optimum, only a deeper dent.
@@ -321,16 +321,8 @@ class ProfileSearch:
             yield from _run(descent)
             fitted = descent.fit
         else:
-            told = yield self._best.point[None]
-            model = self._cost.quadratic(
-                self._best.point, told[0], self._fitted.columns, self.box.scale
-            )
-            fitted = self._fitted._replace(
-                deviance=self._best.error,
-                hessian=model.hessian / np.outer(self.box.scale, self.box.scale),
-                gradient=model.gradient / self.box.scale,
-                residual=told[0],
-            )
+            fitted = self._fitted
+            self._note(fitted.point[None], np.array([fitted.deviance]))
         self._hessian = fitted.hessian
         if math.isfinite(fitted.deviance):
             covariance = self._covariance()

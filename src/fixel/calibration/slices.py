@@ -24,7 +24,7 @@ CLOSE: Final = 0.1
 CONFIRMED: Final = 0.05
 NARROW: Final = 0.2
 # Rounds of points between the two that bracket the crossing, at most.
-MOST_ROUNDS: Final = 4
+MOST_ROUNDS: Final = 2
 
 
 class Slice(NamedTuple):
