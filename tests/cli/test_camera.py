@@ -194,3 +194,56 @@ def test_a_file_that_is_no_picture(capsys, placed, folder, tmp_path):
         )
         assert code == 2
         assert "no picture" in err
+
+
+def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none(
+    capsys, placed, folder, tmp_path
+):
+    from tests.vision.test_place_camera import tagged
+
+    from fixel.exchange.document import yaml_text
+    from fixel.exchange.rig_file import rig_dict, rig_of
+    from fixel.vision.marks import Tag
+
+    true = Camera.looking_down(LENS, 0.4, above=(0.1, 0.07), turned=0.2, tilted=(0.04, -0.03))
+    tags = [Tag(id=k, size=0.02, pose=(0.06 + 0.09 * (k % 2), 0.04 + 0.07 * (k // 2), 0.0),
+                height=0.0) for k in range(4)]  # fmt: skip
+    content = rig_dict(rig_of("thesis-tags"))
+    content |= {"camera": "later.yaml", "plate": [
+        {"id": t.id, "size_mm": 20.0, "pose_mm_deg": [1e3 * t.pose[0], 1e3 * t.pose[1], 0.0],
+         "height_mm": 0.0} for t in tags]}  # fmt: skip
+    (tmp_path / "rig.yaml").write_text(yaml_text(content))
+    cv2.imwrite(str(tmp_path / "plate.png"), tagged(true, tuple(tags)))
+    shutil.copy(folder / "flat.png", tmp_path / "flat.png")
+    # No rig is named: the one beside the picture is taken.
+    for name, words in (("plate.png", "placed by the tags"), ("flat.png", "placed by the board")):
+        code, text, _ = fixel(
+            capsys, "camera", "place", placed, tmp_path / name, "--board", BOARD,
+            "--out", tmp_path / "done.yaml",
+        )  # fmt: skip
+        assert code == 0
+        assert words in text
+        found = load_camera(tmp_path / "done.yaml").placed()
+        assert np.abs(found.position - true.position).max() < 2e-3
+
+
+def test_a_picture_that_is_used_in_part_is_not_left_out(capsys, folder, tmp_path):
+    """One corner of a board is moved by some pixels: it is left out, and its picture is not."""
+    import shutil as files
+
+    files.copytree(folder / "boards", tmp_path / "boards")
+    path = str(tmp_path / "boards" / "p2.png")
+    picture = cv2.imread(path)
+    corners = board_of(BOARD).find(picture).pixels.round().astype(int)
+    u, v = corners[len(corners) // 2]
+    window = picture[v - 7 : v + 8, u - 7 : u + 8].copy()
+    picture[v - 7 : v + 8, u - 6 : u + 9] = window
+    cv2.imwrite(path, picture)
+    code, text, _ = fixel(
+        capsys, "camera", "calibrate", tmp_path / "boards", "--board", BOARD,
+        "--out", tmp_path / "camera.yaml",
+    )  # fmt: skip
+    assert code == 0
+    assert "6 pictures used" in text
+    assert "left out (" not in text
+    assert "used in part (1):" in text
