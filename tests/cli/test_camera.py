@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,11 +10,14 @@ import pytest
 from tests.cli.shell import fixel
 from tests.exchange.test_camera_import import CALIB_RESULTS, ROS
 
+from fixel.cli.camera_said import view_lines
 from fixel.exchange.camera_file import load_camera
-from fixel.testing.board_pictures import Studio, spread
-from fixel.vision.boards import board_of
+from fixel.testing.board_pictures import Studio, seen_corners, spread
+from fixel.vision.boards import Corners, board_of
+from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
+from fixel.workflows.camera.calibrate import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"
 LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
@@ -210,7 +214,7 @@ def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none
                 height=0.0) for k in range(4)]  # fmt: skip
     content = rig_dict(rig_of("thesis-tags"))
     content |= {"camera": "later.yaml", "plate": [
-        {"id": t.id, "size_mm": 20.0, "pose_mm_deg": [1e3 * t.pose[0], 1e3 * t.pose[1], 0.0],
+        {"id": t.id, "size_mm": 20.0, "pose_mm_deg": [float(1e3 * n) for n in t.pose],
          "height_mm": 0.0} for t in tags]}  # fmt: skip
     (tmp_path / "rig.yaml").write_text(yaml_text(content))
     cv2.imwrite(str(tmp_path / "plate.png"), tagged(true, tuple(tags)))
@@ -227,23 +231,18 @@ def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none
         assert np.abs(found.position - true.position).max() < 2e-3
 
 
-def test_a_picture_that_is_used_in_part_is_not_left_out(capsys, folder, tmp_path):
-    """One corner of a board is moved by some pixels: it is left out, and its picture is not."""
-    import shutil as files
-
-    files.copytree(folder / "boards", tmp_path / "boards")
-    path = str(tmp_path / "boards" / "p2.png")
-    picture = cv2.imread(path)
-    corners = board_of(BOARD).find(picture).pixels.round().astype(int)
-    u, v = corners[len(corners) // 2]
-    window = picture[v - 7 : v + 8, u - 7 : u + 8].copy()
-    picture[v - 7 : v + 8, u - 6 : u + 9] = window
-    cv2.imwrite(path, picture)
-    code, text, _ = fixel(
-        capsys, "camera", "calibrate", tmp_path / "boards", "--board", BOARD,
-        "--out", tmp_path / "camera.yaml",
-    )  # fmt: skip
-    assert code == 0
-    assert "6 pictures used" in text
+def test_a_picture_that_is_used_in_part_is_not_left_out():
+    """One corner of a board is off by 1 px: it is left out, and its picture is not."""
+    views = list(seen_corners(LENS, board_of("checkerboard:8x5:25mm"), 8, noise=0.05))
+    pixels = views[5].corners.pixels.copy()
+    pixels[7] += 0.8
+    views[5] = replace(views[5], corners=Corners(views[5].corners.places, pixels))
+    found = calibrate_lens(views, coefficients=4)
+    answer = CameraAnswer(camera=found.camera, calibration=found)
+    text = "\n".join(view_lines(answer))
+    assert "8 pictures used" in text
     assert "left out (" not in text
     assert "used in part (1):" in text
+    summary = answer.summary()
+    assert summary["dropped"] == []
+    assert [each["name"] for each in summary["used_in_part"]] == [views[5].name]

@@ -287,10 +287,17 @@ def _sizes(rate: FloatArray) -> FloatArray:
 
 def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 3) usual speeds over the steps before each, and over those after it; at ends, both."""
-    n = len(rate)
-    before = [np.median(rate[max(k - BESIDE, 0) : k], axis=0) for k in range(1, n)]
-    after = [np.median(rate[k + 1 : k + 1 + BESIDE], axis=0) for k in range(n - 1)]
-    return np.array([after[0], *before]), np.array([*after, before[-1]])
+    before, after = _usual(rate)[:-1], _usual(rate[::-1])[::-1][1:]
+    return np.concatenate((after[:1], before)), np.concatenate((after, before[-1:]))
+
+
+def _usual(rate: FloatArray) -> FloatArray:
+    """(n, 3) medians of each speed (n, 3) and those before it, `BESIDE` of them at most."""
+    first = [np.median(rate[: k + 1], axis=0) for k in range(min(BESIDE - 1, len(rate)))]
+    if len(rate) < BESIDE:
+        return np.array(first)
+    windows = np.lib.stride_tricks.sliding_window_view(rate, BESIDE, axis=0)
+    return np.concatenate((first, np.median(windows, axis=-1)))
 
 
 def _beyond(rate: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
