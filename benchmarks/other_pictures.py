@@ -112,7 +112,7 @@ def seen(
     x, y = (u - width / 2) / width, (v - height / 2) / height
     tilt = rng.uniform(-0.5, 0.5, 2)
     light *= (1.0 + tilt[0] * x + tilt[1] * y) * (1.0 - 0.7 * (x**2 + y**2))
-    light = cv2.GaussianBlur(light, (0, 0), rng.uniform(0.5, 0.9))
+    light = np.asarray(cv2.GaussianBlur(light, (0, 0), rng.uniform(0.5, 0.9)), dtype=np.float64)
     light += np.sqrt(4e-5 * (light.clip(0.0) + 0.05)) * rng.standard_normal(light.shape)
     curve = np.where(
         light < 0.0031308, 12.92 * light, 1.055 * light.clip(1e-9) ** (1 / 2.4) - 0.055
