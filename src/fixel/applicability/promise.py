@@ -255,6 +255,8 @@ class Promise:
         self, table: FloatArray, labels: list[Hashable], levels: Sequence[float]
     ) -> FloatArray:
         """Bounds (n_level, m), whatever the contacts."""
+        if not len(table):
+            return np.zeros((len(levels), 0))
         expected = np.stack([model(table) for model in self._models])
         answer = np.full((len(levels), len(table)), np.inf)
         near = self._near(table)

@@ -227,8 +227,8 @@ def _counted(
         also = Experience(*_rows(use, lambda own: own.train, column))
         plain = Promise.fit(features, errors, names, also=also)
         pushed = PushedContacts(contacts, names)
-        for own in use:
-            rows = np.flatnonzero(own.new & (plates[own.key].index(own) == k))
+        for own in [own[k] for own in plates.values() if k < len(own)]:
+            rows = np.flatnonzero(own.new)
             table, name = own.features[rows], [" ".join(own.key)] * len(rows)
             asked = own.contacts.rows(rows)
             promise = plain.for_contacts(contacts, names, beyond[own.key[1]])
