@@ -1,7 +1,8 @@
 """Intervals of simulated laboratories that differ from the model they are calibrated with.
 
 ``python -m benchmarks misfit`` takes about 6 s of one core a laboratory, and writes one row each to
-`ROWS` as it goes: a run that was stopped continues, and a partial one counts as far as it got.
+`ROWS` as it goes: a run that was stopped continues, and a partial one counts as far as it got. The
+rows in the repository are those of the documentation; delete the file to begin anew.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ const uint8_t SENSORS = 3;
 const uint8_t PIN_OF_BIT[SENSORS] = {A2, A0, A1};  // bit 0 blue, bit 1 red, bit 2 green
 uint16_t threshold[SENSORS] = {900, 900, 900};     // of 1023; above it, the fixel is touched
 
+const uint16_t LARGEST = 1023;                     // that the converter gives: 5 V
+
 const uint8_t PROTOCOL = 2;
 const uint8_t REQUEST = 0xF5;  // begins a request
 const uint8_t REPLY = 0xFA;    // begins an answer; an old answer is never above 7
@@ -80,9 +82,17 @@ void obey(uint8_t kind, uint8_t number, const uint8_t* values) {
   if (kind == 'R') {
     send_reading(number);
   } else {
-    if (kind == 'T') memcpy(threshold, values, sizeof threshold);
-    send_identity(kind, number);
+    if (kind == 'T') set_thresholds(values);
+    send_identity(kind, number);  // with the thresholds that are in force
   }
+}
+
+// All three, or none where one is above what the converter can give: that fixel would be deaf.
+void set_thresholds(const uint8_t* values) {
+  for (uint8_t bit = 0; bit < SENSORS; ++bit) {
+    if (word_at(values + 2 * bit) > LARGEST) return;
+  }
+  memcpy(threshold, values, sizeof threshold);
 }
 
 // --- answers ----------------------------------------------------------------------------------

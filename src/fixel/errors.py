@@ -15,6 +15,7 @@ when asked.
 
 from __future__ import annotations
 
+import errno
 import reprlib
 from pathlib import Path
 from typing import Any, Final, final
@@ -231,6 +232,29 @@ class DeviceFailed(FixelError, RuntimeError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return DeviceFailed, (self.reason, self.hint)
+
+
+# Of the machine, not of fixel: full disk, read-only, no permission, a name that is too long.
+_MACHINE: Final = frozenset(
+    getattr(errno, name)
+    for name in (
+        *("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "ENAMETOOLONG", "EIO"),
+        *("EMFILE", "ENFILE", "ENOMEM", "ENODEV", "ENOTDIR", "ESTALE", "ETXTBSY"),
+    )
+    if hasattr(errno, name)
+)
+
+
+def machine_failure(problem: OSError) -> FixelError | None:
+    """Return what the machine refuses as a sentence; None where the fault is the program's."""
+    if problem.errno not in _MACHINE:
+        return None
+    reason = (problem.strerror or str(problem)).lower()
+    name = str(problem.filename) if problem.filename is not None else ""
+    place = f"{name[:80]}...: " if len(name) > 200 else f"{name}: " if name else ""
+    full = problem.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+    hint = "make room, then repeat the command" if full else None
+    return StoreRefused(f"{place}{reason}", hint=hint)
 
 
 def _invalid_input(

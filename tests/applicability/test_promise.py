@@ -198,6 +198,11 @@ def test_without_scikit_learn_neighbours_are_asked(monkeypatch: pytest.MonkeyPat
     assert Promise.fit(features, errors, groups).model == "neighbours"
 
 
+def test_no_configurations_have_no_bounds() -> None:
+    features, errors, groups = made_up(60, 0)
+    assert Promise.fit(features, errors, groups).bounds(features[:0], []).shape == (0,)
+
+
 def test_colours_say_what_is_tolerated() -> None:
     bound = np.array([1.0, 3.0, 4.0, np.inf, 1.0])
     expected = np.array([0.5, 1.5, 2.5, np.inf, 0.5])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.calibration.assess import assess, conducted_here, fitting
-from fixel.calibration.honest import Honest, Mixed, Shifted
+from fixel.calibration.honest import Honest, Mixed, Shifted, _Probes
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace
@@ -137,6 +137,19 @@ def test_shifts_are_of_what_is_searched_and_of_where_the_object_rests():
     assert good.all()
     last = shifted.differences(row[None]).reshape(3, -1)[:, -1]
     np.testing.assert_array_equal(last, plain[0, -1] * [1e3, 1e3, 35.0])
+
+
+def test_a_probe_without_a_simulation_has_no_slope():
+    comparer, found, _ = _fitted("one")
+    shifted = Shifted(comparer)
+    probes = _Probes(shifted, 0, ["mu_pusher"], found.point, np.zeros(1))
+    rows = np.random.default_rng(0).normal(size=(len(probes.points), 3, 4))
+    whole, _ = probes.slopes(rows, comparer.space.scale, np.ones(1))
+    rows[1] = rows[2] = np.inf  # both sides of the first unknown
+    common, own = probes.slopes(rows, comparer.space.scale, np.ones(1))
+    assert not common[..., 0].any()
+    assert not own.any()
+    np.testing.assert_array_equal(common[..., 1:], whole[..., 1:])
 
 
 @pytest.mark.slow

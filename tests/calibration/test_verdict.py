@@ -100,9 +100,23 @@ def test_at_bound_says_whether_the_deviance_still_falls():
 
 def test_interval_that_reaches_a_bound():
     told = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
-    assert str(told[0]) == "at bound"
+    assert str(told[0]) == "at most"
     assert "do not tell it from the bound 0" in told[0].reason
     assert told[0].low is None
+    assert 0.0 < told[0].value < told[0].high
+
+
+def test_a_value_inside_is_not_at_a_bound_and_a_value_on_it_is():
+    """The best lies at 0.86 or beyond 1; the interval reaches 1 either way."""
+    for best, word in ((0.86, "at least"), (1.1, "at bound")):
+        told = verdicts(lambda p, best=best: np.c_[p[:, 0] - best, p[:, 1:] - 0.4] / 0.1)
+        assert (str(told[0]), told[0].high) == (word, None)
+        inside = 0.01 < told[0].value < 0.99
+        assert inside == (word == "at least")
+    assert (
+        f"at least {0.86 - 0.196:.2f}"
+        in verdicts(lambda p: np.c_[p[:, 0] - 0.86, p[:, 1:] - 0.4] / 0.1)[0].reason
+    )
 
 
 def test_wide_is_not_identified():

@@ -25,8 +25,8 @@ def test_one_experiment_is_a_table_and_a_next_command(capsys, project):
     code, out, _ = fixel(capsys, "calibrate", 1, "-p", project, *QUICK)
     assert code == 0
     lines = out.splitlines()
-    assert "alone: mean error" in lines[0]
-    assert "mm^2" in lines[0]
+    assert "alone: RMS error" in lines[0]
+    assert lines[0].endswith(" mm")
     assert any(line.startswith("tripod_radius") and " mm" in line for line in lines)
     assert lines[-1].startswith("Next: fixel compare testbed/")
 

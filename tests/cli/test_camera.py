@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,11 +10,14 @@ import pytest
 from tests.cli.shell import fixel
 from tests.exchange.test_camera_import import CALIB_RESULTS, ROS
 
+from fixel.cli.camera_said import view_lines
 from fixel.exchange.camera_file import load_camera
-from fixel.testing.board_pictures import Studio, spread
-from fixel.vision.boards import board_of
+from fixel.testing.board_pictures import Studio, seen_corners, spread
+from fixel.vision.boards import Corners, board_of
+from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
+from fixel.workflows.camera.calibrate import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"
 LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
@@ -194,3 +198,51 @@ def test_a_file_that_is_no_picture(capsys, placed, folder, tmp_path):
         )
         assert code == 2
         assert "no picture" in err
+
+
+def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none(
+    capsys, placed, folder, tmp_path
+):
+    from tests.vision.test_place_camera import tagged
+
+    from fixel.exchange.document import yaml_text
+    from fixel.exchange.rig_file import rig_dict, rig_of
+    from fixel.vision.marks import Tag
+
+    true = Camera.looking_down(LENS, 0.4, above=(0.1, 0.07), turned=0.2, tilted=(0.04, -0.03))
+    tags = [Tag(id=k, size=0.02, pose=(0.06 + 0.09 * (k % 2), 0.04 + 0.07 * (k // 2), 0.0),
+                height=0.0) for k in range(4)]  # fmt: skip
+    content = rig_dict(rig_of("thesis-tags"))
+    content |= {"camera": "later.yaml", "plate": [
+        {"id": t.id, "size_mm": 20.0, "pose_mm_deg": [float(1e3 * n) for n in t.pose],
+         "height_mm": 0.0} for t in tags]}  # fmt: skip
+    (tmp_path / "rig.yaml").write_text(yaml_text(content))
+    cv2.imwrite(str(tmp_path / "plate.png"), tagged(true, tuple(tags)))
+    shutil.copy(folder / "flat.png", tmp_path / "flat.png")
+    # No rig is named: the one beside the picture is taken.
+    for name, words in (("plate.png", "placed by the tags"), ("flat.png", "placed by the board")):
+        code, text, _ = fixel(
+            capsys, "camera", "place", placed, tmp_path / name, "--board", BOARD,
+            "--out", tmp_path / "done.yaml",
+        )  # fmt: skip
+        assert code == 0
+        assert words in text
+        found = load_camera(tmp_path / "done.yaml").placed()
+        assert np.abs(found.position - true.position).max() < 2e-3
+
+
+def test_a_picture_that_is_used_in_part_is_not_left_out():
+    """One corner of a board is off by 1 px: it is left out, and its picture is not."""
+    views = list(seen_corners(LENS, board_of("checkerboard:8x5:25mm"), 8, noise=0.05))
+    pixels = views[5].corners.pixels.copy()
+    pixels[7] += 0.8
+    views[5] = replace(views[5], corners=Corners(views[5].corners.places, pixels))
+    found = calibrate_lens(views, coefficients=4)
+    answer = CameraAnswer(camera=found.camera, calibration=found)
+    text = "\n".join(view_lines(answer))
+    assert "8 pictures used" in text
+    assert "left out (" not in text
+    assert "used in part (1):" in text
+    summary = answer.summary()
+    assert summary["dropped"] == []
+    assert [each["name"] for each in summary["used_in_part"]] == [views[5].name]

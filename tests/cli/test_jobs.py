@@ -13,8 +13,10 @@ from tests.jobs.kinds import toy_job
 from typer.testing import CliRunner
 
 from fixel.cli import jobs
+from fixel.cli.jobs import job_bar
 from fixel.errors import InvalidInput
 from fixel.jobs.site import load_site
+from fixel.jobs.work import Progress
 
 OPTIONS = {"rounds": 2, "chunks": 4}
 
@@ -152,3 +154,44 @@ def test_a_folder_that_is_no_job(name, tmp_path):
 def test_a_place_that_is_none(folder):
     with pytest.raises(InvalidInput, match="--coordinator: found there, expected here or slurm"):
         call("submit", folder, "--coordinator", "there")
+
+
+def _progress(**changes):
+    usual = {
+        "done": 18, "total": 18, "failed": 0, "rate": 0.5, "left_s": None, "note": "search",
+        "workers": 1, "share": None,
+    }  # fmt: skip
+    return Progress(**(usual | changes))
+
+
+def test_the_bar_is_empty_while_nobody_knows_how_much_follows(capsys):
+    job_bar(to_terminal=True)(_progress())
+    said = capsys.readouterr().err
+    assert "#" not in said
+    assert "18 chunks done" in said
+    assert "\n" not in said
+
+
+def test_the_bar_is_full_at_the_end_alone(capsys):
+    show = job_bar(to_terminal=True)
+    show(_progress(share=0.99, left_s=2.0))
+    said = capsys.readouterr().err
+    assert "#." in said
+    assert "99 %" in said
+    assert "about 2 s left" in said
+    show(_progress(share=1.0))
+    said = capsys.readouterr().err
+    assert ".]" not in said
+    assert said.endswith("\n")
+
+
+def test_without_a_terminal_there_is_a_line_every_half_minute(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("fixel.cli.jobs.time.monotonic", lambda: now[0])
+    show = job_bar(to_terminal=False)
+    for _ in range(181):
+        show(_progress(share=0.5, left_s=9.0))
+        now[0] += 0.5
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert lines[0] == "50 %, search, 0.5/s, about 9 s left"

@@ -24,6 +24,7 @@ from tests.testbed.films import SIZE, film
 from fixel.cli.record import duration
 from fixel.exchange.recording import open_recording
 from fixel.exchange.recording_header import ROWS, VIDEO
+from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import Status
 
 FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]
@@ -193,9 +194,9 @@ def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
     finally:
         server.send_signal(signal.SIGINT)
         server.communicate(timeout=10.0)
-    assert code == 0
+    assert code == 1  # nobody wanted it to end there
     assert "30 frames" in said
-    assert "ended: the camera ended the stream" in said
+    assert "ended early: the camera ended the stream" in said
 
 
 def test_the_preview_shows_and_ends_it(
@@ -244,3 +245,19 @@ def test_the_status_line(capsys: Any) -> None:
 
 def test_durations() -> None:
     assert [duration(text) for text in ("15s", "15", "10min", "1.5 h")] == [15, 15, 600, 5400]
+
+
+def test_a_recording_that_ends_early_says_so_in_its_exit_code(capsys: Any, tmp_path: Path) -> None:
+    """A network camera that goes away after 30 frames; then a limit that is reached."""
+    with LoopbackCamera(film(tmp_path / "film")) as camera:
+        code, said, _ = fixel(
+            capsys, "record", "--camera", camera.url, "--out", tmp_path / "a", "--limit", "20s",
+            "--json",
+        )  # fmt: skip
+        answer = json.loads(said)
+        assert (code, answer["early"], answer["frames"]) == (1, True, 30)
+        code, said, _ = fixel(
+            capsys, "record", "--camera", camera.url, "--out", tmp_path / "b", "--limit", "0.1s"
+        )
+        assert code == 0
+        assert "ended: the limit of 0.1 s" in said

@@ -1,12 +1,16 @@
 """The table of experiments, and marks of many in one act, on both engines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fixel.database.browsing import Bound, View
+from fixel.database.query import Query
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import CalibrationRecord, Member, SimulationRecord
+from fixel.model.trajectory import turned
 from fixel.workflows.browse import coverage, view_of, vocabulary
 
 ORIGIN = Provenance(version="0")
@@ -153,3 +157,23 @@ def test_names_that_no_condition_has_are_refused(pushes, name):
         pushes.browse(View(sort=name))
     with pytest.raises(InvalidInput, match="column"):
         pushes.browse(View(bounds=(Bound(name, "=", "x"),)))
+
+
+def test_a_small_turn_across_half_a_turn_is_small(store):
+    """From 170 to -163.5 degrees by the short way: 26.5, not -333.5; longer records go on."""
+    angles = np.radians([[170.0, -163.5], [-170.0, 163.5], [10.0, 20.0]])
+    for k, (start, end) in enumerate(angles):
+        ends = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, start], [0.1, 0.0, end]])
+        store.add_experiment(replace(experiment(k), trajectory=ends))
+    turn = np.radians(np.linspace(0.0, 400.0, 50))
+    whole = Trajectory(time=np.arange(50.0), pose=np.c_[0.0 * turn, 0.0 * turn, turn])
+    store.add_experiment(replace(experiment(9), trajectory=whole))
+    assert store.browse_ids(view_of("turned>20 turned<30")) == [1]
+    assert store.browse_ids(view_of("turned<-20")) == [2]
+    assert store.browse_ids(view_of("turned>390")) == [4]
+    assert store.browse_ids(view_of(sort="turned")) == [2, 3, 1, 4]
+    told = [
+        turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)
+        for s in store.experiments(Query(flagged=True)).summaries
+    ]
+    assert np.degrees(told) == pytest.approx([26.5, -26.5, 10.0, 400.0])

@@ -326,7 +326,7 @@ def test_a_schema_that_is_newer(store):
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
     for act in (store.check_version, store.upgrade):
         reason, hint = refusal(act)
-        assert "has schema 9999, and this fixel knows 0003 at most" in reason
+        assert "has schema 9999, and this fixel knows 0004 at most" in reason
         assert hint == "install the fixel that wrote it, or a newer one"
     assert whole(store, 0) == {1}
 
@@ -344,7 +344,7 @@ def test_a_database_without_tables(url, tmp_path):
             reason, hint = refusal(act, *arguments)
             assert reason.endswith("has no tables yet")
             assert hint == "run: fixel db upgrade"
-        assert store.upgrade() == (None, "0003")
+        assert store.upgrade() == (None, "0004")
 
 
 def test_a_database_and_a_user_that_are_not_there(postgres, tmp_path):

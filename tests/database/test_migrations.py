@@ -16,6 +16,8 @@ from fixel.database.migrations import freezing
 from fixel.database.store import Store
 from fixel.database.tables import METADATA
 from fixel.errors import StoreRefused
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Member
 
 ASSETS = Path(__file__).with_name("assets")
 # A file with a few records of every version that was ever released; `make_asset` wrote the newest.
@@ -188,3 +190,32 @@ def test_a_later_version_that_fails_leaves_the_one_before(store, tmp_path, monke
     assert left_to_do(store) == []
     store.check_version()
     assert store.experiment(number) == importing().experiment(0, 1)
+
+
+def test_errors_kept_as_lengths_become_the_squares_that_their_columns_are_named_for(url, tmp_path):
+    origin = Provenance(version="0")
+    with Store(url, tmp_path) as store:
+        store.upgrade("0003")
+        first = store.add_experiment(importing().experiment(0, 1)).id
+        second = store.add_experiment(importing().experiment(0, 2)).id
+        for unit in ("mm", "mm^2"):
+            store.add_calibration(  # as it was written then: a length under the name of a square
+                CalibrationRecord(
+                    name=unit,
+                    parameters=Parameters({"mu_support": 0.3}),
+                    members=(Member(first, 1.0, 3.0), Member(second, 1.0, 5.0)),
+                    provenance=origin,
+                    method={"error_unit": unit},
+                )
+            )
+        store.upgrade()
+        length, square = store.calibration(1), store.calibration(2)
+        with reading(store._engine) as connection:
+            told = connection.execute(
+                sa.text("SELECT mean_error_mm2, sum_error_mm2, max_error_mm2 FROM calibration")
+            ).all()
+        assert sorted(map(tuple, told)) == [(4.0, 8.0, 5.0), (17.0, 34.0, 25.0)]
+        assert length.errors == square.errors == (3.0, 5.0)
+        assert [m.error_mm2 for m in length.members] == [9.0, 25.0]
+        expected = {f"{table}_{how}" for table in METADATA.tables for how in ("frozen", "kept")}
+        assert triggers(store) == expected

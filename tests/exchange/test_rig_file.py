@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.exchange.camera_file import save_camera
+from fixel.exchange.camera_file import camera_dict, save_camera
 from fixel.exchange.document import yaml_text
 from fixel.exchange.rig_file import (
     EXAMPLES,
     load_rig,
+    plate_of,
     rig_dict,
     rig_from_dict,
     rig_of,
@@ -136,3 +137,32 @@ def test_the_page_shows_a_rig_that_loads(tmp_path: Path) -> None:
     )
     (tmp_path / "rig.yaml").write_text(text)
     assert set(load_rig(tmp_path / "rig.yaml").parts) == {"object", "actuator"}
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_what_is_known_of_the_cameras_errors_is_kept(apart: bool, tmp_path: Path) -> None:
+    rig = rig_of("thesis-tags")
+    names = ("fx", "k1", "tx", "tz")
+    root = np.random.default_rng(0).normal(size=(4, 4)) * [[0.4], [1e-3], [1e-4], [3e-4]]
+    measured = MeasuredCamera(
+        lens=rig.camera.lens, camera=rig.camera, names=names, covariance=root @ root.T, noise=0.03
+    )
+    if apart:
+        save_camera(measured, tmp_path / "camera.yaml")
+        content = rig_dict(rig) | {"camera": "camera.yaml"}
+        (tmp_path / "rig.yaml").write_text(yaml_text(content))
+        rig = load_rig(tmp_path / "rig.yaml")
+    else:
+        rig = rig_from_dict(rig_dict(rig) | {"camera": camera_dict(measured)})
+    save_rig(rig, tmp_path / "again.yaml")
+    again = load_rig(tmp_path / "again.yaml").measured
+    assert again is not None
+    assert again.names == names
+    assert again.noise == 0.03
+    np.testing.assert_allclose(again.covariance, root @ root.T, rtol=1e-12)
+
+
+def test_plate_tags_are_read_before_the_camera_is_placed(tmp_path: Path) -> None:
+    content = rig_dict(rig_of("thesis-tags")) | {"camera": "not-there-yet.yaml"}
+    (tmp_path / "rig.yaml").write_text(yaml_text(content))
+    assert plate_of(tmp_path / "rig.yaml") == rig_of("thesis-tags").plate

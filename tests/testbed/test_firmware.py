@@ -7,6 +7,8 @@ import serial
 
 from fixel.testbed import tactile_frames as frames
 
+IDENTITY_REPLY_BYTES = 4 + 25 + 2
+
 
 @pytest.fixture
 def port(mega):
@@ -105,3 +107,24 @@ def test_contacts_change_at_the_scripted_time(mega, port):
     assert first == b"\x00"
     port.timeout = 2.0
     assert asked(port, b"?", 1) == b"\x01"
+
+
+def test_thresholds_above_what_the_converter_gives_are_refused(mega, port):
+    def thresholds(*values):
+        request = frames.thresholds_request(3, values)
+        (frame,) = frames.FrameFinder().add(asked(port, request, IDENTITY_REPLY_BYTES))
+        return frames.identity_of(frame).thresholds
+
+    assert thresholds(500, 600, 700) == (500, 600, 700)
+    assert thresholds(500, 1024, 400) == (500, 600, 700)
+    assert thresholds(65535, 600, 700) == (500, 600, 700)
+    assert thresholds(1023, 0, 900) == (1023, 0, 900)
+
+
+@pytest.mark.parametrize(("ohm", "touched"), [(0, 2), (260, 2), (285, 0), (1e9, 0)])
+def test_a_contact_bridges_the_coils_of_the_thesis(mega, port, ohm, touched):
+    """5 V through the contact to the pin, and 2 kOhm from there to ground."""
+    mega.touch(0)
+    mega.volts(1, 5.0 * 2000.0 / (2000.0 + ohm))
+
+    assert asked(port, b"?", 1) == bytes([touched])

@@ -214,3 +214,16 @@ def test_rescaled_cameras_err_the_same_on_the_plane() -> None:
     half = placed.for_pictures_of((240, 180), rescale=True)
     here, there = (plane_errors(c, 0.0, columns=3, rows=3) for c in (placed, half))
     np.testing.assert_allclose(here.camera[1, 1], there.camera[1, 1], rtol=0.05)
+
+
+def test_tags_of_another_family_are_named(plate: Picture) -> None:
+    others = tuple(replace(tag, family="aruco-4x4-50") for tag in TAGS)
+    with pytest.raises(InvalidInput, match="apriltag-36h11 tags 0, 1, 2, 3"):
+        place_by_tags(KNOWN, plate, others)
+
+
+def test_a_board_of_another_dictionary_is_named() -> None:
+    studio = Studio(LENS, board_of("charuco:7x5:30mm:20mm:5x5"))
+    true = above()
+    with pytest.raises(InvalidInput, match="a board with tags of 5x5"):
+        BOARD.find(studio.picture(true.rotation, true.translation))

@@ -354,3 +354,13 @@ def test_on_a_phone_nothing_is_wider_than_the_screen(chromium, server):
         page.wait_for_load_state("networkidle")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390, path
     context.close()
+
+
+def test_a_mistyped_filter_is_asked_about(table):
+    table.fill("#filter", "shape=pentagn")
+    table.wait_for_selector("#meant")
+    assert table.inner_text("#meant") == "shape=pentagon"
+    table.click("#meant")
+    table.wait_for_function("() => document.getElementById('filter').value === 'shape=pentagon'")
+    table.wait_for_selector(ROW)
+    table.fill("#filter", "")

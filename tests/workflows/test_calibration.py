@@ -15,12 +15,14 @@ from fixel.model import Trajectory, UniformPressure
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.browse import view_of
 from fixel.workflows.calibrated import calibrated, searched_space
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.inputs import read_targets, target_files
-from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
-from fixel.workflows.calibration.request import Choice, Request, entry_of
+from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of, outliers
+from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
+from fixel.workflows.calibration.told import listed
 from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
 from fixel.workflows.jobs import run_here, status_of
 
@@ -164,10 +166,10 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
     rounds = []
 
     def stop_later(progress):
-        """Stop each session two rounds of verdicts after the last one."""
+        """Stop at every sixth word of the verdict stage."""
         if progress.note.startswith("verdicts"):
             rounds.append(progress.done)
-            if progress.rate and len(rounds) % 40 == 0:
+            if progress.rate and len(rounds) % 6 == 0:
                 raise KeyboardInterrupt
 
     sessions, kept = 0, [0]
@@ -187,6 +189,108 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
         for mine, theirs in zip(a.profiles, b.profiles, strict=True):
             assert (mine.values == theirs.values).all()
             assert (mine.deviances == theirs.deviances).all()
+
+
+def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
+    """A root mean square is kept as its square, and shown in mm."""
+    request = _request(chosen, mode="joint", error=Choice(name="root-mean-square"))
+    done = _done(project, chosen, request)
+    (one,) = done.outcome.together
+    with project.store() as store:
+        record = store.calibration(done.ids[0])
+        (shown,) = (row for row in listed(store) if row.id == done.ids[0])
+        best = store.browse(view_of(limit=4)).rows
+    squares = [float(error) ** 2 for error in one.errors]
+    assert [member.error_mm2 for member in record.members] == squares
+    assert record.mean_error_mm2 == pytest.approx(np.mean(squares))
+    assert record.errors == pytest.approx(one.errors.tolist())
+    assert shown.unit == "mm"
+    assert shown.after == pytest.approx(one.errors.mean())
+    # The table of experiments shows roots of what is stored.
+    assert sorted(row.after_mm2 for row in best) == pytest.approx(sorted(squares))
+
+
+def _many(chosen, speeds=3, each=20):
+    """Targets that differ in a condition and in a number of their own."""
+    targets = [
+        chosen.targets[0]._replace(
+            key=f"lab/{speed}-{k}", conditions={"speed": speed, "run": float(100 * speed + k)}
+        )
+        for speed in range(speeds)
+        for k in range(each * (speed + 1))
+    ]
+    return run.Chosen(ids=list(range(len(targets))), targets=targets, left_out={})
+
+
+def test_a_sample_keeps_the_share_of_every_condition_and_follows_its_seed(chosen):
+    many = _many(chosen)  # 20, 40 and 60 of three speeds
+    few = run.sampled(many, 12, seed=1)
+    counts = np.bincount([t.conditions["speed"] for t in few.targets])
+    assert counts.tolist() == [2, 4, 6]
+    assert few.ids == run.sampled(many, 12, seed=1).ids
+    assert few.ids != run.sampled(many, 12, seed=2).ids
+    assert [t.key for t in few.targets] == [many.targets[k].key for k in few.ids]
+    assert run.sampled(many, 500, seed=1) == many
+    # Each experiment is as likely as any other.
+    drawn = np.bincount(
+        np.concatenate([run.sampled(many, 30, seed).ids for seed in range(400)]), minlength=120
+    )
+    assert drawn.sum() == 30 * 400
+    assert np.abs(drawn - 100).max() < 45  # 5 standard deviations of a binomial count
+
+
+def test_experiments_that_stand_out_are_the_strange_ones():
+    """Independent of the rule: ordinary errors are log-normal, strange ones put in by hand."""
+    draw = np.random.default_rng(5)
+    false = found = 0
+    for _ in range(100):
+        errors = np.exp(draw.normal(0.0, 0.6, 60)) ** 2
+        false += len(outliers(errors, "mm^2"))
+        errors[[3, 40]] = (60.0**2, 90.0**2)
+        found += outliers(errors, "mm^2")[:2] == [40, 3]
+        assert outliers(np.sqrt(errors), "mm") == outliers(errors, "mm^2")
+    assert found == 100
+    assert false < 0.01 * 100 * 60
+    assert outliers(np.ones(5), "mm") == []
+    assert outliers(np.array([1.0] * 10 + [np.inf]), "mm") == []
+
+
+def test_least_squares_is_the_usual_search_for_sums_of_squares():
+    assert usual_optimiser("joint", "sum", "mean-square", 300, 4) == "least-squares"
+    assert usual_optimiser("joint", "mean", "robust", 300, 4) == "least-squares"
+    assert usual_optimiser("joint", "mean", "root-mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("joint", "largest", "mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("each", "sum", "mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("joint", "sum", "end-pose", 6, 4) == "pattern-search"
+
+
+@pytest.mark.parametrize("optimiser", ["pattern-search", "least-squares"])
+def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project, chosen, optimiser):
+    request = _request(
+        chosen, mode="joint", optimiser=Choice(name=optimiser), budget=1e-6, verdicts=True
+    )
+    folder = run.prepare(project, chosen, request)
+
+    def stop_soon(progress):
+        if progress.note.startswith(("all together", "least squares")) and progress.rate:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run.run(folder, progress=stop_soon)
+    run.run(folder)
+    (one,) = run.collect(project, folder, "test", {}).outcome.together
+    assert one.trace.ended == "the budget is used up"
+    assert np.isfinite(one.errors).all()
+    assert "budget" in one.note
+    # Of the answers kept, none was asked for again, and none beside the first round of the search.
+    assert len(one.trace.errors) <= 10
+    kept = status_of(folder).kept
+    assert run_here(folder).kept == kept
+
+
+def test_a_budget_is_for_one_set_of_parameters(project, chosen):
+    with pytest.raises(InvalidInput, match="--budget: found --mode each"):
+        run.prepare(project, chosen, _request(chosen, mode="each", budget=10.0))
 
 
 def test_experiments_travel_bit_by_bit(chosen, tmp_path):

@@ -211,3 +211,18 @@ def test_a_folder_that_cannot_be_made_is_refused(lab, tmp_path):
 
     with pytest.raises(InvalidInput, match="a folder for pictures"):
         draw_all(done, tmp_path / "file" / "pictures")
+
+
+def test_pictures_of_a_search_with_failed_evaluations(lab, tmp_path):
+    """A failed one has no error: it must not stand on the axis as the largest float there is."""
+    done = _done(lab, mode="joint", combine="mean")
+    (one,) = done.outcome.found
+    errors = one.trace.errors.copy()
+    errors[1::3] = np.inf
+    failed = replace(one, trace=one.trace._replace(errors=errors))
+    broken = replace(done, outcome=replace(done.outcome, found=(failed,)))
+    search = next(p for p in pictures_of(Desk(broken)) if p.name == "search")
+    low, high = search.chart.figure().axes[0].get_ylim()
+    assert high < 100.0 * errors[np.isfinite(errors)].max()
+    assert low > 0.0
+    assert "search" in _names(draw_all(broken, tmp_path))

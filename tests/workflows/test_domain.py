@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.calibration.objective import MeanSquare, RootMeanSquare
+from fixel.calibration.objective import Comparer, Evaluated, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
@@ -18,7 +18,7 @@ from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.unknowns import fitted
 from fixel.workflows.domain.coordinates import coordinates_of
-from fixel.workflows.domain.gather import noise_floor
+from fixel.workflows.domain.gather import gather, noise_floor
 from fixel.workflows.domain.held_out import Apart, Model, held_out, label_of, stepper_for
 from fixel.workflows.domain.request import Asked, model_of, own_best
 from fixel.workflows.finished import Finished
@@ -67,6 +67,44 @@ def test_a_calibration_in_other_units_is_refused():
     targets = targets_of(SimulatedTestbed.ideal().run(planned(1)))
     with pytest.raises(InvalidInput, match="mean-square or end-pose"):
         model(targets, error=RootMeanSquare())
+
+
+def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path, monkeypatch):
+    """Fits of the other groups took minutes before."""
+    mixed = [
+        target._replace(conditions={**target.conditions, "kind": "even" if k > 1 else "tripod"})
+        for k, target in enumerate(targets_of(SimulatedTestbed.ideal().run(planned(4))))
+    ]
+    one = model(mixed)
+    simulated = Comparer.errors
+
+    def jammed(self, which, points):
+        found = simulated(self, which, points)
+        error = np.where(which > 1, np.inf, found.error)
+        return Evaluated(error, ["jammed" if k > 1 else "" for k in which.tolist()])
+
+    monkeypatch.setattr(Comparer, "errors", jammed)
+
+    def never(self):
+        raise AssertionError("a fit before the refusal")
+
+    monkeypatch.setattr("fixel.workflows.domain.held_out._Fit.__call__", never)
+    with pytest.raises(InvalidInput, match="no simulation at it: even"):
+        held_out(mixed, one, Apart(("kind",), "", 2, 0), Finished(tmp_path))
+
+
+def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatch):
+    project = Project.create(tmp_path / "lab")
+    with project.store() as store:
+        for experiment in SimulatedTestbed.ideal().run(planned(3)):
+            store.add_experiment(experiment)
+
+    def never(*_):
+        raise AssertionError("held out before the refusal")
+
+    monkeypatch.setattr("fixel.workflows.domain.gather.held_out", never)
+    with pytest.raises(InvalidInput, match="calibrate them first"):
+        gather(project, Asked(measure="relative", threshold=1.0))
 
 
 def test_own_bests_under_another_model_say_nothing(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,12 @@ from typer.testing import CliRunner
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.analysis import kept
+from fixel.workflows.calibrated import Calibrated
 from fixel.workflows.uncertainty import UncertaintyRequest, find_uncertainty
+from fixel.workflows.uncertainty_told import _beside_calibration
 
 FIT = ("tripod_radius_mm=20:60",)
 
@@ -110,3 +115,42 @@ def test_half_a_noise_is_refused(folder):
     result = CliRunner().invoke(app, words)
     assert isinstance(result.exception, InvalidInput)
     assert "--noise-mrad" in str(result.exception)
+
+
+def _beside(low, high, quantiles, of=1):
+    """Warnings of a posterior of mu_pusher beside a calibration of 21 experiments."""
+    estimate = Estimate(
+        label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
+    )
+    record = CalibrationRecord(
+        name="c",
+        method={"misfit": "model misfit: residuals of 2 mm\nmore", "misfit_ratio": 39.0},
+        parameters=Parameters(mu_pusher=0.2),
+        members=tuple(Member(k, 1.0, 1.0) for k in range(21)),
+        provenance=Provenance(version="1", command="fixel calibrate", seed=0),
+        estimates=(estimate,),
+    )
+    found = SimpleNamespace(
+        compared=Calibrated(7, record),
+        predicted=[SimpleNamespace(held_out=False)] * of,
+        posterior=SimpleNamespace(
+            labels=("mu_pusher",), units=("-",), quantiles=lambda: np.array(quantiles)[:, None]
+        ),
+    )
+    return list(_beside_calibration(found))
+
+
+def test_a_posterior_repeats_the_misfit_of_the_calibration():
+    assert _beside(0.15, 0.36, (0.18, 0.2, 0.22)) == [
+        "Calibration 7: model misfit: residuals of 2 mm"
+    ]
+
+
+def test_a_posterior_does_not_contradict_the_calibration_silently():
+    _, apart = _beside(0.15, 0.36, (0.4, 0.42, 0.44))
+    assert apart.startswith("mu_pusher contradicts calibration 7: this posterior of 1 experiment")
+    assert apart.endswith("quote the calibration.")
+    _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
+    assert beside.startswith("mu_pusher disagrees with calibration 7")
+    assert "(0.15 to open)" in beside
+    assert beside.endswith("quote the wider interval.")

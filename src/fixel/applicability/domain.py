@@ -16,6 +16,7 @@ import numpy as np
 
 from fixel.applicability.cells import Cells
 from fixel.applicability.evidence import Evidence, Measure, threshold_score, value_of
+from fixel.applicability.promised_cells import untried
 from fixel.applicability.surface import Seen, Surface, fit_surface
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
@@ -198,7 +199,11 @@ class DomainMap:
         bound = np.nan if self.predicted_mm is None else float(self.predicted_mm[g, c])
         if bound <= claim.threshold:
             return Verdict(PREDICTED, np.nan, f"no experiment; promised {claim.text(bound)}")
-        return Verdict(NO_DATA, np.nan, "no experiment here")
+        return Verdict(NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment here")
+
+    @cached_property
+    def _untried(self) -> dict[str, list[str]]:
+        return untried(self.evidence, self.cells)
 
     def domains(self, claim: Claim) -> list[list[int]]:
         """D(tau) of every map: trusted cells that are connected to the nominal."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fixel.applicability.contacts import SIDE, SPEED, Contacts, Novelty, PushedContacts
 from fixel.applicability.scale_model import (
     Scale,
     ScaleModel,
@@ -35,6 +36,7 @@ BORROWED: Final = 40.0
 # Nothing is promised farther from all evidence than this times what is far among the evidence.
 FAR: Final = 2.0
 FAR_SHARE: Final = 0.99
+FAR_AWAY: Final = "far from all experiments in its features"
 
 TRUSTED: Final = "trusted"
 DOUBTFUL: Final = "doubtful"
@@ -77,6 +79,9 @@ class Promise:
     _group: IntArray  # (n,)
     _groups: tuple[Hashable, ...]
     _near: _Near
+    _unit: IntArray | None = None  # (n,) of what was left out together
+    _pushed: PushedContacts | None = None
+    _beyond: Promise | None = None
 
     @classmethod
     def fit(
@@ -89,6 +94,7 @@ class Promise:
         *,
         also: Experience | None = None,
         model: str | None = None,
+        units: Labels | None = None,
     ) -> Promise:
         """Learn from experiments that the calibration has not seen.
 
@@ -108,6 +114,10 @@ class Promise:
         also : Experience, optional
         model : str, optional
             The best there is where left out.
+        units : (n,) sequence, optional
+            Labels of sides or speeds that the calibration was fitted without, whole. Bounds then
+            hold for a unit that is not among these: models leave out whole groups (whole units
+            without groups), and every unit weighs the same, however many experiments it has.
 
         Raises
         ------
@@ -122,9 +132,12 @@ class Promise:
             raise InvalidInput("also.features", found=f"{more.shape[1]} columns",
                                expected=f"{table.shape[1]}")  # fmt: skip
         known = tuple(dict.fromkeys(labels))
-        number = {label: k for k, label in enumerate(known)}
-        group = np.array([number[label] for label in labels], np.int64)
-        fold = _folds(group, seed)
+        group = _numbered(labels)
+        unit = None if units is None else _numbered(_labels(units, len(off)))
+        if unit is not None:
+            _refuse_units(level, int(unit.max()) + 1)
+        whole = unit if len(known) == 1 else group
+        fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
         name = model or usual_model(len(off))
         models, score = [], np.empty(len(off))
         for k in range(FOLDS):
@@ -136,28 +149,114 @@ class Promise:
             if own.any():
                 score[own] = powered(off[own]) - models[-1](table[own])
         near = _Near.of(np.concatenate((table, more)))
-        return cls(level, name, len(off), tuple(models), fold, score, group, known, near)
+        return cls(level, name, len(off), tuple(models), fold, score, group, known, near, unit)
 
-    def bounds(self, features: ArrayLike, groups: Labels | None = None) -> FloatArray:
-        """(m,) what the error of each new configuration stays below with probability `level`; inf
-        where nothing is promised: far from all evidence, or a group whose simulations fail."""
-        return np.asarray(self.quantiles(features, groups, (self.level,))[0])
+    def for_contacts(
+        self, contacts: Contacts, groups: Labels | None = None, beyond: Promise | None = None
+    ) -> Promise:
+        """Return the promise that has no data on sides and at speeds that were never pushed.
 
-    def expected(self, features: ArrayLike, groups: Labels | None = None) -> FloatArray:
-        """(m,) what half of the errors stay below; inf where nothing is promised."""
-        return np.asarray(self.quantiles(features, groups, (0.5,))[0])
+        Parameters
+        ----------
+        contacts : Contacts
+            Of experiments.
+        groups : (k,) sequence, optional
+            Labels of these; a group is one part.
+        beyond : Promise, optional
+            Fitted with `units`: gives bounds on a new side or at a new speed of a pushed part. What
+            is new in both has none.
+        """
+        if beyond is not None and beyond._unit is None:
+            raise InvalidInput("beyond", found="a promise fitted without units",
+                               expected="units=, with sides or speeds left out whole")  # fmt: skip
+        pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
+        return replace(self, _pushed=pushed, _beyond=beyond)
+
+    def bounds(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> FloatArray:
+        """Return bounds on the errors of new configurations (m,).
+
+        Each error stays below with probability `level`. Infinite where there is no data (see
+        `reasons`), and in a group whose simulations fail.
+        """
+        return np.asarray(self.quantiles(features, groups, (self.level,), contacts)[0])
+
+    def expected(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> FloatArray:
+        """Return medians of the errors of new configurations (m,); infinite without data."""
+        return np.asarray(self.quantiles(features, groups, (0.5,), contacts)[0])
 
     def quantiles(
-        self, features: ArrayLike, groups: Labels | None, levels: Sequence[float]
+        self,
+        features: ArrayLike,
+        groups: Labels | None,
+        levels: Sequence[float],
+        contacts: Contacts | None = None,
     ) -> FloatArray:
-        """(n_level, m) bounds at other levels."""
+        """Return bounds at several levels (n_level, m).
+
+        Parameters
+        ----------
+        features : (m, f) array_like
+        groups : (m,) sequence or None
+        levels : (n_level,) sequence of float
+        contacts : Contacts, optional
+            Of the new configurations; required of a promise `for_contacts`.
+        """
+        table = self._table(features)
+        for level in levels:
+            _refuse_share(level)
+        labels = _labels(groups, len(table))
+        kind = np.array(self._novelty(contacts, labels).kind, object)
+        answer = self._quantiles(table, labels, levels)
+        answer[:, kind != ""] = np.inf
+        new = np.isin(kind, (SIDE, SPEED))
+        if self._beyond is not None and new.any():
+            answer[:, new] = self._beyond.quantiles(table[new], None, levels)
+        return answer
+
+    def reasons(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> tuple[str, ...]:
+        """Return why there is no data for new configurations (m,); empty where there is."""
+        table = self._table(features)
+        novelty = self._novelty(contacts, _labels(groups, len(table)))
+        far = np.where(self._near(table), "", FAR_AWAY)
+        answer = [new or away for new, away in zip(novelty.reason, far.tolist(), strict=True)]
+        if self._beyond is not None:
+            for k in np.flatnonzero(np.isin(novelty.kind, (SIDE, SPEED))).tolist():
+                answer[k] = self._beyond.reasons(table[k : k + 1])[0]
+        return tuple(answer)
+
+    def near(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> BoolArray:
+        """Return whether there is data for a bound (m,)."""
+        return np.array([not reason for reason in self.reasons(features, groups, contacts)], bool)
+
+    def _novelty(self, contacts: Contacts | None, labels: list[Hashable]) -> Novelty:
+        if (self._pushed is None) != (contacts is None):
+            found = "none" if contacts is None else "some, of a promise that knows none"
+            raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
+        if self._pushed is None or contacts is None:
+            return Novelty(("",) * len(labels), ("",) * len(labels))
+        return self._pushed.novelty(contacts, labels)
+
+    def _table(self, features: ArrayLike) -> FloatArray:
         table = _table(features, "features")
         if table.shape[1] != self._near.n_column:
             raise InvalidInput("features", found=f"{table.shape[1]} columns",
                                expected=f"{self._near.n_column}, as in the evidence")  # fmt: skip
-        for level in levels:
-            _refuse_share(level)
-        labels = _labels(groups, len(table))
+        return table
+
+    def _quantiles(
+        self, table: FloatArray, labels: list[Hashable], levels: Sequence[float]
+    ) -> FloatArray:
+        """Bounds (n_level, m), whatever the contacts."""
+        if not len(table):
+            return np.zeros((len(levels), 0))
         expected = np.stack([model(table) for model in self._models])
         answer = np.full((len(levels), len(table)), np.inf)
         near = self._near(table)
@@ -168,12 +267,10 @@ class Promise:
             answer[:, own] = _weighted(reached, weight, itself, levels)
         return unpowered(answer)
 
-    def near(self, features: ArrayLike) -> BoolArray:
-        """(m,) whether there is evidence near enough for a promise."""
-        return self._near(_table(features, "features"))
-
     def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
         """(n,) of the scores for a configuration of a group, and of the configuration itself."""
+        if self._unit is not None:
+            return 1.0 / np.bincount(self._unit)[self._unit], 1.0
         if label not in self._groups or len(self._groups) == 1:
             return np.ones(self.n), 1.0
         own = self._group == self._groups.index(label)
@@ -227,6 +324,7 @@ class Promised(NamedTuple):
     bound: FloatArray  # (m,) inf where nothing is
     expected: FloatArray  # (m,) median; inf where nothing is
     near: BoolArray  # (m,)
+    reasons: tuple[str, ...]  # (m,) why there is no data; empty where there is
 
     def colours(self, tau: float) -> NDArray:  # type: ignore[type-arg]
         """(m,) out of `COLOURS`; see `colours`."""
@@ -240,8 +338,9 @@ def promised(
     level: float = LEVEL,
     *,
     seed: int = 0,
+    contacts: tuple[Contacts, Contacts] | None = None,
 ) -> Promised:
-    """Bounds for new configurations in one call.
+    """Bounds for new configurations of one part in one call.
 
     Parameters
     ----------
@@ -253,10 +352,18 @@ def promised(
         Features of configurations never tried.
     level : float
     seed : int
+    contacts : (Contacts, Contacts), optional
+        Of the experiments and of the new configurations: sides and speeds that were never pushed
+        then have no data.
     """
+    known, asked = (None, None) if contacts is None else contacts
     promise = Promise.fit(evidence, errors, None, level, seed)
-    bound, expected = promise.quantiles(new, None, (level, 0.5))
-    return Promised(bound, expected, promise.near(new))
+    if known is not None:
+        promise = promise.for_contacts(known)
+    bound, expected = promise.quantiles(new, None, (level, 0.5), asked)
+    reasons = promise.reasons(new, None, asked)
+    near = np.array([not reason for reason in reasons], bool)
+    return Promised(bound, expected, near, reasons)
 
 
 # --- how ----------------------------------------------------------------------------------------
@@ -326,6 +433,18 @@ def _folds(group: IntArray, seed: int) -> IntArray:
     return fold
 
 
+def _whole_folds(whole: IntArray, seed: int) -> IntArray:
+    """(n,) parts that split no group or unit."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(int(whole.max()) + 1)
+    return np.asarray(np.argsort(order)[whole] % FOLDS)
+
+
+def _numbered(labels: Labels) -> IntArray:
+    number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+    return np.array([number[label] for label in labels], np.int64)
+
+
 def _checked(features: ArrayLike, errors: ArrayLike) -> tuple[FloatArray, FloatArray]:
     table = _table(features, "features")
     off = np.asarray(errors, np.float64)
@@ -361,6 +480,17 @@ def _refuse_level(level: float, n: int) -> None:
             found=f"{n} held out",
             expected=f"{least} or more for bounds that hold with {100.0 * level:g} %",
             hint="run more experiments, or ask for a lower level",
+        )
+
+
+def _refuse_units(level: float, n: int) -> None:
+    least = least_experiments(level)
+    if n < least:
+        raise InvalidInput(
+            "units",
+            found=f"{n} sides or speeds left out",
+            expected=f"{least} or more for bounds that hold with {100.0 * level:g} % on a new one",
+            hint="leave out more, or ask for a lower level",
         )
 
 

@@ -1,13 +1,15 @@
-"""What can be promised of experiments in the cells of a map, tried or not."""
+"""Error bounds for experiments in the cells of a map, tried or not."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fixel.applicability.cells import Cells
-from fixel.applicability.evidence import Evidence
+from fixel.applicability.cells import CellAxis, Cells
+from fixel.applicability.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.applicability.evidence import Evidence, Value, unit_in
 from fixel.applicability.promise import Promise, least_experiments
 from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
 
 
 def promised_cells(
@@ -15,8 +17,8 @@ def promised_cells(
 ) -> FloatArray | None:
     """(n_group, n_cell) bounds that new experiments stay within with a probability [mm].
 
-    Root mean square errors; inf where nothing can be promised. None where there are too few
-    experiments for any promise.
+    Root mean square errors; inf where there is no data, or a coordinate that was never tried in
+    the map. None where there are too few experiments for any bound.
 
     Parameters
     ----------
@@ -35,12 +37,63 @@ def promised_cells(
     slots = {(int(group[k]), int(place[k])): k for k in reversed(known.tolist())}
     first = np.sort(np.fromiter(slots.values(), np.int64, len(slots)))
     bounds = _bounds(evidence, cells, place, known, level, seed)
-    if bounds is None or len(first) == len(known):
+    if bounds is None:
+        return None
+    far = np.array(list(untried(evidence, cells).values())) != ""
+    bounds[far] = np.inf
+    if len(first) == len(known):
         return bounds
     new = _bounds(evidence, cells, place, first, level, seed)
     tried = np.zeros(bounds.shape, bool)
     tried[tuple(zip(*slots, strict=True))] = True
-    return np.where(tried, bounds, np.inf if new is None else new)
+    return np.where(tried | far, bounds, np.inf if new is None else new)
+
+
+def untried(evidence: Evidence, cells: Cells) -> dict[str, list[str]]:
+    """Return by map which coordinate of each cell was never tried; empty for none.
+
+    New are a text that no experiment of the map has, a contact angle or a speed unlike all of the
+    map (as in `contacts`), and any other number beyond those of the map. Such a cell is an
+    extrapolation, however near the others it looks.
+    """
+    answer = {}
+    group = np.array(evidence.group)
+    tried = ~np.isnan(evidence.error_mm2)
+    for own in dict.fromkeys(evidence.group):
+        rows = np.flatnonzero(tried & (group == own)).tolist()
+        known = [[evidence.column(axis.name)[k] for k in rows] for axis in cells.axes]
+        new = [
+            [_is_new(axis, k, values) for k in range(len(axis))]
+            for axis, values in zip(cells.axes, known, strict=True)
+        ]
+        answer[own] = [_untried_text(cells, c, new) for c in range(len(cells))]
+    return answer
+
+
+def _untried_text(cells: Cells, c: int, new: list[list[bool]]) -> str:
+    said = [
+        f"{axis.name} {axis.text(k)} {axis.unit}".rstrip()
+        for axis, k, own in zip(cells.axes, cells.index[c], new, strict=True)
+        if own[k]
+    ]
+    return f"never tried: {', '.join(said)}" if said else ""
+
+
+def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
+    if axis.is_text:
+        return axis.labels[k] not in {str(value) for value in values if value is not None}
+    known = np.array([value for value in values if isinstance(value, (int, float))], np.float64)
+    if not len(known):
+        return True
+    low, high = axis.edges[k : k + 2] if axis.edges else (axis.centres[k],) * 2
+    if ((known >= low) & (known <= high)).any():
+        return False
+    if axis.name == CONTACT_ANGLE:
+        turn = [np.abs(wrapped(known - end)).min() for end in (low, high)]
+        return bool(min(turn) > MAX_TURN)
+    if unit_in(axis.name) == "m/s":
+        return not ((known <= MAX_RATIO * high) & (low <= MAX_RATIO * known)).any()
+    return bool(known.max() < low or known.min() > high)
 
 
 def _bounds(

@@ -134,7 +134,9 @@ def assessing(
     noise, dispersion = fitted.noise, fitted.dispersion
     box = box_of(comparer.space.started_at(point))
     prior = Prior.of(comparer.space).weighted(dispersion.value)
-    profile = ProfileLikelihood().start(box, fitted.point, dispersion.threshold(level), prior)
+    known = None if np.isfinite(prior.sd).any() else fitted.fit
+    threshold = dispersion.threshold(level)
+    profile = ProfileLikelihood().start(box, fitted.point, threshold, prior, known)
     while not profile.done:
         told = yield Ask("frames", profile.ask(), f"verdicts, {profile.phase}", profile.left)
         profile.tell(chosen.scaled(told, noise))
@@ -168,6 +170,8 @@ class Fitted(NamedTuple):
         None where the noise of the measurements is not known.
     honest : Honest, optional
         Estimate that allows for misfit; None where there is too little of it to matter.
+    fit : Fit, optional
+        Of least squares; None where its residuals were divided by another noise.
     """
 
     point: FloatArray
@@ -175,6 +179,7 @@ class Fitted(NamedTuple):
     dispersion: Dispersion
     misfit: Misfit | None
     honest: Honest | None
+    fit: Fit | None
 
 
 def fitting(
@@ -194,13 +199,15 @@ def fitting(
     scatter = None if ends else known or camera
     noise = known or (yield from _left(point))
     # The search minimised its own error; the likeliest point lies near by.
-    best = yield from _least_squares(chosen, point, noise)
+    # Where misfit can be told from noise, it is judged by exact fits.
+    options = LeastSquares() if scatter else _coarse(noise, chosen.count)
+    best = yield from _least_squares(chosen, point, noise, options)
     misfit = chosen.misfit(best.residual, noise, scatter)
     honest = None
     if misfit is not None and misfit.noted:
         white = camera or misfit.noise
         mixed = yield from _mixed(Shifted(comparer), own.tolist(), best.point, white)
-        again = yield from _least_squares(chosen, mixed.value, noise)
+        again = yield from _least_squares(chosen, mixed.value, noise, options)
         if again.deviance < best.deviance:
             best = again
             misfit = chosen.misfit(best.residual, noise, scatter)
@@ -208,17 +215,36 @@ def fitting(
             honest = Honest.of(mixed, best.point)
     count = len(best.point)
     dispersion = chosen.dispersion(noise, best.residual, count)
+    fit: Fit | None = best
     if dispersion.source != noise.source:
+        fit = None
         # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
         left = yield from _left(best.point)
         ratio = noise.standard_deviations / left.standard_deviations
         residual = (best.residual.reshape(-1, 3) * ratio).ravel()
         noise, dispersion = left, chosen.dispersion(left, residual, count)
-    return Fitted(best.point, noise, dispersion, misfit, honest)
+    return Fitted(best.point, noise, dispersion, misfit, honest, fit)
 
 
-def _least_squares(chosen: Frames, point: FloatArray, noise: Noise) -> Asking[Fit]:
-    search = LeastSquares().start(box_of(chosen.space.started_at(point)))
+def _coarse(noise: Noise, count: int) -> LeastSquares:
+    """Return a fit that ends where nothing is left to gain that the noise would let anybody see.
+
+    What is significant is some four times the deviance of one independent measurement, or that of
+    one measurement alone if the noise is known; a hundredth of it is not.
+    """
+    return LeastSquares(
+        differences="one-sided",
+        secant=True,
+        trials=3,
+        enough=0.02,
+        tolerance=min(1e-4, 0.02 * noise.correlation / max(1, count)),
+    )
+
+
+def _least_squares(
+    chosen: Frames, point: FloatArray, noise: Noise, options: LeastSquares
+) -> Asking[Fit]:
+    search = options.start(box_of(chosen.space.started_at(point)))
     while not search.done:
         told = yield Ask("frames", search.ask(), "best fit")
         search.tell(chosen.scaled(told, noise))
@@ -366,6 +392,11 @@ class Frames:
         keys = [self._comparer.targets[m].key for m in self._members.tolist()]
         return misfit_of(parts, keys, scatter)
 
+    @property
+    def count(self) -> int:
+        """Residuals of one point."""
+        return 3 * int(self._seen.sum())
+
     def dispersion(self, noise: Noise, at_best: FloatArray, unknowns: int) -> Dispersion:
         """Of the residuals (m,) at the best, in standard deviations."""
         known = at_best.size > 0 and bool(np.isfinite(at_best).all())
@@ -373,7 +404,7 @@ class Frames:
         # Of frames so far apart, fewer say as much as one.
         correlation = max(1.0, noise.correlation / self._stride)
         noise = replace(noise, correlation=correlation)
-        return dispersion_of(noise, deviance, 3 * int(self._seen.sum()), unknowns)
+        return dispersion_of(noise, deviance, self.count, unknowns)
 
     def residuals(self, noise: Noise) -> Callable[[FloatArray], FloatArray]:
         """Points (k, n) -> residuals (k, m) in standard deviations; a failed row is inf."""

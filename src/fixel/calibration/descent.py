@@ -13,12 +13,15 @@ from fixel.calibration.differences import Differences
 from fixel.calibration.optimiser import Box
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import BoolArray
 
 if TYPE_CHECKING:
     from fixel.calibration.least_squares import LeastSquares
 
 # Damping is measured in the largest diagonal entry of the Hessian.
 FIRST_DAMPING: Final = 1e-3
+# A step that gains this share of what the model promised leaves the model good enough to correct.
+HALF_AS_GOOD: Final = 0.5
 # Below, the damped matrix is singular to rounding.
 LEAST_DAMPING: Final = 1e-10
 # Trial steps of one batch differ by this factor in damping.
@@ -45,6 +48,7 @@ class Fit(NamedTuple):
     hessian: FloatArray  # (n, n) half the second derivatives of the deviance, Gauss and Newton's
     gradient: FloatArray  # (n,) half the first derivatives, not zero where a bound holds it
     residual: FloatArray  # (m,); empty where no point could be evaluated
+    columns: FloatArray  # (m, n) its change a scale of each parameter; empty where none was taken
     evaluations: int
     reason: str
 
@@ -62,6 +66,9 @@ class Descent:
         Candidates.
     free : (n,) bool array, optional
         Parameters that may move; the others keep the values of the start.
+    columns : (m, n) array, optional
+        Derivatives taken at another point near by, a scale of each parameter. One step is tried
+        with them; own derivatives are taken only where that step gains other than it should.
     """
 
     def __init__(
@@ -70,7 +77,8 @@ class Descent:
         box: Box,
         cost: Cost,
         starts: FloatArray,
-        free: FloatArray | None = None,
+        free: BoolArray | None = None,
+        columns: FloatArray | None = None,
     ) -> None:
         self.box, self.cost, self.reason = box, cost, ""
         self.evaluations, self.iterations = 0, 0
@@ -87,7 +95,11 @@ class Descent:
         self._model = Quadratic(np.zeros((box.n, box.n)), np.zeros(box.n))
         self._trials: FloatArray | None = None
         self._asked: FloatArray | None = None
-        if len(self._starts) == 1:  # its derivatives can be asked for in the same batch
+        self._borrowed = columns
+        self._columns = np.zeros((0, box.n))
+        if (
+            len(self._starts) == 1 and columns is None
+        ):  # its derivatives can be asked for in the same batch
             self._differences.begin(self._starts[0], self._free, self._central)
 
     @property
@@ -105,6 +117,7 @@ class Descent:
             hessian,
             self._model.gradient / self.box.scale,
             self._residual,
+            self._columns,
             self.evaluations,
             self.reason,
         )
@@ -162,11 +175,16 @@ class Descent:
         elif len(residuals) > count:
             self._rebase(self._starts[0], residuals[0], float(deviances[0]))
             self._learn_probes(residuals[count:])
+        elif self._borrowed is not None:
+            self._rebase(self.point, self._residual, self.deviance)
+            self._columns = self._borrowed
+            self._model_from(self._borrowed)
         else:
             self._differentiate()
 
     def _differentiate(self) -> None:
         """Take derivatives at the best point."""
+        self._borrowed = None
         self._rebase(self.point, self._residual, self.deviance)
         self._differences.begin(self._base, self._free, self._central)
 
@@ -178,7 +196,12 @@ class Descent:
         self._differences.learn(residuals, self._base_residual)
         if self._differences.pending:
             return
-        columns = self._differences.columns(len(self._base_residual))
+        self._columns = self._differences.columns(len(self._base_residual))
+        self._model_from(self._columns)
+
+    def _model_from(self, columns: FloatArray) -> None:
+        """Plan the next steps with derivatives (m, n); end where they promise too little."""
+        columns = np.where(self._free, columns, 0.0)
         self._model = self.cost.quadratic(self._base, self._base_residual, columns, self.box.scale)
         if not self._model.hessian.any():
             self.reason = NO_ANSWER
@@ -194,6 +217,9 @@ class Descent:
                 self._damping = float(self._dampings[k])
             self._accept(self._base_deviance - self.deviance)
             return
+        if self._borrowed is not None:
+            self._differentiate()
+            return
         self._failures += 1
         self._damping = float(self._dampings[-1]) * SPREAD ** (1 - self._powers()[0])
         if self._failures < PATIENCE:
@@ -208,8 +234,19 @@ class Descent:
             self.reason = EXHAUSTED
         elif gain <= self._enough() or abs(self._most_to_gain() - gain) <= self._enough():
             self._confirm(SETTLED)  # the second: it fell by just what the model says there is
+        elif self._options.secant and gain > HALF_AS_GOOD * self._most_to_gain():
+            self._correct()
         else:
             self._differentiate()
+
+    def _correct(self) -> None:
+        """Go on with the derivatives at hand, corrected by what the last step met."""
+        move = (self.point - self._base) / self.box.scale
+        missed = self._residual - self._base_residual - self._columns @ move
+        self._columns = self._columns + np.outer(missed, move / float(move @ move))
+        self._borrowed = self._columns
+        self._rebase(self.point, self._residual, self.deviance)
+        self._model_from(self._columns)
 
     def _confirm(self, reason: str) -> None:
         """End, unless better derivatives may still find a way down."""
@@ -240,8 +277,9 @@ class Descent:
         self._trials = np.array([self._at(step, low, high) for step in self._steps])
 
     def _powers(self) -> FloatArray:
-        below = (self._options.trials - 1) // 2
-        return np.arange(-below, self._options.trials - below).astype(np.float64)
+        trials = 1 if self._borrowed is not None else self._options.trials
+        below = (trials - 1) // 2
+        return np.arange(-below, trials - below).astype(np.float64)
 
     def _at(self, step: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
         """The point (n,) a step leads to, exactly on a bound where it ends there."""

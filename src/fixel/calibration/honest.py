@@ -263,11 +263,10 @@ class _Probes:
     ) -> tuple[FloatArray, FloatArray]:
         """(3, m, p) change a scale of each parameter, (3, m, q) a unit of each shift; zero where a
         simulation failed."""
-        table = {}
+        nothing, table = np.zeros(rows.shape[1:]), {}
         for column, (at, span) in self._moves.items():
-            slope = (rows[at] - rows[at + 1]) / span
-            table[column] = np.where(np.isfinite(slope).all(), slope, 0.0)
-        nothing = np.zeros(rows.shape[1:])
+            known = np.isfinite(rows[at : at + 2]).all()
+            table[column] = (rows[at] - rows[at + 1]) / span if known else nothing
         common = [table.get(c, nothing) * s for c, s in zip(self._free, scale, strict=True)]
         single = [
             nothing if c is None else table[c] * u for c, u in zip(self._shifts, unit, strict=True)

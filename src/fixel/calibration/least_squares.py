@@ -63,10 +63,14 @@ class LeastSquares:
         Or by less than this.
     most_iterations : int
         Steps taken, at most.
+    secant : bool
+        Whether derivatives are corrected after a good step instead of taken again: one evaluation
+        an iteration instead of one an unknown, and an end that is less exact.
 
     Source
     ------
-    Marquardt (1963); the damping is in the scales of the box, as Levenberg's (1944).
+    Marquardt (1963); the damping is in the scales of the box, as Levenberg's (1944). Broyden (1965)
+    for the correction of derivatives.
     """
 
     loss: Loss = "squares"
@@ -80,6 +84,7 @@ class LeastSquares:
     tolerance: float = 1e-8
     enough: float = 1e-8
     most_iterations: int = 60
+    secant: bool = False
 
     def __post_init__(self) -> None:
         for name, kinds in (("loss", LOSSES), ("differences", DIFFERENCE_KINDS)):

@@ -174,7 +174,6 @@ class Comparer:
 
     def over(self, space: ParameterSpace) -> Comparer:
         """The same experiments in another space."""
-        _refuse_idle(self.targets, space)
         other = copy.copy(self)
         other.space, other._columns = space, _Columns(self.targets, space)
         return other

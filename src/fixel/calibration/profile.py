@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.cost import Cost, Prior, Residuals
-from fixel.calibration.descent import FAILED, Descent
+from fixel.calibration.descent import FAILED, Descent, Fit
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.optimiser import Best, Box
 from fixel.calibration.options import whole
@@ -22,17 +22,26 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import positive, settle
 
 # All gains of deviance below are shares of the threshold.
-# A descent at a fixed value ends when it gains less.
-PRECISION: Final = 0.005
+# A descent at a fixed value ends when it gains less: an end of an interval is off by 1 % of the
+# distance then.
+PRECISION: Final = 0.02
 # A neighbour's parameters are taken over where they are better by more.
 WORTH: Final = 0.02
-# The profiles begin anew from a point that is better than the best by more.
+# A gain less than this share of the roughness means nothing.
+MEANINGLESS: Final = 0.25
+# Nodes try their neighbours' parameters on a surface rougher than this.
+ROUGH: Final = 0.1
+# The profiles begin again from a point that is better than the best by more; what was found stays.
 ANEW: Final = 0.05
-MOST_RESTARTS: Final = 8
+MOST_RESTARTS: Final = 4
+# Share of the range above which an interval is so wide that its partners are looked for.
+WIDE: Final = 0.5
+# Points that a phase takes for each side of an unknown, for the estimate of what is left.
+USUAL: Final = {"profiles": 4.0, "bounds": 2.0, "slices": 2.5, "partners": 1.0}
 # Distance from the best [radii of the predicted interval] of the points that measure roughness, and
 # how many an unknown: a smooth deviance rises by a hundredth of the threshold there.
 DENT: Final = 0.1
-DENT_POINTS: Final = 8
+DENT_POINTS: Final = 3
 # Quantile of their rise that is taken: bumps differ, and an interval should end at none.
 DENT_QUANTILE: Final = 0.75
 # Share of the roughness that is no better optimum, only a deeper dent.
@@ -40,7 +49,7 @@ DEEPER: Final = 0.5
 # Steps of a descent at a value past the crossing, where only a second minimum is looked for.
 SCAN_ITERATIONS: Final = 3
 # Damped steps tried at once at a fixed value: a neighbour's answer is near, few are needed.
-TRIALS: Final = 3
+TRIALS: Final = 2
 # Share of the largest eigenvalue added to the Hessian before its inverse predicts anything.
 RIDGE: Final = 1e-12
 
@@ -97,9 +106,11 @@ class ProfileLikelihood:
     threshold: with ten thousand residuals it can be ten times as much, and intervals that ignore it
     end at the nearest bump.
 
-    Costs some 150 evaluations an unknown where there are three, 300 where there are eight, half as
-    much again where the surface is rough, and all of it anew each time it meets a better optimum
-    than it was given: it then begins again from there. About a third is for the scan.
+    Each fixed value begins with the derivatives of the value before, corrected by what was met on
+    the way; its own are taken only where these mislead. Where the deviance is a parabola, one value
+    a side confirms what the curvature predicts, and an unknown costs some 20 evaluations; on rough
+    or bent surfaces several times as much. A better optimum than the one given becomes the new
+    base: the values known already stay.
 
     Parameters
     ----------
@@ -130,7 +141,12 @@ class ProfileLikelihood:
             settle(self, **{name: whole(getattr(self, name), where, least)})
 
     def start(
-        self, box: Box, point: FloatArray, threshold: float, prior: Prior | None = None
+        self,
+        box: Box,
+        point: FloatArray,
+        threshold: float,
+        prior: Prior | None = None,
+        fitted: Fit | None = None,
     ) -> ProfileSearch:
         """Begin.
 
@@ -143,12 +159,16 @@ class ProfileLikelihood:
             Rise of the deviance at the ends of an interval; `Dispersion.threshold`.
         prior : Prior, optional
             As in the calibration.
+        fitted : Fit, optional
+            Of all parameters, ending at the point, with the residuals that will be told and without
+            a prior; saves fitting again.
         """
         given = np.asarray(point, np.float64)
         if given.shape != (box.n,):
             raise InvalidInput("point", found=f"shape {given.shape}", expected=f"({box.n},)")
         threshold = positive(threshold, "threshold")
-        return ProfileSearch(self, box, given, threshold, self.descent.cost(prior))
+        cost = self.descent.cost(prior)
+        return ProfileSearch(self, box, given, threshold, cost, fitted)
 
 
 @final
@@ -162,8 +182,10 @@ class ProfileSearch:
         point: FloatArray,
         threshold: float,
         cost: Cost,
+        fitted: Fit | None = None,
     ) -> None:
         self.box, self.reason, self.evaluations = box, "", 0
+        self._fitted = fitted if fitted is not None and fitted.columns.size else None
         self._options, self._nominal, self._cost = options, threshold, cost
         self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
@@ -184,7 +206,8 @@ class ProfileSearch:
         return replace(
             self._options.descent,
             differences="one-sided",
-            enough=PRECISION * self._nominal + WORTH * self._roughness,
+            secant=True,
+            enough=PRECISION * self._nominal + MEANINGLESS * self._roughness,
             tolerance=0.0,
             trials=min(TRIALS, self._options.descent.trials),
             most_iterations=self._options.most_iterations,
@@ -219,7 +242,15 @@ class ProfileSearch:
     @property
     def left(self) -> int | None:
         """Estimated number of points after those asked for; None while nobody knows."""
-        return None
+        if self.done:
+            return 0
+        if not self._sides:
+            return None
+        now = self._expected(self.phase) - (self.evaluations - self._phase_begun) - len(self.ask())
+        return max(0, now) + sum(self._expected(name) for name, _ in self._phases)
+
+    def _expected(self, phase: str) -> int:
+        return int(USUAL.get(phase, 0.0) * 2 * self.box.n)
 
     @property
     def profiles(self) -> Profiles:
@@ -253,17 +284,21 @@ class ProfileSearch:
     # Phases, in order; each makes tasks that run side by side.
 
     def _begin(self) -> None:
+        # Of each parameter, both sides together: a node may change sides.
+        self._known: list[list[Node]] = [[] for _ in range(self.box.n)]
+        for side in self._sides:
+            self._known[side.index] += [*side.nodes[1:], *side.beyond]
         self._sides, self._slicers = [], []
         self._moved, self._rise = np.zeros((2, self.box.n, self.box.n))
         self._phases: list[tuple[str, Callable[[], list[Task]]]] = [
             ("profiles", lambda: list(map(self._trace, self._sides))),
-            ("profiles, neighbours", lambda: list(map(self._polish, self._sides))),
-            ("profiles, again", lambda: list(map(self._trace, self._sides))),
-            ("profiles, to the bounds", lambda: list(map(self._scan, self._sides))),
+            ("neighbours", lambda: list(map(self._polish, self._sides))),
+            ("profiles again", lambda: list(map(self._trace, self._sides))),
+            ("bounds", lambda: list(map(self._scan, self._sides))),
             ("slices", self._make_slices),
             ("partners", lambda: list(map(self._hold, self._sides))),
         ]
-        self.phase = "best fit"
+        self.phase, self._phase_begun = "best fit", self.evaluations
         self._tasks = Tasks([self._fit_all()], self._options.batch)
 
     def _next_phase(self) -> None:
@@ -273,18 +308,27 @@ class ProfileSearch:
             self.reason = "all profiles are complete"
         else:
             self.phase, make = self._phases.pop(0)
+            self._phase_begun = self.evaluations
             self._tasks = Tasks(make(), self._options.batch)
 
     def _fit_all(self) -> Task:
         """Fit all parameters from the best point, for the Hessian; then set up the sides."""
-        options = replace(self._fitting, differences="auto", enough=0.1 * self._fitting.enough)
-        descent = Descent(options, self.box, self._cost, self._best.point[None])
-        yield from _run(descent)
-        self._hessian = descent.fit.hessian
-        if math.isfinite(descent.deviance):
+        if self._fitted is None or self._restarts:
+            options = replace(
+                self._fitting, differences="auto", enough=0.025 * self._fitting.enough
+            )
+            descent = Descent(options, self.box, self._cost, self._best.point[None])
+            yield from _run(descent)
+            fitted = descent.fit
+        else:
+            fitted = self._fitted
+            self._note(fitted.point[None], np.array([fitted.deviance]))
+        self._hessian = fitted.hessian
+        if math.isfinite(fitted.deviance):
             covariance = self._covariance()
-            yield from self._look_around(covariance, descent.fit.gradient)
-            self._set_sides(covariance)
+            if not self._restarts:
+                yield from self._look_around(covariance, fitted.gradient)
+            self._set_sides(covariance, fitted)
 
     def _covariance(self) -> FloatArray:
         """(n, n) inverse of the Hessian, very large where it says nothing."""
@@ -311,23 +355,30 @@ class ProfileSearch:
         rise = (deviances - self._best.error - smooth)[np.isfinite(deviances)]
         self._roughness = max(0.0, float(np.quantile(rise, DENT_QUANTILE))) if len(rise) else 0.0
 
-    def _set_sides(self, covariance: FloatArray) -> None:
-        """Both sides of each unknown, with what the curvature predicts."""
+    def _set_sides(self, covariance: FloatArray, fitted: Fit) -> None:
+        """Both sides of each unknown, with what the curvature predicts and what is known."""
         for j in range(self.box.n):
             variance = max(float(covariance[j, j]), np.finfo(float).tiny)
             reach = math.sqrt(self._threshold) * math.sqrt(variance)
             node = Node(float(self._best.point[j]), self._best.error, self._best.point)
             for sign in (-1, 1):
                 slope = covariance[:, j] / variance
-                self._sides.append(Side(self.box, j, sign, node, reach, slope))
+                side = Side(self.box, j, sign, node, reach, slope)
+                side.begin(fitted.point, fitted.residual, fitted.columns)
+                for known in self._known[j]:
+                    if sign * (known.value - node.value) > 0.0:
+                        side.add(known)
+                self._sides.append(side)
 
     def _trace(self, side: Side) -> Task:
         """Step outwards, then close in on the crossing."""
         while (value := side.next_value(self._threshold)) is not None:
-            side.add((yield from self._fixed(side.index, side.guesses(value))))
+            side.add((yield from self._fixed(side, side.guesses(value))))
 
     def _polish(self, side: Side) -> Task:
         """Try each node's parameters at its neighbours: on a rough surface descents get stuck."""
+        if self._roughness < ROUGH * self._nominal and not self._restarts:
+            return
         nodes = list(side.nodes)
         pairs = [(k, near) for k in range(1, len(nodes)) for near in (k - 1, k + 1)]
         pairs = [(k, near) for k, near in pairs if near < len(nodes)]
@@ -336,7 +387,7 @@ class ProfileSearch:
         deviances = self._cost.deviance(points, (yield points))
         for (k, _), point, deviance in zip(pairs, points, deviances, strict=True):
             if deviance < nodes[k].deviance - WORTH * self._threshold:
-                side.add((yield from self._fixed(side.index, point[None])))
+                side.add((yield from self._fixed(side, point[None])))
 
     def _scan(self, side: Side) -> Task:
         """Look at the rest of the way to the bound."""
@@ -348,14 +399,18 @@ class ProfileSearch:
             near = side.beyond[-1] if side.beyond else outer
             guesses = np.array([near.point, side.nodes[0].point])
             guesses[:, side.index] = value
-            node = yield from self._fixed(side.index, guesses, options)
+            node = yield from self._fixed(side, guesses, options)
             if math.isfinite(node.deviance):
                 side.beyond.append(node)
 
     def _make_slices(self) -> list[Task]:
         base = self._sides[0].nodes[0]
         best = Best(base.point, base.deviance)
-        self._slicers = [Slicer(self.box, j, best, self._threshold) for j in range(self.box.n)]
+        with np.errstate(divide="ignore"):
+            reach = np.sqrt(self._threshold / np.maximum(np.diag(self._hessian), 0.0)).tolist()
+        self._slicers = [
+            Slicer(self.box, j, best, self._threshold, reach[j]) for j in range(self.box.n)
+        ]
         return list(map(self._slice, self._slicers))
 
     def _slice(self, slicer: Slicer) -> Task:
@@ -365,6 +420,8 @@ class ProfileSearch:
 
     def _hold(self, side: Side) -> Task:
         """At the end of the interval put each other parameter back, to see which one it needs."""
+        if self._width(side.index) <= WIDE * (self.box.high - self.box.low)[side.index]:
+            return
         j, base, edge = side.index, side.nodes[0], side.edge(self._threshold)
         others = np.array([k for k in range(self.box.n) if k != j and edge is not base], int)
         points = np.repeat(edge.point[None], len(others), axis=0)
@@ -376,12 +433,25 @@ class ProfileSearch:
         moved = np.abs(edge.point - base.point)[others] / self.box.scale[others]
         self._moved[j, others] = np.maximum(self._moved[j, others], moved)
 
-    def _fixed(self, index: int, guesses: FloatArray, options: LeastSquares | None = None) -> Found:
-        """Fit the others with one unknown fixed as in the guesses."""
-        free = np.arange(self.box.n) != index
-        descent = Descent(options or self._fitting, self.box, self._cost, guesses, free)
-        yield from _run(descent)
-        return Node(float(guesses[0, index]), descent.deviance, descent.point)
+    def _width(self, j: int) -> float:
+        """Of the interval, up to the bound where it is open."""
+        ends = [
+            side.bound if (end := side.crossing(self._threshold)) is None else end
+            for side in self._sides[2 * j : 2 * j + 2]
+        ]
+        return ends[1] - ends[0]
+
+    def _fixed(self, side: Side, guesses: FloatArray, options: LeastSquares | None = None) -> Found:
+        """Fit the others with one unknown fixed, from the first guess that can be evaluated."""
+        free = np.arange(self.box.n) != side.index
+        options = options or self._fitting
+        for guess in guesses:
+            descent = Descent(options, self.box, self._cost, guess[None], free, side.columns)
+            yield from _run(descent)
+            if math.isfinite(descent.deviance):
+                side.learn(descent.fit, free)
+                break
+        return Node(float(guesses[0, side.index]), descent.deviance, descent.point)
 
     def _profile(self, j: int) -> Profile:
         down, up = self._sides[2 * j], self._sides[2 * j + 1]

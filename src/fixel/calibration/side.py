@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.descent import Fit
 from fixel.calibration.optimiser import Box
 from fixel.kernels.arrays import FloatArray
+from fixel.model.fields import BoolArray
 
 # The rise is measured as a length: the root of the rise over the threshold, so that it grows in a
 # straight line away from a smooth optimum and is 1 at the crossing.
-# First fixed value, as a share of the way to the crossing that the curvature predicts.
-FIRST_SHARE: Final = 0.5
+# First fixed value, as a share of the way to the crossing that the curvature predicts: a little
+# beyond, so that one value confirms the prediction.
+FIRST_SHARE: Final = 1.05
+HALF_WAY: Final = 0.5
+# Distance from a bound, as a share of the range, that counts as on it.
+ON_BOUND: Final = 1e-3
+# The prediction is confirmed where the length there is above 1 by no more than this.
+CONFIRMED: Final = 0.15
 # Growth of the length from one value to the next: three values before the crossing.
 STRIDE: Final = 0.4
 # Where a value beyond the crossing is aimed at.
 AIM: Final = 1.1
 # Longest step, as a share of the way to the bound, and over the step before.
-LONGEST: Final = 0.25
+LONGEST: Final = 0.5
 GROWTH: Final = 2.0
 # Shortest step [scales].
 SHORTEST: Final = 1e-6
@@ -64,10 +73,16 @@ class Side:
         self.bound = float(box.high[index] if sign > 0 else box.low[index])
         self.nodes = [best]
         self.beyond: list[Node] = []  # values past the crossing, for a look at the rest
-        self._scale = float(box.scale[index])
+        self._scale, self._scales = float(box.scale[index]), box.scale
         self._reach, self._slope = reach, slope
+        self.columns: FloatArray | None = None  # (m, n) derivatives near the last node
+        self._at, self._residual = best.point, np.zeros(0)
         self._centre = best.value
         self._room = abs(self.bound - best.value)
+        # On a bound the deviance may rise in a line: a value half-way tells.
+        bounds = np.array([box.low[index], box.high[index]])
+        on_bound = np.abs(best.value - bounds).min() <= ON_BOUND * np.ptp(bounds)
+        self._first = reach * (HALF_WAY if on_bound else FIRST_SHARE)
 
     def add(self, node: Node) -> None:
         """Take the deviance of a fixed value, or a lower one of a value known already."""
@@ -77,6 +92,31 @@ class Side:
                 return
         self.nodes.append(node)
         self.nodes.sort(key=lambda known: self._distance(known.value))
+
+    def begin(self, point: FloatArray, residual: FloatArray, columns: FloatArray) -> None:
+        """Take residuals (m,) and derivatives (m, n) at a point, for the first fixed value."""
+        if len(columns) == len(residual) > 0:
+            self.columns, self._at, self._residual = columns.copy(), point, residual
+
+    def learn(self, fit: Fit, free: BoolArray) -> None:
+        """Correct the derivatives by what a fit at a fixed value has met.
+
+        Fresh ones replace those of the parameters that were free; the change of the residuals from
+        the last node to this one corrects the others (Broyden's update).
+        """
+        if not fit.residual.size:
+            return
+        if self.columns is None:
+            self.columns, self._at, self._residual = fit.columns, fit.point, fit.residual
+            return
+        if fit.columns.size:
+            self.columns[:, free] = fit.columns[:, free]
+        move = (fit.point - self._at) / self._scales
+        length = float(move @ move)
+        if length > SHORTEST**2:
+            missed = fit.residual - self._residual - self.columns @ move
+            self.columns += np.outer(missed, move / length)
+            self._at, self._residual = fit.point, fit.residual
 
     def next_value(self, threshold: float) -> float | None:
         """The next value to fix; None when the crossing is known, or there is none."""
@@ -120,18 +160,15 @@ class Side:
         return min(known, key=lambda node: abs(node.deviance - base - threshold))
 
     def guesses(self, value: float) -> FloatArray:
-        """(k, n) points to start from with the unknown fixed at a value."""
+        """(k, n) points to start from with the unknown fixed at a value, the likeliest first."""
         known = [node for node in self.nodes if math.isfinite(node.deviance)]
         near = sorted(known, key=lambda node: abs(node.value - value))[:2]
-        rows = [near[0].point]
         if len(near) == 1:
-            rows.append(near[0].point + self._slope * (value - near[0].value))
+            guess = near[0].point + self._slope * (value - near[0].value)
         else:
             share = (value - near[0].value) / (near[1].value - near[0].value)
-            rows.append(near[0].point + share * (near[1].point - near[0].point))
-            if share > 0.0:  # between the two
-                rows.append(near[1].point)
-        points = np.array(rows)
+            guess = near[0].point + share * (near[1].point - near[0].point)
+        points = np.array([guess, near[0].point])
         points[:, self.index] = value
         return points
 
@@ -144,7 +181,7 @@ class Side:
             return None
         longest = LONGEST * self._room
         if len(self.nodes) == 1:
-            step = min(FIRST_SHARE * self._reach, longest)
+            step = self._first if self._first < self._room else longest
         else:
             a, b = self.lengths(threshold)[-2:]
             gap = last - self._distance(self.nodes[-2].value)
@@ -158,7 +195,10 @@ class Side:
         from_, to = self._distance(inner.value), self._distance(outer.value)
         narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
         # From the best alone one cannot tell a parabola from a line: one more value in between.
-        if narrow or (a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE):
+        predicted = a == 0.0 and abs(to - FIRST_SHARE * self._reach) <= 1e-6 * to
+        if narrow or (predicted and b - 1.0 <= CONFIRMED):
+            return None
+        if a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE:
             return None
         # Interpolation halves a bracket slowly where the deviance jumps, so every third is halved.
         share = (
@@ -169,20 +209,10 @@ class Side:
         return self._placed(from_ + min(max(share, 0.1), 0.9) * (to - from_))
 
     def _share(self, inner: Node, outer: Node, threshold: float) -> float:
-        """Share of the way from one node to the other at which the deviance crosses.
-
-        On the parabola through the best and both nodes: a minimum inside the bounds makes one
-        without a linear term, a best on a bound one with; else on the straight line of lengths.
-        """
-        a, b = self._length(inner, threshold), self._length(outer, threshold)
-        p, q = self._distance(inner.value), self._distance(outer.value)
-        if a > 0.0:
-            bend = (b * b / q - a * a / p) / (q - p)
-            slope = a * a / p - bend * p
-            root = slope * slope + 4.0 * bend
-            if slope >= 0.0 and root > 0.0:
-                return min(max((2.0 / (slope + math.sqrt(root)) - p) / (q - p), 0.0), 1.0)
-        return (1.0 - a) / (b - a)
+        """Share of the way from one node to the other at which the deviance crosses."""
+        pair = (inner, outer)
+        distances = [self._distance(node.value) for node in pair]
+        return crossing_share(distances, [self._length(node, threshold) for node in pair])
 
     def _length(self, node: Node, threshold: float) -> float:
         return math.sqrt(max(0.0, node.deviance - self.nodes[0].deviance) / threshold)
@@ -191,3 +221,26 @@ class Side:
         if distance >= (1.0 - 1e-9) * self._room:
             return self.bound
         return self._centre + self.sign * distance
+
+
+def crossing_share(distances: Sequence[float], lengths: Sequence[float]) -> float:
+    """Share of the way from one value to the next at which the length is 1.
+
+    On the parabola through the best and both values: a minimum inside the bounds makes one without
+    a linear term, a best on a bound one with; else on the straight line of lengths.
+
+    Parameters
+    ----------
+    distances : two floats
+        From the best.
+    lengths : two floats
+        Roots of the rise over the threshold, below and above 1.
+    """
+    (p, q), (a, b) = distances, lengths
+    if a > 0.0:
+        bend = (b * b / q - a * a / p) / (q - p)
+        slope = a * a / p - bend * p
+        root = slope * slope + 4.0 * bend
+        if slope >= 0.0 and root > 0.0:
+            return min(max((2.0 / (slope + math.sqrt(root)) - p) / (q - p), 0.0), 1.0)
+    return (1.0 - a) / (b - a)

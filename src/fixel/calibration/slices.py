@@ -9,13 +9,22 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.optimiser import Best, Box
+from fixel.calibration.side import crossing_share
 from fixel.kernels.arrays import FloatArray
 
-# Distances of the first look, each so many times the one before, from the bound inwards.
-RATIO: Final = 2.5
-LOOKS: Final = 10
-# Points between the two that bracket the crossing.
-CLOSER: Final = 4
+# Distances of the first look, from the bound inwards, where no curvature predicts the crossing;
+# each is this many times the one before.
+RATIO: Final = 4.0
+LOOKS: Final = 3
+# Place of the first look, as a share of the way to the predicted crossing.
+AIM: Final = 1.05
+# A look this close to the threshold is the crossing, as is one in a bracket this narrow: share of
+# the rise's root, and of the distance.
+CLOSE: Final = 0.1
+CONFIRMED: Final = 0.05
+NARROW: Final = 0.2
+# Rounds of points between the two that bracket the crossing, at most.
+MOST_ROUNDS: Final = 2
 
 
 class Slice(NamedTuple):
@@ -29,7 +38,7 @@ class Slice(NamedTuple):
 
 @final
 class Slicer:
-    """Both directions of a slice, in two rounds.
+    """Both directions of a slice, in a few rounds.
 
     Parameters
     ----------
@@ -39,10 +48,12 @@ class Slicer:
     best : Best
     threshold : float
         Rise of the deviance at the ends of the interval.
+    reach : float
+        Distance of the crossing that the curvature predicts; inf where it says nothing.
     """
 
-    def __init__(self, box: Box, index: int, best: Best, threshold: float) -> None:
-        self._best, self._index, self._threshold = best, index, threshold
+    def __init__(self, box: Box, index: int, best: Best, threshold: float, reach: float) -> None:
+        self._best, self._index, self._threshold, self._reach = best, index, threshold, reach
         self._bounds = float(box.low[index]), float(box.high[index])
         self._centre = float(best.point[index])
         self._known = {self._centre: best.error}
@@ -50,12 +61,12 @@ class Slicer:
 
     @property
     def done(self) -> bool:
-        """Whether both rounds were told."""
-        return self._round == 2
+        """Whether both crossings are known well enough."""
+        return self._round > MOST_ROUNDS or (self._round > 0 and not self._closer())
 
     def ask(self) -> FloatArray:
         """(k, n) points; none once done."""
-        values = [] if self.done else (self._first, self._second)[self._round]()
+        values = [] if self.done else self._closer() if self._round else self._first()
         points = np.repeat(self._best.point[None], len(values), axis=0)
         points[:, self._index] = values
         return points
@@ -75,20 +86,36 @@ class Slicer:
         return Slice(values, deviances, low, high)
 
     def _first(self) -> list[float]:
-        shares = RATIO ** -np.arange(LOOKS, dtype=np.float64)
-        return [
-            bound if share == 1.0 else self._centre + share * (bound - self._centre)
-            for bound in self._bounds
-            for share in shares.tolist()
-            if bound != self._centre
-        ]
+        looks = (RATIO ** -np.arange(LOOKS, dtype=np.float64)).tolist()
+        found: list[float] = []
+        for bound in self._bounds:
+            room = abs(bound - self._centre)
+            if room > 0.0:
+                predicted = AIM * self._reach / room
+                shares = [1.0, predicted] if predicted < 1.0 else looks
+                way = bound - self._centre
+                found += [bound if share == 1.0 else self._centre + share * way for share in shares]
+        return found
 
-    def _second(self) -> list[float]:
+    def _closer(self) -> list[float]:
+        """A value in each bracket that is still wide."""
         found: list[float] = []
         for sign in (-1, 1):
             pair = self._bracket(sign)
-            if pair is not None:
-                found += np.linspace(pair[0], pair[1], CLOSER + 2)[1:-1].tolist()
+            if pair is None or self._crossing(sign) is None:
+                continue
+            a, b = map(self._length, pair)
+            width, distance = abs(pair[1] - pair[0]), abs(pair[1] - self._centre)
+            if a == 0.0:
+                # A parabola and a line look alike from here, unless one value confirms the
+                # curvature.
+                placed = abs(distance - AIM * self._reach) <= 1e-6 * distance
+                if not (placed and abs(b - AIM) <= CONFIRMED):
+                    found.append(pair[0] + 0.5 / b * (pair[1] - pair[0]))
+            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE:
+                # Where the deviance bends, this comes slowly closer: half of the way in turn.
+                share = 0.5 if self._round % 2 == 0 else self._share(*pair)
+                found.append(pair[0] + share * (pair[1] - pair[0]))
         return found
 
     def _bracket(self, sign: int) -> tuple[float, float] | None:
@@ -106,8 +133,12 @@ class Slicer:
         pair = self._bracket(sign)
         if pair is None or math.isinf(self._known[pair[1]]):
             return None
-        a, b = self._length(pair[0]), self._length(pair[1])
-        return pair[0] + (pair[1] - pair[0]) * (1.0 - a) / (b - a)
+        return pair[0] + (pair[1] - pair[0]) * self._share(*pair)
+
+    def _share(self, inner: float, outer: float) -> float:
+        pair = (inner, outer)
+        distances = [abs(value - self._centre) for value in pair]
+        return crossing_share(distances, [self._length(value) for value in pair])
 
     def _length(self, value: float) -> float:
         return math.sqrt(max(0.0, self._known[value] - self._best.error) / self._threshold)

@@ -34,6 +34,8 @@ class Ask(NamedTuple):
 
 Study = Generator[Ask, Evaluated, T]
 
+OUT_OF_BUDGET: Final = "the budget is used up"
+
 
 class Trace(NamedTuple):
     """All that one search evaluated, in order."""
@@ -105,6 +107,7 @@ def together(
     combine: Callable[[FloatArray], FloatArray],
     seed: int = 0,
     feasible: Feasible | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Study[tuple[Trace, Search]]:
     """One set of parameters for all members, by direct minimisation of their combined error.
 
@@ -112,12 +115,17 @@ def together(
     ----------
     combine : callable
         (k, n_member) errors -> (k,): their sum, mean or largest.
+    stop : callable
+        Whether to end the search early; called after every answer.
     """
     log = _Log(optimiser.start(box, seed, feasible))
     while not log.search.done:
         points = log.search.ask()
         errors, reasons = yield from at_points(members, points)
         log.tell(points, combine(errors), reasons)
+        if stop():
+            trace = log.trace()
+            return trace._replace(ended=trace.ended or OUT_OF_BUDGET), log.search
     return log.trace(), log.search
 
 

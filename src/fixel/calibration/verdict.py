@@ -18,7 +18,8 @@ the object that the model has not got, and the model misfits
 closed on both sides, and narrow                                 identified
 closed and narrow as far as noise goes, but not when misfit is   precise, but the model
 allowed for                                                      misfits
-narrow, but open on one side: it reaches a bound                 at bound
+narrow, but open on one side, and the best is on that bound      at bound
+narrow, but open on one side, and the best lies inside           at least, or at most
 best on a bound, closed on the other side, not flat              at bound
 narrow with the others held (slice), and some of them must move  trades off with them
 to reach the ends of the interval, which is far wider
@@ -38,6 +39,7 @@ import numpy as np
 from fixel.calibration.honest import Honest
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
+from fixel.calibration.side import ON_BOUND
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.parameters import info_of
@@ -51,6 +53,8 @@ Word = Literal[
     "at bound",
     "effective",
     "precise, but the model misfits",
+    "at least",
+    "at most",
 ]
 
 WORDS: Final[tuple[Word, ...]] = get_args(Word)
@@ -71,8 +75,6 @@ MOVES: Final = 0.05
 SAID: Final = 2.0
 # Share of the interval's width by which its ends, interpolated between values, may be off.
 SLACK: Final = 0.1
-# Distance from a bound, as a share of the range, that counts as on it.
-ON_BOUND: Final = 1e-3
 # The interval of the prior alone, over which one that is not shorter than this share was not learnt
 # from the data.
 LIKE_PRIOR: Final = 0.9
@@ -328,7 +330,9 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
     if closed:
         return _of(case, "identified", _extent(case))
     if case.narrow and case.open_sides == 1:
-        return _of(case, "at bound", _at_bound(case))
+        if case.bound is not None:
+            return _of(case, "at bound", _at_bound(case))
+        return _of(case, "at least" if case.high is None else "at most", _one_sided(case))
     alone = case.open_sides == 1 and not _needed(case)
     if case.centre is None and case.bound is not None and alone:
         return _of(case, "at bound", _at_bound(case))
@@ -345,11 +349,17 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
 
 def _at_bound(case: _Case) -> str:
     bound = case.unknown.low if case.low is None else case.unknown.high
-    if case.bound is None:
-        return f"the data do not tell it from the bound {case.shown(bound)}"
     if _falls_outwards(case):
         return f"the deviance still falls at the bound {case.shown(bound)}; widen it if it may be"
     return f"the best value is the bound {case.shown(bound)} itself"
+
+
+def _one_sided(case: _Case) -> str:
+    if case.high is None:
+        known, bound = f"at least {case.shown(case.low or 0.0)}", case.unknown.high
+    else:
+        known, bound = f"at most {case.shown(case.high)}", case.unknown.low
+    return f"it is {known}; the data do not tell it from the bound {case.shown(bound)}"
 
 
 def _falls_outwards(case: _Case) -> bool:

@@ -42,8 +42,8 @@ def real(
     only: Annotated[
         str,
         typer.Option(
-            help="Part of the benchmark: mit, promise, coverage, rates, cmu-tripod, rpi-141,"
-            " repeats, asme-table-1 or asme-figure-11.",
+            help="Part of the benchmark: mit, promise, new-sides, coverage, rates, cmu-tripod,"
+            " rpi-141, repeats, asme-table-1 or asme-figure-11.",
             metavar="PART",
         ),
     ] = "mit",

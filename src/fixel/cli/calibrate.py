@@ -86,13 +86,30 @@ def calibrate(
         str, typer.Option(help="dynamic, quasistatic or first-order.", metavar="MODEL")
     ] = "dynamic",
     optimiser: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="pattern-search, fixed-step, nelder-mead, cma-es or mads; least-squares for one"
-            " set for many.",
+            help="pattern-search, fixed-step, nelder-mead, cma-es, mads or least-squares.",
             metavar="NAME",
+            show_default="least-squares for one set of parameters and an error that is a sum of"
+            " squares, else pattern-search",
         ),
-    ] = "pattern-search",
+    ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Computing time for the search and the verdicts [s], half of it for each.",
+            metavar="SECONDS",
+            min=0.0,
+        ),
+    ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(
+            help="Calibrate a random sample of N experiments, spread over their conditions.",
+            metavar="N",
+            min=1,
+        ),
+    ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(help="Of the optimiser; may be repeated.", metavar="NAME=VALUE"),
@@ -126,9 +143,10 @@ def calibrate(
 
     Interrupted or repeated, the same command goes on from what is finished.
     """
+    from fixel.calibration.objective import EndPose
     from fixel.database.project import Project
     from fixel.workflows.calibration import run
-    from fixel.workflows.calibration.request import Choice, Request, entry_of
+    from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
     from fixel.workflows.calibration.unknowns import default_unknowns, fitted, held, read_space
     from fixel.workflows.project import query_of
 
@@ -139,8 +157,11 @@ def calibrate(
     query = query_of(dataset=dataset, where=where or (), flagged=flagged)
     with project.store() as store:
         chosen = run.choose(store, experiments or (), query)
+    every = len(chosen.ids)
+    if sample is not None:
+        chosen = run.sampled(chosen, sample, seed)
     scenes = [target.case.scene for target in chosen.targets]
-    search = Choice(name=optimiser, options=_options(option or []))
+    search = Choice(name=optimiser or "", options=_options(option or []))
     if dakota is not None:
         from fixel.workflows.calibration.dakota import from_dakota
 
@@ -152,9 +173,15 @@ def calibrate(
     kept = held(hold or [])
     names = {unknown.name for unknown in kept}
     unknowns = [unknown for unknown in unknowns if unknown.name not in names] + kept
+    how = _mode(mode, len(scenes))
+    if not search.name:
+        frames = sum(1 if error == EndPose.name else len(t.pose) for t in chosen.targets)
+        free = sum(not unknown.frozen for unknown in unknowns)
+        usual = usual_optimiser(how, combine, error, 3 * frames, free)
+        search = search.model_copy(update={"name": usual})
     request = Request(
         name=name,
-        mode=_mode(mode, len(scenes)),
+        mode=how,
         unknowns=[entry_of(unknown) for unknown in unknowns],
         error=Choice(name=error, options={"angle_scale": 1e-3 * angle_scale_mm}),
         motion=motion,
@@ -166,6 +193,8 @@ def calibrate(
         noise_angle=None if noise_mrad is None else 1e-3 * noise_mrad,
         level=level,
         verdicts=verdicts,
+        budget=budget,
+        sample_of=every if len(scenes) < every else None,
     )
     if request.mode == "stored":
         with project.store() as store:

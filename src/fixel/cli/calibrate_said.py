@@ -7,13 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fixel.calibration.misfit import WARNED
+from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
 from fixel.workflows.calibration.commands import enlarged_command
-from fixel.workflows.calibration.outcome import ALONE, Found
+from fixel.workflows.calibration.outcome import ALONE, Found, length_of, outliers
 from fixel.workflows.calibration.run import Calibration
 
 MOST_ROWS = 20
+ENDS = ("at least", "at most")
+MOST_OUTLIERS = 5
 BEST_FIT = (
     "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
     " predict best are not the true ones."
@@ -26,6 +31,11 @@ def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]
     lines = []
     if done.left_out:
         lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
+    if done.request.sample_of is not None:
+        lines.append(
+            f"a random sample of {len(outcome.keys)} of {done.request.sample_of} experiments"
+            f" (seed {done.request.seed})"
+        )
     if outcome.alone:
         lines += [*_alone_lines(done), ""]
     for one in outcome.together:
@@ -62,12 +72,12 @@ def _alone_lines(done: Calibration) -> list[str]:
     if len(alone) == 1:
         return _together_lines(done, alone[0])
     free = done.request.space.free
-    head = ("experiment", f"before [{unit}]", f"after [{unit}]", *(_headed(u) for u in free))
+    head = ("experiment", "before [mm]", "after [mm]", *(_headed(u) for u in free))
     rows = [
         (
             outcome.keys[one.members[0]] + ("" if one.how == ALONE else f" ({one.how})"),
-            f"{outcome.nominal[one.members[0]]:.4g}",
-            f"{one.errors[0]:.4g}",
+            f"{length_of(outcome.nominal[one.members[0]], unit):.4g}",
+            f"{length_of(one.errors[0], unit):.4g}",
             *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
         )
         for one in alone[:MOST_ROWS]
@@ -95,15 +105,20 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
     before, after = outcome.nominal[members], one.errors
     n = len(members)
     of = outcome.keys[members[0]] if n == 1 else f"{n} experiments"
-    lines = [f"{of}, {one.how}: mean error {before.mean():.4g} -> {after.mean():.4g} {unit}"]
+    means, largest = (
+        " -> ".join(f"{length_of(error, unit):.4g}" for error in pair)
+        for pair in ((before.mean(), after.mean()), (before.max(), after.max()))
+    )
+    lines = [f"{of}, {one.how}: RMS error {means} mm"]
     if n > 1:
-        lines[0] += f", largest {before.max():.4g} -> {after.max():.4g}"
+        lines[0] += f", largest {largest}"
     if one.trace is not None:
         lines.append(
             f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
         )
     lines = [*one.misfit, *lines]  # first: it decides what the rest is worth
     lines += [sentence for sentence in (one.note, one.noise) if sentence]
+    lines += _outlier_lines(done, one)
     if len(one.solutions) > 1:
         lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
     free = done.request.space.free
@@ -118,6 +133,28 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
     return [*lines, "Next, let the centre of pressure free:", f"  {larger}"] if larger else lines
 
 
+def _outlier_lines(done: Calibration, one: Found) -> list[str]:
+    """The experiments that stand out, and what to do about them."""
+    unit = done.request.made_error.unit
+    found = outliers(one.errors, unit)
+    if not found:
+        return []
+    named = ", ".join(
+        f"{done.outcome.keys[one.members[k]]} ({length_of(one.errors[k], unit):.3g} mm)"
+        for k in found[:MOST_OUTLIERS]
+    )
+    more = f" and {len(found) - MOST_OUTLIERS} more" if len(found) > MOST_OUTLIERS else ""
+    known = one.errors[np.isfinite(one.errors)]
+    share = float(one.errors[found].sum() / known.sum())
+    lines = [
+        f"{len(found)} of {len(one.errors)} experiments stand out, with {100 * share:.0f} % of the"
+        f" summed error: {named}{more}"
+    ]
+    if done.request.error.name != Robust.name:
+        lines.append(f"To count them for less, add: --error {Robust.name}")
+    return lines
+
+
 def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
     """The value to quote inside its interval, and the one that predicts best."""
     estimate = next((e for e in one.estimates if e.label == unknown.label), None)
@@ -126,10 +163,15 @@ def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
         ends = [estimate.low, estimate.high]
         written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
         interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
-        verdict = estimate.verdict
+        verdict = " ".join([estimate.verdict, *_known_end(estimate.verdict, written)])
     unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
     shown, fitted = (f"{_shown(unknown.unit, x):.4g}" for x in (value, float(best)))
     return (unknown.label, shown, unit, interval, verdict, fitted)
+
+
+def _known_end(verdict: str, written: list[str]) -> list[str]:
+    """The end of the interval, of both as they are written, that a one-sided verdict is about."""
+    return [written[ENDS.index(verdict)]] if verdict in ENDS else []
 
 
 def _headed(unknown: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from fixel.cli.camera_said import (
+    coefficient_lines,
     corner_lines,
     lens_lines,
     misfit_lines,
@@ -66,7 +67,13 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="Camera file to write.", metavar="FILE")] = Path(
         "camera.yaml"
     ),
-    coefficients: Annotated[int, typer.Option(help="Of the distortion: 0, 1, 2, 4, 5 or 8.")] = 4,
+    coefficients: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of distortion coefficients: 0, 1, 2, 4, 5 or 8.",
+            show_default="5, 8 where pictures left out need them, 4 for fewer than 8 pictures",
+        ),
+    ] = None,
     fisheye: Annotated[
         bool, typer.Option("--fisheye", help="For lenses wider than about 120 degrees.")
     ] = False,
@@ -87,10 +94,14 @@ def calibrate(
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, tell=tell)
     show(
         answer.summary(),
-        [lens_lines(answer), view_lines(answer), corner_lines(answer)],
+        [
+            lens_lines(answer),
+            view_lines(answer),
+            coefficient_lines(answer) + corner_lines(answer),
+        ],
         [out],
-        f"fixel camera place {quoted(out)} PICTURE --board {board}, a picture of the board flat "
-        "on the plate",
+        f"fixel camera place {quoted(out)} PICTURE --rig RIG, a picture of the plate with its "
+        f"tags; or --board {board}, with the board flat on it",
         as_json,
     )
 
@@ -179,7 +190,7 @@ def place(
     ] = 0.0,
     rig: Annotated[
         str | None,
-        typer.Option(help="Rig whose tags are on the plate, in place of a board.", metavar="RIG"),
+        typer.Option(help="Rig whose tags are on the plate; used before a board.", metavar="RIG"),
     ] = None,
     out: Annotated[
         Path | None,
@@ -206,7 +217,12 @@ def place(
     )
     show(
         answer.summary(),
-        [place_lines(answer), misfit_lines(answer), verdict_lines(answer)],
+        [
+            place_lines(answer),
+            misfit_lines(answer),
+            verdict_lines(answer),
+            remark_lines(answer),
+        ],
         [target, plot],
         f"name {target.name} as the camera of a rig file, then fixel camera check RIG --video FILE",
         as_json,

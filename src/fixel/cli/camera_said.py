@@ -69,12 +69,34 @@ def view_lines(answer: "CameraAnswer") -> list[str]:
         (u.name, str(u.corners), f"{u.rms:.3f}", f"{u.tilt * 57.29578:.0f}") for u in found.used
     ]
     head = ("picture", "corners", "rms [px]", "tilt [deg]")
-    left_out = [f"  {d.name}: {d.reason}" for d in found.dropped]
+    used = {u.name for u in found.used}
+    left_out = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name not in used]
+    partly = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name in used]
     return [
         *table(head, rows[:MOST_ROWS]),
         *([f"... and {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []),
         f"{len(rows)} pictures used, rms {found.rms:.3f} px",
         *([f"left out ({len(left_out)}):", *left_out[:MOST_ROWS]] if left_out else []),
+        *([f"used in part ({len(partly)}):", *partly[:MOST_ROWS]] if partly else []),
+    ]
+
+
+def coefficient_lines(answer: "CameraAnswer") -> list[str]:
+    """Whether more or fewer distortion coefficients would do."""
+    found = answer.calibration
+    assert found is not None
+    if not found.unseen:
+        return []
+    known = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    used = sum(name in known for name in answer.camera.names)
+    said = ", ".join(f"{count}: {rms:.4f} px" for count, rms in found.unseen.items())
+    more = (
+        "more than 5 are needed"
+        if used > 5
+        else "more are not needed, and with fewer the corners look surer than they are"
+    )
+    return [
+        f"Pictures left out of the fit, by distortion coefficients: {said}. {used} used; {more}."
     ]
 
 

@@ -68,6 +68,21 @@ def check(
         raise typer.Exit(1)
 
 
+@app.command("diagram")
+def diagram(
+    file: Annotated[Path, typer.Argument(help="Picture: .png, .svg or .pdf.", metavar="FILE")],
+    as_json: AsJson = False,
+) -> None:
+    """Draw the tables and what refers to what, as an entity relationship diagram."""
+    from fixel.workflows import database
+
+    names = database.diagram(file)
+    if as_json:
+        typer.echo(json.dumps({"file": str(file), "tables": names}))
+    else:
+        typer.echo(f"wrote {file}: {len(names)} tables")
+
+
 def _upgraded(versions: "Upgraded", project: Path) -> str:
     if versions.before == versions.after:
         done = f"The database has schema {versions.after} already."

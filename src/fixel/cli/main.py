@@ -49,7 +49,14 @@ from fixel.cli import (
     track,
     uncertainty,
 )
-from fixel.errors import DatasetMissing, FixelError, InvalidInput, NotStored, SolveFailed
+from fixel.errors import (
+    DatasetMissing,
+    FixelError,
+    InvalidInput,
+    NotStored,
+    SolveFailed,
+    machine_failure,
+)
 
 # What Typer raises for wrong options; it has no public name of its own.
 ClickException = cast(type[Exception], typer.BadParameter.mro()[2])
@@ -171,6 +178,11 @@ def run(arguments: Sequence[str] | None = None) -> None:
         _exit(1, error, as_json)
     except ClickException as error:
         _exit(BAD_INPUT, error, as_json)
+    except OSError as error:
+        failure = machine_failure(error)
+        if failure is None:
+            raise
+        _exit(1, failure, as_json)
     except (KeyboardInterrupt, typer.Abort):
         _exit(INTERRUPTED, None, as_json)
     except SystemExit as end:

@@ -242,8 +242,10 @@ def _lines(listing: "Listing") -> list[str]:
 
 
 def _row(summary: "Summary") -> tuple[str, ...]:
+    from fixel.model.trajectory import turned
+
     moved = _distance(summary)
-    turned = degrees(summary.end_theta_rad - summary.start_theta_rad)
+    angle = degrees(turned(summary.start_theta_rad, summary.end_theta_rad, summary.n_frame))
     return (
         str(summary.id),
         summary.key,
@@ -251,7 +253,7 @@ def _row(summary: "Summary") -> tuple[str, ...]:
         str(summary.n_frame),
         f"{summary.duration_s:.2f}",
         f"{1e3 * moved:.1f}",
-        f"{turned:.1f}",
+        f"{angle:.1f}",
         summary.contact_mode,
     )
 

@@ -129,6 +129,8 @@ def record(
     with stop_on_request() as wish, _shown(plan.limit, out, preview, wish) as watch:
         done = record_experiment(plan, stop=wish, watch=watch)
     typer.echo(json.dumps(summary(done), allow_nan=False) if as_json else _written(done))
+    if done.early:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -258,7 +260,7 @@ def _written(done: "Recorded") -> str:
     lines = [
         f"recorded {done.folder}: {done.frames} {frames} in {done.seconds:.3f} s, "
         f"{done.rate:.2f} frames/s, {done.lost} lost, {done.bytes / 1e6:.1f} MB",
-        f"ended: {done.reason}",
+        f"ended{' early' if done.early else ''}: {done.reason}",
     ]
     if done.without_reading:
         lines.append(f"without a reading of the fixels: {done.without_reading}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -169,6 +170,14 @@ TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
     "contacts": experiment.c.contact_mode,
     "created": experiment.c.created_at_utc,
 }
+# As `model.trajectory.turned` has it.
+_angle: Final = experiment.c.end_theta_rad - experiment.c.start_theta_rad
+_turned: Final = sa.case(
+    (experiment.c.n_frame > 2, _angle),
+    (_angle >= math.pi, _angle - 2.0 * math.pi),
+    (_angle < -math.pi, _angle + 2.0 * math.pi),
+    else_=_angle,
+)
 NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
     "id": experiment.c.id,
     "frames": experiment.c.n_frame,
@@ -179,7 +188,7 @@ NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
     "end_x_m": experiment.c.end_x_m,
     "end_y_m": experiment.c.end_y_m,
     "end_angle_rad": experiment.c.end_theta_rad,
-    "turned_rad": experiment.c.end_theta_rad - experiment.c.start_theta_rad,
+    "turned_rad": _turned,
     "flags": _n_flag,
     "notes": _n_note,
 }

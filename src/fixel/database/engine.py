@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote
 
 import sqlalchemy as sa
 from sqlalchemy import event, exc
@@ -51,7 +52,7 @@ def open_engine(url: str) -> sa.Engine:
 def _sqlite(url: sa.URL) -> sa.Engine:
     if url.database and url.database != ":memory:":
         refuse_network(Path(url.database))
-    engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
+    engine = sa.create_engine(_on_read_only_media(url), connect_args={"timeout": WAIT_S})
 
     @event.listens_for(engine, "connect")
     def set_up(connection: Any, _: object) -> None:
@@ -67,6 +68,40 @@ def _sqlite(url: sa.URL) -> sa.Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
 
     return engine
+
+
+def _on_read_only_media(url: sa.URL) -> sa.URL:
+    """Let SQLite read a file that nobody can change without the file it shares with writers.
+
+    Databases with a write-ahead log need a `-shm` file beside them, which cannot be made there.
+
+    Raises
+    ------
+    StoreRefused
+        The last changes are in a log that only a writer can bring in.
+    """
+    file = Path(url.database or "")
+    if not url.database or url.database == ":memory:" or not _is_on_read_only_media(file):
+        return url
+    log, shared = (file.with_name(f"{file.name}-{kind}") for kind in ("wal", "shm"))
+    if log.is_file() and log.stat().st_size > 0:
+        if shared.is_file():
+            return url
+        raise StoreRefused(
+            f"{file} lies on a read-only disk, and its newest changes are in {log.name} alone",
+            hint="copy the project to a disk that can be written to",
+        )
+    return sa.URL.create(
+        url.drivername,
+        database=f"file:{quote(str(file.resolve()))}",
+        query={"immutable": "1", "mode": "ro", "uri": "true"},
+    )
+
+
+def _is_on_read_only_media(file: Path) -> bool:
+    if not hasattr(os, "statvfs") or not file.is_file():
+        return False
+    return bool(os.statvfs(file).f_flag & os.ST_RDONLY)
 
 
 def set_journal(engine: sa.Engine) -> None:
@@ -135,8 +170,8 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
             "check that its folder exists and may be written to",
         ),
         "disk i/o": (
-            f"the disk of {place} fails: {said}",
-            "look at the disk; then: fixel db check",
+            f"the disk of {place} fails or is full: {said}",
+            "make room, or look at the disk; then: fixel db check",
         ),
         "not a database": (
             f"{place} is no SQLite database",

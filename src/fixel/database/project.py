@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import os
 import shlex
+import sqlite3
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -18,13 +20,15 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, StoreRefused, machine_failure
 from fixel.exchange.atomic import written_whole
 from fixel.exchange.document import read_document
 
 SETTINGS: Final = "fixel.yaml"
 DATABASE: Final = "experiments.db"
+DATABASE_FILES: Final = (DATABASE, f"{DATABASE}-wal", f"{DATABASE}-shm", f"{DATABASE}-journal")
 MEDIA: Final = "media"
+MAX_NAME: Final = 200  # characters
 VARIABLE: Final = "FIXEL_DATABASE"  # environment: names a database in place of the settings
 
 
@@ -33,7 +37,7 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = Field(min_length=1, max_length=200)
+    name: str = Field(min_length=1, max_length=MAX_NAME)
     database: str | None = None  # URL of a server; none for the file in the folder
 
 
@@ -64,21 +68,26 @@ class Project:
         """
         if (folder / SETTINGS).exists():
             raise InvalidInput(str(folder), found="a project", expected="a new folder")
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        was_there = folder.exists()
+        if was_there and not (folder.is_dir() and _is_empty(folder)):
             raise InvalidInput(
                 str(folder), found="something else", expected="a new or an empty folder"
             )
-        settings = Settings(name=folder.resolve().name or "project", database=database)
+        name = folder.resolve().name[:MAX_NAME] or "project"
+        settings = Settings(name=name, database=database)
         project = cls(folder, settings)
         try:
-            (folder / MEDIA).mkdir(parents=True)
-        except OSError as problem:
-            raise StoreRefused(f"{folder}: {(problem.strerror or str(problem)).lower()}") from None
-        with Store(project.url, project.media) as store:
-            store.upgrade()
-        # Last, since this is what makes it a project.
-        with written_whole(folder / SETTINGS) as path:
-            path.write_text(_settings_text(settings), encoding="utf-8")
+            (folder / MEDIA).mkdir(parents=True, exist_ok=True)
+            with Store(project.url, project.media) as store:
+                store.upgrade()
+            # Last, since this is what makes it a project.
+            with written_whole(folder / SETTINGS) as path:
+                path.write_text(_settings_text(settings), encoding="utf-8")
+        except BaseException as problem:
+            _clear(folder, keep=was_there)
+            if isinstance(problem, OSError) and (failure := machine_failure(problem)) is not None:
+                raise failure from None
+            raise
         return project
 
     @classmethod
@@ -123,6 +132,34 @@ class Project:
             store.close()
             raise
         return store
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether a folder holds nothing, or no more than a `create` that was killed has left."""
+    left = {path.name for path in folder.iterdir()}
+    if not left <= {MEDIA, *DATABASE_FILES} or any((folder / MEDIA).glob("*")):
+        return False
+    file = folder / DATABASE
+    if not file.is_file() or file.stat().st_size == 0:
+        return True
+    try:
+        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as raw:
+            tables = raw.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+            rows = ["alembic_version"] if tables else []
+            rows += [t for (t,) in tables if raw.execute(f'SELECT 1 FROM "{t}" LIMIT 1').fetchone()]
+    except sqlite3.Error:
+        return False
+    return set(rows) <= {"alembic_version"}
+
+
+def _clear(folder: Path, *, keep: bool) -> None:
+    """Remove what a `create` that failed has made, so that it can be repeated."""
+    with suppress(OSError):
+        for name in DATABASE_FILES:
+            (folder / name).unlink(missing_ok=True)
+        (folder / MEDIA).rmdir()
+        if not keep:
+            folder.rmdir()
 
 
 def _settings_text(settings: Settings) -> str:

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import sqlalchemy as sa
@@ -142,8 +142,6 @@ def filtered_of(run: FilterRun) -> list[Measured]:
 
 def experiment_row(experiment: Experiment) -> dict[str, Any]:
     """Columns of an experiment but for its geometries and what it replaces."""
-    trajectory = experiment.trajectory
-    start, end = trajectory.pose[0].tolist(), trajectory.pose[-1].tolist()
     effective = experiment.effective or (None, None)
     scene = None if experiment.scene is None else scene_content(experiment.scene)
     row = {
@@ -156,14 +154,7 @@ def experiment_row(experiment: Experiment) -> dict[str, Any]:
         "object_height_m": experiment.height,
         "pusher_height_m": experiment.pusher_height,
         "fixel_height_m": experiment.fixel_height,
-        "n_frame": len(trajectory.time),
-        "duration_s": experiment.duration,
-        "start_x_m": start[0],
-        "start_y_m": start[1],
-        "start_theta_rad": start[2],
-        "end_x_m": end[0],
-        "end_y_m": end[1],
-        "end_theta_rad": end[2],
+        **path_columns(experiment.trajectory),
         "effective_start_s": effective[0],
         "effective_end_s": effective[1],
         "contact_mode": experiment.contact_mode,
@@ -172,23 +163,63 @@ def experiment_row(experiment: Experiment) -> dict[str, Any]:
         "n_import_flag": len(experiment.flags),
     }
     flags = [[flag.name, flag.detail, flag.fault] for flag in experiment.flags]
-    measured = series_of(experiment)
-    names = [[name, list(columns)] for name, columns, _ in measured]
-    row["content_sha256"] = digest([row, flags, names], *(values for _, _, values in measured))
+    row["content_sha256"] = content_digest(row, flags, series_of(experiment))
     return row | provenance_row(experiment.provenance)
+
+
+def path_columns(trajectory: Trajectory) -> dict[str, Any]:
+    """Columns of an experiment that its path determines."""
+    start, end = trajectory.pose[0].tolist(), trajectory.pose[-1].tolist()
+    return {
+        "n_frame": len(trajectory.time),
+        "duration_s": float(trajectory.time[-1] - trajectory.time[0]),
+        "start_x_m": start[0],
+        "start_y_m": start[1],
+        "start_theta_rad": start[2],
+        "end_x_m": end[0],
+        "end_y_m": end[1],
+        "end_theta_rad": end[2],
+    }
+
+
+# Columns that the checksum of an experiment covers.
+_CONTENT: Final = (
+    *("dataset", "name", "is_real", "simulated_by", "object_name", "scene", "object_height_m"),
+    *("pusher_height_m", "fixel_height_m", "n_frame", "duration_s", "start_x_m", "start_y_m"),
+    *("start_theta_rad", "end_x_m", "end_y_m", "end_theta_rad", "effective_start_s"),
+    *("effective_end_s", "contact_mode", "conditions", "video_sha256", "n_import_flag"),
+)
+
+
+def content_digest(
+    row: Mapping[str, Any], flags: Sequence[Sequence[Any]], measured: Sequence[Measured]
+) -> str:
+    """Checksum of an experiment: of its columns, the flags it came with and its series."""
+    content = {name: row[name] for name in _CONTENT}
+    names = [[name, list(columns)] for name, columns, _ in measured]
+    return digest([content, flags, names], *(values for _, _, values in measured))
 
 
 def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Columns of the object's and the pusher's geometry, where they are known."""
-    if experiment.scene is None:
+    content = None if experiment.scene is None else scene_content(experiment.scene)
+    return geometries_of(
+        content, experiment.object_name, experiment.height, experiment.pusher_height
+    )
+
+
+def geometries_of(
+    content: Any, object_name: str, height: float | None, pusher_height: float | None
+) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+    """The same, of the content of a scene."""
+    if content is None:
         return None, None
-    content = scene_content(experiment.scene)
-    body = next(b for b in content["bodies"] if b["name"] == experiment.object_name)
+    body = next(b for b in content["bodies"] if b["name"] == object_name)
     com = body.get("centre_of_mass") or [None, None]
     object_row = _geometry(
         is_object=True,
         shape=body["shape"],
-        height_m=experiment.height,
+        height_m=height,
         mass_kg=body.get("mass"),
         inertia_kg_m2=body.get("inertia"),
         centre_of_mass_x_m=com[0],
@@ -197,9 +228,7 @@ def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[s
     pushers = content.get("pushers") or []
     if not pushers:
         return object_row, None
-    pusher = _geometry(
-        is_object=False, shape=pushers[0]["shape"], height_m=experiment.pusher_height
-    )
+    pusher = _geometry(is_object=False, shape=pushers[0]["shape"], height_m=pusher_height)
     return object_row, pusher
 
 

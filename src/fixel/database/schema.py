@@ -38,7 +38,13 @@ def versions() -> tuple[str, ...]:
 
 def version_of(connection: sa.Connection) -> str | None:
     """Version of a database; none for an empty one."""
-    return MigrationContext.configure(connection).get_current_revision()
+    heads = MigrationContext.configure(connection).get_current_heads()
+    if len(heads) > 1:
+        raise StoreRefused(
+            f"the database says that it has schema {' and '.join(sorted(heads))} at once",
+            hint="put a backup in its place: one made with: fixel db backup",
+        )
+    return heads[0] if heads else None
 
 
 def upgrade(connection: sa.Connection, version: str = "head") -> None:

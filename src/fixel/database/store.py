@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, TypeVar, final
 
 import numpy as np
 import sqlalchemy as sa
@@ -16,7 +17,7 @@ from fixel.database.browsing import Conditions, Leaf, View
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
-from fixel.errors import InvalidInput, NotStored
+from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
@@ -27,6 +28,29 @@ from fixel.model.records import (
 )
 
 MOST_NAMES: Final = 20_000  # experiments that a mistyped name is compared with
+T = TypeVar("T")
+
+
+def _damage_named(
+    what: str,
+) -> Callable[[Callable[[Store, int], T]], Callable[[Store, int], T]]:
+    """Refuse, in a sentence, records that no program of ours has written like that."""
+
+    def of(read: Callable[[Store, int], T]) -> Callable[[Store, int], T]:
+        @functools.wraps(read)
+        def read_or_refuse(store: Store, number: int) -> T:
+            try:
+                return read(store, number)
+            except (ValueError, TypeError, KeyError, AttributeError, StopIteration) as problem:
+                said = " ".join(str(problem).split())[:200] or type(problem).__name__
+                raise StoreRefused(
+                    f"{what} {number} is damaged: {said}",
+                    hint="see what else is wrong with: fixel db check",
+                ) from problem
+
+        return read_or_refuse
+
+    return of
 
 
 class Added(NamedTuple):
@@ -169,6 +193,7 @@ class Store:
             )
         return number
 
+    @_damage_named("experiment")
     def experiment(self, number: int) -> Experiment:
         """The experiment of an id."""
         table = tables.experiment
@@ -456,6 +481,7 @@ class Store:
             self._add_series(connection, "simulation", number, series)
         return number
 
+    @_damage_named("simulation")
     def simulation(self, number: int) -> SimulationRecord:
         """The simulation of an id."""
         with reading(self._engine) as connection:
@@ -525,6 +551,7 @@ class Store:
                 self._add_series(connection, "calibration", number, rows.trials_of(tried))
         return number
 
+    @_damage_named("calibration")
     def calibration(self, number: int) -> CalibrationRecord:
         """The calibration of an id."""
         member = tables.calibration_member
@@ -637,6 +664,7 @@ class Store:
             self._add_series(connection, "filter_run", number, rows.filtered_of(record))
         return number
 
+    @_damage_named("filter run")
     def filter_run(self, number: int) -> FilterRun:
         """The filter run of an id."""
         with reading(self._engine) as connection:

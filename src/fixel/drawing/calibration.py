@@ -64,8 +64,8 @@ class ErrorsChart(AbstractChart):
     @property
     def order(self) -> list[int]:
         """Experiments from the worst to the best."""
-        last = np.nan_to_num(list(self.series.values())[-1], nan=np.inf)
-        return [int(k) for k in np.argsort(-last, kind="stable")]
+        last = list(self.series.values())[-1]
+        return [int(k) for k in np.argsort(-np.where(np.isnan(last), np.inf, last), kind="stable")]
 
     def figure(self) -> Figure:
         n = len(self.keys)

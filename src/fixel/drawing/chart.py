@@ -117,12 +117,19 @@ def clean(axes: Axes) -> None:
     axes.tick_params(pad=1.5)
 
 
+# Least and largest number on a logarithmic axis.
+LEAST: Final = 1e-100
+MOST: Final = 1e100
+
+
 def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
     """A logarithmic axis about positive values, with numbers on it even within one decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     good = values[np.isfinite(values) & (values > 0.0)]
     low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 10.0)
+    # Beyond so many decades there is nothing to see, and limits overflow.
+    low, high = min(max(low, LEAST), MOST), min(max(high, LEAST), MOST)
     wide = high / low
     margin = max(wide**0.06, 1.15)
     getattr(axes, f"set_{which}scale")("log")

@@ -27,6 +27,51 @@ NAMES: Final = {
 
 @final
 @dataclass(frozen=True)
+class NewSidesChart(AbstractChart):
+    """Coverage by group of bounds on left-out sides and speeds.
+
+    Parameters
+    ----------
+    groups : sequence of mapping
+        `error`, `left_out`, `group`, `blind_coverage` and `bound_coverage` of each, the last two
+        missing where no push has a bound.
+    level : float
+    """
+
+    groups: Sequence[Mapping[str, Any]]
+    level: float
+
+    def figure(self) -> Figure:
+        kinds = list(dict.fromkeys((row["left_out"], row["error"]) for row in self.groups))
+        figure = sheet(WIDE, 2.9 * max((len(kinds) + 1) // 2, 1))
+        panels = figure.subplots(max((len(kinds) + 1) // 2, 1), 2, squeeze=False).ravel()
+        for axes, kind in zip(panels.tolist(), kinds, strict=False):
+            rows = [row for row in self.groups if (row["left_out"], row["error"]) == kind]
+            place = np.arange(len(rows))[::-1]
+            axes.axvline(self.level, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)))
+            for name, colour, fill, label in (
+                ("bound_coverage", palette.TOUCHED, palette.TOUCHED, "for a new contact"),
+                ("blind_coverage", palette.FIXEL, "none", "blind to the contact"),
+            ):
+                share = [row.get(name, np.nan) for row in rows]
+                axes.plot(share, place, "o", color=colour, markersize=3.5, markerfacecolor=fill,
+                          label=label)  # fmt: skip
+            axes.set_yticks(place, [row["group"] for row in rows])
+            axes.set_xlabel(f"{kind[1]}, new {kind[0]}: share within the bound")
+            clean(axes)
+            axes.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.4, 1.0),
+                        handletextpad=0.2, columnspacing=1.0)  # fmt: skip
+        for axes in panels[len(kinds) :].tolist():
+            axes.set_axis_off()
+        return figure
+
+    def table(self) -> Table:
+        names = ("left_out", "error", "group", "counted", "blind_coverage", "bound_coverage")
+        return Table(names, [tuple(row.get(name) for name in names) for row in self.groups])
+
+
+@final
+@dataclass(frozen=True)
 class PromiseChart(AbstractChart):
     """Coverage by group, bounds against errors, their distribution, and reliability.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -199,8 +200,7 @@ def _refuse_depth(value: Any, where: str) -> None:
 def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
     seen = dict(pairs)
     if len(seen) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise InvalidInput(where, found=f"the key {twice!r} twice", expected="each key once")
     return seen
 

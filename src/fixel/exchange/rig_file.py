@@ -19,7 +19,6 @@ from fixel.exchange.camera_file import camera_dict, camera_from_dict, load_camer
 from fixel.exchange.complaints import explained, within
 from fixel.exchange.document import read_document, yaml_text
 from fixel.exchange.scene_schema import NonNegative, Point, Positive, Record, Triple
-from fixel.vision.camera import Camera
 from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
 from fixel.vision.measured_camera import MeasuredCamera
 
@@ -91,6 +90,13 @@ def rig_of(name_or_path: str | Path) -> Rig:
     return load_rig(path)
 
 
+def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
+    """Tags on the plate of a rig, whose camera may not be placed yet; see `rig_of`."""
+    if str(name_or_path) in EXAMPLES:
+        return rig_of(name_or_path).plate
+    return _plate(_record(read_document(Path(name_or_path))))
+
+
 def load_rig(path: str | Path) -> Rig:
     """Read a rig file: YAML, or JSON if the name ends in `.json`.
 
@@ -105,16 +111,15 @@ def load_rig(path: str | Path) -> Rig:
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """The rig whose content is already at hand; a camera file is looked for in `folder`."""
-    try:
-        record = RigRecord.model_validate(raw)
-    except ValidationError as problems:
-        raise explained(problems, RigRecord, "rig") from None
+    record = _record(raw)
+    measured = _camera(record.camera, folder)
     return Rig(
         name=record.name,
-        camera=_camera(record.camera, folder),
+        camera=measured.placed(),
+        measured=measured if measured.names else None,
         parts={name: _part(part, f"parts.{name}") for name, part in record.parts.items()},
         fixel_height=record.fixel_height_mm / 1e3,
-        plate=tuple(_tag(tag, f"plate[{k}]") for k, tag in enumerate(record.plate)),
+        plate=_plate(record),
         tactile=tuple(record.tactile_bits),
         position_tolerance=record.placement.position_mm / 1e3,
         angle_tolerance=math.radians(record.placement.angle_deg),
@@ -123,7 +128,8 @@ def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
 
 def rig_dict(rig: Rig) -> dict[str, Any]:
     """The content of a rig file as dicts and lists, camera and all."""
-    camera = camera_dict(MeasuredCamera(lens=rig.camera.lens, camera=rig.camera))
+    measured = rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera)
+    camera = camera_dict(measured)
     return {
         "fixel_rig": 1,
         "name": rig.name,
@@ -145,15 +151,29 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         unfinished.write_text(yaml_text(rig_dict(rig)), encoding="utf-8")
 
 
-def _camera(raw: Any, folder: Path | None) -> Camera:
+def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
     if not isinstance(raw, str | dict):
         raise InvalidInput(
             "camera", found=raw, expected="a lens and a place, or the name of a camera file"
         )
     with within("camera", "camera."):
         if isinstance(raw, dict):
-            return camera_from_dict(raw).placed()
-        return load_camera((folder or Path()) / raw).placed()
+            found = camera_from_dict(raw)
+        else:
+            found = load_camera((folder or Path()) / raw)
+        found.placed()
+        return found
+
+
+def _record(raw: Any) -> RigRecord:
+    try:
+        return RigRecord.model_validate(raw)
+    except ValidationError as problems:
+        raise explained(problems, RigRecord, "rig") from None
+
+
+def _plate(record: RigRecord) -> tuple[Tag, ...]:
+    return tuple(_tag(tag, f"plate[{k}]") for k, tag in enumerate(record.plate))
 
 
 def _part(record: PartRecord, path: str) -> MarkedPart:

@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
 
+MAX_KEYS = 1000  # of one mapping; scenes have about ten
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -182,12 +184,22 @@ def scene_record(raw: Any) -> SceneRecord:
     InvalidInput
         The first thing that is wrong, with the path of its key.
     """
+    _refuse_many_keys(raw)
     try:
         return SceneRecord.model_validate(raw)
     except ValidationError as problems:
         if left := list(_placeholders(raw)):
             raise _unfilled(left) from None
         raise _explained(problems, raw) from None
+
+
+def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
+    """Refuse mappings that no scene has before each of their keys becomes a complaint."""
+    if isinstance(raw, dict) and len(raw) > MAX_KEYS:
+        raise InvalidInput(where, found=f"{len(raw)} keys", expected=f"at most {MAX_KEYS}")
+    for value in raw.values() if isinstance(raw, dict) else raw if isinstance(raw, list) else ():
+        if isinstance(value, dict | list):
+            _refuse_many_keys(value, where)
 
 
 def record_at(path: Path) -> type[Record] | None:

@@ -1,25 +1,35 @@
 """Functions by name: what a job folder may make a worker call.
 
-A folder may come from elsewhere, so a name in it reaches only public functions of fixel itself.
+A folder may come from elsewhere, so a name in it reaches only functions of fixel that are marked
+with `callable_by_jobs`.
 """
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from fixel.errors import InvalidInput
 
 ChunkFunction = Callable[[Path, bytes], bytes]
+F = TypeVar("F", bound=Callable[..., Any])
 
 PREFIX: Final = "fixel."
 THREADS: Final = "FIXEL_THREADS"  # environment of a worker: cores that are its own
 _NAME: Final = re.compile(r"([a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)+):([a-z][a-z0-9_]*)")
+
+
+_ALLOWED: set[tuple[str, str]] = set()  # module and name
+
+
+def callable_by_jobs(function: F) -> F:
+    """Mark a function that files of a job may name: a maker of work, or one that answers chunks."""
+    _ALLOWED.add((function.__module__, function.__name__))
+    return function
 
 
 def chunk_function(name: str) -> ChunkFunction:
@@ -29,12 +39,12 @@ def chunk_function(name: str) -> ChunkFunction:
 
 
 def named_function(name: str) -> Any:
-    """A public function of fixel.
+    """Return a function of fixel that jobs may call.
 
     Raises
     ------
     InvalidInput
-        The name is none of fixel's, or there is no such function.
+        The name is none of fixel's, there is no such function, or it is not meant for jobs.
     """
     match = _NAME.fullmatch(name)
     if match is None or not name.startswith(PREFIX):
@@ -46,9 +56,11 @@ def named_function(name: str) -> Any:
         function = getattr(import_module(module), attribute, None)
     except ModuleNotFoundError as problem:
         raise InvalidInput("function of a job", found=f"{name}: {problem}") from None
-    if not inspect.isfunction(function) or function.__module__ != module:
+    if (module, attribute) not in _ALLOWED:
         raise InvalidInput(
-            "function of a job", found=name, expected="a function defined in that module"
+            "function of a job",
+            found=name,
+            expected="a function that is marked with fixel.jobs.functions.callable_by_jobs",
         )
     return function
 

@@ -91,11 +91,24 @@ class Evaluations(Comparable):
 @final
 @dataclass(frozen=True, slots=True)
 class Member:
-    """An experiment a calibration used, and how well its result does there."""
+    """An experiment that a calibration used.
+
+    Parameters
+    ----------
+    experiment_id : int
+    weight : float
+    error_mm2 : float
+        Mean squared error with the calibration's result [mm^2], whatever error it minimised.
+    """
 
     experiment_id: int
     weight: float
     error_mm2: float
+
+    @classmethod
+    def of(cls, experiment_id: int, weight: float, error: float, unit: str) -> Member:
+        """Make a member from an error in mm^2 or, its root, in mm."""
+        return cls(experiment_id, weight, error * error if unit == "mm" else error)
 
 
 @final
@@ -112,7 +125,8 @@ class Estimate:
     low, high : float, optional
         Ends of its interval; none where the data set no end.
     verdict : str
-        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`, or
+        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`,
+        `"at least"` or `"at most"` (the end of the interval that is there), or
         `"frozen"`; empty where nobody asked.
     reason : str
         A sentence why.
@@ -165,6 +179,17 @@ class CalibrationRecord(Comparable):
             estimates=tuple(self.estimates),
             method=MappingProxyType(dict(sorted(self.method.items()))),
         )
+
+    @property
+    def error_unit(self) -> str:
+        """Unit of the error that was minimised: `"mm^2"` or `"mm"`."""
+        return str(self.method.get("error_unit", "mm^2"))
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Errors of the members in the unit that was minimised."""
+        squares = [member.error_mm2 for member in self.members]
+        return tuple(map(math.sqrt, squares) if self.error_unit == "mm" else squares)
 
     @property
     def sum_error_mm2(self) -> float:

@@ -84,6 +84,22 @@ def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return np.hypot(difference[..., 0], difference[..., 1]), wrapped(difference[..., 2])
 
 
+def turned(start: float, end: float, frames: int) -> float:
+    """Return the angle by which a body turned from the first to the last frame [rad].
+
+    Between two frames alone the short way is taken. Longer trajectories are stored with angles that
+    go on beyond half a turn.
+
+    Parameters
+    ----------
+    start, end : float
+        Angles of the first and the last frame [rad].
+    frames : int
+        Number of frames of the trajectory.
+    """
+    return end - start if frames > 2 else float(wrapped(end - start))
+
+
 def wrapped(angle: ArrayLike) -> FloatArray:
     """Angles brought into [-pi, pi) [rad]; those already there are left bitwise alone."""
     given = np.asarray(angle, dtype=np.float64)

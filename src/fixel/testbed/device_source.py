@@ -14,6 +14,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.exchange.jpeg import END
+from fixel.testbed.capture_clock import CaptureClock
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
@@ -55,6 +56,7 @@ class DeviceSource(FrameSource):
         self._first: Arrived | None = None
         self._stop = Event()
         self._reading = False
+        self._clock = CaptureClock()
 
     def open(self) -> Stream:
         """Ask for JPEG at the size and rate wanted; take what the camera then gives."""
@@ -126,6 +128,9 @@ class DeviceSource(FrameSource):
             given, raw = self._camera.retrieve()
             arrived = _arrived(now, raw) if given and raw is not None else None
             if arrived is not None:
+                # Video4Linux: the stamp of the buffer; elsewhere the time of the stream.
+                stamp = 1e-3 * float(self._camera.get(opencv().CAP_PROP_POS_MSEC))
+                arrived.captured = self._clock.place(stamp, now)
                 return arrived
             self.torn += 1
         return None

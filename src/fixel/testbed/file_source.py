@@ -63,6 +63,7 @@ class FileSource(FrameSource):
                 if not self._wait(due):
                     break
                 arrived.time = due if self._fast else time.monotonic()
+                arrived.captured = due
                 yield arrived
                 step, last = at - last, at
             if not self._loop:
@@ -79,6 +80,7 @@ class FileSource(FrameSource):
         wrong = tuple(self._video.remarks) if self._video else ()
         if self._recording is not None and not self._recording.complete:
             wrong = self._recording.problems
+        self.complete = not wrong
         return "; ".join(("the file is at its end", *wrong))
 
     def _wait(self, due: float) -> bool:

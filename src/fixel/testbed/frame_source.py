@@ -46,16 +46,24 @@ class Arrived:
     Parameters
     ----------
     time : float
-        When, on `time.monotonic` [s].
+        Of its arrival, on `time.monotonic` [s].
     jpeg : bytes, optional
         As it came.
     pixels : (height, width, 3) uint8, optional
         Where it came as pixels: blue, green, red.
+    captured : float, optional
+        When it was taken, on the same clock, where the camera says so [s].
     """
 
     time: float
     jpeg: bytes | None = None
     pixels: Picture | None = None
+    captured: float | None = None
+
+    @property
+    def taken(self) -> float:
+        """Time of capture, or of arrival where the camera does not say it [s]."""
+        return self.time if self.captured is None else self.captured
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -94,12 +102,15 @@ class FrameSource(abc.ABC):
         For people, and for the record: without passwords.
     ended : str
         Why the pictures ended, once they have.
+    complete : bool
+        Whether they ended where they should: a file at its end.
     torn : int
         How many came that were no whole pictures, and were left out.
     """
 
     name: str
     ended: str = ""
+    complete: bool = False
     torn: int = 0
 
     @abc.abstractmethod

@@ -17,6 +17,7 @@ from fixel.testbed.frame_source import Stream
 
 HERE_ONLY: Final = "127.0.0.1"
 BOUNDARY: Final = "fixel-frame"
+STAMP: Final = "X-Timestamp"  # of a part: when its picture was taken [s], as mjpg-streamer sends it
 SIMULATED: Final = "X-Fixel-Simulated-By"  # so that a film of no camera stays one for ever
 
 
@@ -119,7 +120,7 @@ class LoopbackCamera:
                 jpeg = arrived.jpeg or jpeg_of(arrived.picture())
                 head = (
                     f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n"
-                    f"Content-Length: {len(jpeg)}\r\n\r\n"
+                    f"Content-Length: {len(jpeg)}\r\n{STAMP}: {arrived.taken:.6f}\r\n\r\n"
                 )
                 handler.wfile.write(head.encode() + jpeg + b"\r\n")
         finally:

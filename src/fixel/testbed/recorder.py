@@ -92,6 +92,8 @@ class Recorded:
         Of the video.
     reason : str
         Why it ended.
+    early : bool
+        Whether it ended before what was asked for: no key, no limit, no seated part.
     without_reading : int
         Frames for which the fixels gave no answer; 0 where nobody asked them.
     problems : tuple of str
@@ -105,6 +107,7 @@ class Recorded:
     reason: str
     without_reading: int
     problems: tuple[str, ...]
+    early: bool = False
 
     @property
     def rate(self) -> float:
@@ -162,6 +165,7 @@ class Recorder:
     _bits: int | None = field(default=None, init=False)
     _free: int = field(default=0, init=False)
     _came: float = field(default=0.0, init=False)
+    _wanted: bool = field(default=False, init=False)
     _pace: Pace = field(default_factory=Pace, init=False)
 
     def run(self) -> Recorded:
@@ -182,9 +186,10 @@ class Recorder:
                 codec=self.codec,
                 rig=self.rig,
                 source=self.source.name,
-                started=_utc(first.time),
+                started=_utc(first.taken),
                 rate=self.stream.rate,
                 simulated_by=self.stream.simulated_by,
+                about={"times": "arrival" if first.captured is None else "capture"},
             )
             writer = RecordingWriter(self.folder, header)
             try:
@@ -212,7 +217,7 @@ class Recorder:
 
     def _record(self, queue: FrameQueue, writer: RecordingWriter, first: Arrived) -> str:
         """Write pictures until there is a reason not to."""
-        zero, looked, watched = first.time, -LOOKS_AT_DISK, -WATCH
+        zero, looked, watched = first.taken, -LOOKS_AT_DISK, -WATCH
         arrived: Arrived | None = first
         while not (self.stop is not None and (why := self.stop())):
             if arrived is None:
@@ -221,7 +226,7 @@ class Recorder:
                     return why
                 continue
             self._came = now = time.monotonic()
-            at = max(arrived.time - zero, writer.seconds + BREATH if writer.frames else 0.0)
+            at = max(arrived.taken - zero, writer.seconds + BREATH if writer.frames else 0.0)
             if why := self._unfit(arrived, at):
                 return why
             try:
@@ -239,6 +244,7 @@ class Recorder:
             if why := self._over(arrived, at):
                 return why
             arrived = queue.get(POLL)
+        self._wanted = True
         return why
 
     def _silent(self, queue: FrameQueue) -> str:
@@ -252,6 +258,7 @@ class Recorder:
     def _unfit(self, arrived: Arrived, at: float) -> str:
         """Why a picture is not written, and none after it."""
         if self.limit is not None and at >= self.limit - BREATH:
+            self._wanted = True
             return f"the limit of {self.limit:g} s"
         if arrived.size is not None and arrived.size != self.stream.size:
             return "the camera changed to {} x {} pixels".format(*arrived.size)
@@ -268,7 +275,7 @@ class Recorder:
             when = max(reading.time - zero, 0.0) if self.stream.live else at
             if reading.bits is None:
                 when = None
-            elif when > at + BEHIND:
+            elif when > max(at, arrived.time - zero) + BEHIND:
                 self._problems[f"a reading more than {BEHIND:g} s after its frame"] += 1
             self._without += reading.bits is None
             if reading.problem:
@@ -295,6 +302,7 @@ class Recorder:
         if not why and self.seating.wants_look(at):
             with suppress(InvalidInput):  # a spoilt picture shows nothing
                 why = self.seating.looked(at, arrived.small())
+        self._wanted = bool(why)
         return why
 
     def _show(self, arrived: Arrived, at: float, frames: int, lost: int) -> None:
@@ -331,6 +339,7 @@ class Recorder:
             reason=reason,
             without_reading=self._without,
             problems=problems,
+            early=not (self._wanted or self.source.complete),
         )
 
 

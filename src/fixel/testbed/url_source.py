@@ -14,8 +14,9 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from fixel.errors import InvalidInput
 from fixel.exchange.jpeg import END
+from fixel.testbed.capture_clock import CaptureClock
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
-from fixel.testbed.loopback import SIMULATED
+from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 LONGEST_LINE: Final = 4096  # [bytes] of a header
@@ -53,6 +54,8 @@ class UrlSource(FrameSource):
         self._boundary = b""
         self._inside = False  # of a part, its boundary read already
         self._first: Arrived | None = None
+        self._stamp: float | None = None  # of the part that is read, by the camera's clock [s]
+        self._clock = CaptureClock()
 
     def open(self) -> Stream:
         """Connect, and read the first picture."""
@@ -145,6 +148,7 @@ class UrlSource(FrameSource):
                 return None
             arrived = Arrived(now, jpeg=data)
             if arrived.size is not None:
+                arrived.captured = self._clock.place(self._stamp, now)
                 return arrived
             self.torn += 1
         self.ended = f"{GARBAGE} parts in a row that are no JPEG picture"
@@ -165,12 +169,14 @@ class UrlSource(FrameSource):
     def _head(self, answer: http.client.HTTPResponse) -> int | None:
         """The length of the next part, -1 where it is not said; None at the end of the stream."""
         begun, length, read = self._inside, -1, 0
-        self._inside = False
+        self._inside, self._stamp = False, None
         while line := answer.readline(LONGEST_LINE):
             read += len(line)
             text = line.strip()
             if text == self._boundary or text == b"--" + self._boundary:
-                begun, length = True, -1
+                begun, length, self._stamp = True, -1, None
+            elif begun and text.lower().startswith(STAMP.lower().encode() + b":"):
+                self._stamp = _stamp(text)
             elif begun and text.lower().startswith(b"content-length:"):
                 length = _length(text)
             elif begun and not text:
@@ -214,6 +220,13 @@ def _refusal(found: str, hint: str | None = None) -> InvalidInput:
 def _length(header: bytes) -> int:
     value = header.partition(b":")[2].strip()
     return int(value) if value.isdigit() and int(value) <= LARGEST else -1
+
+
+def _stamp(header: bytes) -> float | None:
+    try:
+        return float(header.partition(b":")[2])
+    except ValueError:
+        return None
 
 
 def _shown(parts: SplitResult) -> str:

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.work import Chunk, Failure, Round, Work
 
 FUNCTION = "fixel.testing.toy_work:evaluate"
@@ -22,6 +23,7 @@ MAKER = "fixel.testing.toy_work:make_toy_work"
 _BLOCK = bytes(1_000_000)
 
 
+@callable_by_jobs
 def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """A small search: each round tries points around the best of the round before.
 
@@ -47,6 +49,7 @@ def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     return struct.pack("<dd", best, best_value)
 
 
+@callable_by_jobs
 def evaluate(inputs: Path, payload: bytes) -> bytes:
     """The function that is minimised, after what the payload asks for besides."""
     given = json.loads(payload)

@@ -20,6 +20,7 @@ from fixel.vision.opencv import opencv
 Gray = NDArray[np.uint8]
 Picture = NDArray[np.uint8]
 
+LEAST_OTHERS: Final = 3  # tags of another dictionary that are no chance
 LEAST_CORNERS: Final = 8  # of one picture; a pose has six unknowns, a corner two numbers
 DICTIONARIES: Final = {"4x4": 50, "5x5": 100, "6x6": 250}  # how many tags of each there are
 UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -126,6 +127,14 @@ class Board:
                     hint="switch off mirroring in the camera's settings",
                 )
         inner = (self.columns - 1) * (self.rows - 1)
+        others = self._other_dictionaries(gray) if self.marker else ""
+        if others:
+            raise InvalidInput(
+                "picture",
+                found=f"a board with tags of {others}",
+                expected=f"tags of {self.dictionary}, as the board was typed",
+                hint=f"add :{others} to the board, as in charuco:7x5:30mm:22mm:{others}",
+            )
         raise InvalidInput(
             "picture",
             found=f"{count} of {inner} corners" if count else "no such board",
@@ -142,6 +151,17 @@ class Board:
             return None
         places = np.asarray(board.getChessboardCorners(), dtype=np.float64)[ids.ravel(), :2]
         return self._sharpened(gray, places, pixels.reshape(-1, 2).astype(np.float64))
+
+    def _other_dictionaries(self, gray: Gray) -> str:
+        """The dictionary of which most tags are in a picture, if it is another; empty if none."""
+        aruco = opencv().aruco
+        counts = {}
+        for name, size in DICTIONARIES.items():
+            tags = aruco.getPredefinedDictionary(getattr(aruco, f"DICT_{name.upper()}_{size}"))
+            ids = aruco.ArucoDetector(tags).detectMarkers(gray)[1]
+            counts[name] = 0 if ids is None else len(ids)
+        most = max(counts, key=lambda name: counts[name])
+        return most if most != self.dictionary and counts[most] > LEAST_OTHERS else ""
 
     def _find_plain(self, gray: Gray) -> Corners | None:
         cv2 = opencv()

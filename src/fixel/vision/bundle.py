@@ -121,6 +121,8 @@ def fit(
     rotations: FloatArray,
     translations: FloatArray,
     sight: Sight,
+    *,
+    steps: int = STEPS,
 ) -> Fit:
     """The least squares fit, by Levenberg and Marquardt's method from a start nearby.
 
@@ -131,10 +133,12 @@ def fit(
     names : sequence of str
         What of the lens is to be found; nothing for places only.
     sight : Sight
+    steps : int
+        Number of steps at most.
     """
     damping, state = 1e-4, (lens, rotations, translations)
     error = _residuals(*state, sight)
-    for _ in range(STEPS):
+    for _ in range(steps):
         slopes = slopes_of(state, names, sight)
         matrix = slopes.T @ slopes
         gradient = slopes.T @ error.ravel()
@@ -189,23 +193,48 @@ def _fitted(
         own_columns = n + 6 * sight.view[:, None] + np.arange(6)
         by_place = np.take_along_axis(each, own_columns[:, None, :], axis=2)
         alone = each[:, :, :n] + by_place @ place_slope[sight.view]
-        pulls = np.zeros((n_view, n))
+        pulls, own_matrix = np.zeros((n_view, n)), np.zeros((n_view, n, n))
         np.add.at(pulls, sight.view, np.einsum("icn,ic->in", alone, error))
-        covariance = noise**2 * _together(pulls, inverse, noise) * inverse
+        np.add.at(own_matrix, sight.view, np.einsum("icn,icm->inm", alone, alone))
+        covariance = noise**2 * _together(pulls, own_matrix, shared, noise) * inverse
     return Fit(*state, error, covariance, place_covariance, place_slope, noise)
 
 
-def _together(pulls: FloatArray, inverse: FloatArray, noise: float) -> float:
-    """How much more views differ than corners that err one by one would make them, at least 1.
+def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: float) -> float:
+    """Factor by which the variance of the lens exceeds that of independent corners, at least 1.
 
-    Corners of one view err together: paper bends, light falls from one side. What each view pulls
-    at the lens shows by how much, as in a covariance that is robust against clusters.
+    Corners of one view err together: paper bends, light falls from one side, and a lens that the
+    model does not describe errs where the board is. Each view is left out in turn, the places of
+    the others following (the jackknife over clusters); the mean square of what that changes is
+    compared with the variance that independent corners would give.
+
+    Parameters
+    ----------
+    pulls : (n_view, n) float64
+        Gradient of each view.
+    own : (n_view, n, n) float64
+        Normal matrix of each view, its place eliminated.
+    whole : (n, n) float64
+        Their sum.
+    noise : float
+        [px].
+
+    Source
+    ------
+    J. G. MacKinnon and H. White, "Some heteroskedasticity-consistent covariance matrix estimators
+    with improved finite sample properties", Journal of Econometrics 29(3), 1985: HC3, by clusters.
     """
     n_view, n = pulls.shape
-    if n_view < 2 or not noise > 0.0:
+    if n_view < 3 or not noise > 0.0:
         return 1.0
-    found = float(np.sum(pulls @ inverse * pulls)) / (n * noise**2)
-    return float(max(1.0, found * n_view / (n_view - 1)))
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    unit = whole / np.outer(scale, scale)
+    total = 0.0
+    for k in range(n_view):
+        rest = unit - own[k] / np.outer(scale, scale)
+        change = np.linalg.pinv(rest, rcond=1e-9, hermitian=True) @ (pulls[k] / scale)
+        total += float(change @ unit @ change)
+    return float(max(1.0, (n_view - 1) / n_view * total / (n * noise**2)))
 
 
 def _residuals(

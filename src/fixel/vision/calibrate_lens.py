@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
-from fixel.vision.bundle import Fit, Sight, fit
+from fixel.vision.bundle import Fit, Sight, fit, lens_with
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
 from fixel.vision.opencv import opencv
@@ -22,6 +23,13 @@ LOOSE_FOCAL: Final = 0.03  # relative standard deviation from which on a calibra
 FAR_OUT: Final = 5.0  # of robust standard deviations, from which on a corner is a wrong one
 WORSE: Final = 3.0  # times the usual, from which on a picture is dropped
 TOLERABLE: Final = 0.3  # [px] a picture as good as this is never dropped
+COEFFICIENTS: Final = 5  # k1, k2, p1, p2, k3
+MOST_COEFFICIENTS: Final = 8
+FEWER: Final = (4,)  # numbers of coefficients that are compared with these
+FEW_COEFFICIENTS: Final = 4
+FOLDS: Final = 3
+NEAR_STEPS: Final = 6  # of fits that begin at that of all pictures
+LEAST_TO_HOLD_OUT: Final = 8  # pictures
 CELLS: Final = 16  # across the picture, of the map of where boards were seen
 
 
@@ -89,12 +97,17 @@ class LensCalibration:
     dropped : tuple of Dropped
     rms : float
         Of all residuals along each axis [px].
+    unseen : dict of int to float
+        Root mean square of residuals in pictures that the lens was found without [px], by number
+        of distortion coefficients; empty with fewer than `LEAST_TO_HOLD_OUT` pictures, and where
+        the number was given.
     """
 
     camera: MeasuredCamera
     used: tuple[UsedView, ...]
     dropped: tuple[Dropped, ...]
     rms: float
+    unseen: Mapping[int, float] = field(default_factory=dict)
 
 
 def find_boards(
@@ -129,7 +142,7 @@ def calibrate_lens(
     views: Sequence[View],
     dropped: Sequence[Dropped] = (),
     *,
-    coefficients: int = 4,
+    coefficients: int | None = None,
     fisheye: bool = False,
 ) -> LensCalibration:
     """The lens that views of a board determine.
@@ -140,8 +153,11 @@ def calibrate_lens(
         At least four, tilted against each other.
     dropped : sequence of Dropped
         Pictures left out before.
-    coefficients : int
-        How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4.
+    coefficients : int, optional
+        How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Left
+        out, 5 are found, or 8 where pictures that were left out say that 5 are too few: fewer would
+        fit as well in the middle, and hide how little is known of the corners of the picture. With
+        `fisheye` or fewer than `LEAST_TO_HOLD_OUT` pictures, 4.
     fisheye : bool
         The model of Kannala and Brandt in place of Brown's.
 
@@ -150,7 +166,8 @@ def calibrate_lens(
     InvalidInput
         Views that do not determine the lens, and what is missing.
     """
-    names = _names(coefficients, fisheye)
+    chosen = FEW_COEFFICIENTS if coefficients is None else coefficients
+    names = _names(chosen, fisheye)
     left, out = list(views), list(dropped)
     while True:
         size = _one_size(left)
@@ -163,6 +180,16 @@ def calibrate_lens(
         out.append(Dropped(left[worst].name, _too_far(found, sight, worst)))
         del left[worst]
     found, sight, wrong = _without_wrong_corners(found, sight, names)
+    unseen: dict[int, float] = {}
+    if coefficients is None and not fisheye and len(left) >= LEAST_TO_HOLD_OUT:
+        unseen, more = _held_out(found, sight)
+        for count in (MOST_COEFFICIENTS, COEFFICIENTS) if more else (COEFFICIENTS,):
+            wider = fit(
+                found.lens, _names(count, False), found.rotations, found.translations, sight
+            )
+            if _sees_corners(wider.lens):
+                names, found = _names(count, False), wider
+                break
     for view, count in zip(left, wrong, strict=True):
         if count:
             out.append(Dropped(view.name, f"{count} of its corners are off by far"))
@@ -176,7 +203,64 @@ def calibrate_lens(
         source=f"{len(left)} pictures of a board",
     )
     used = tuple(_used(found, sight, k, view.name) for k, view in enumerate(left))
-    return LensCalibration(camera, used, tuple(out), float(np.sqrt(np.mean(found.residuals**2))))
+    rms = float(np.sqrt(np.mean(found.residuals**2)))
+    return LensCalibration(camera, used, tuple(out), rms, unseen)
+
+
+def _held_out(found: Fit, sight: Sight) -> tuple[dict[int, float], bool]:
+    """Residuals in pictures left out, by number of coefficients [px], and whether 5 are too few.
+
+    A third of the pictures at a time is left out, the lens found without them, and their places
+    alone fitted. More coefficients are needed where the squares of the pictures fall by more than
+    twice their standard error.
+    """
+    n_view = len(found.rotations)
+    squares = {count: np.zeros(n_view) for count in (*FEWER, COEFFICIENTS, MOST_COEFFICIENTS)}
+    for count, own in squares.items():
+        names = _names(count, False)
+        kept = names[4:]
+        start = lens_with(
+            found.lens,
+            [name for name in BROWN if name not in kept],
+            np.zeros(len(BROWN) - len(kept)),
+        )
+        for part in range(FOLDS):
+            out = np.arange(n_view) % FOLDS == part
+            rest = _views(found, sight, ~out)
+            lens = fit(start, names, *rest, steps=NEAR_STEPS).lens
+            rotations, translations, left = _views(found, sight, out)
+            places = fit(lens, (), rotations, translations, left, steps=NEAR_STEPS)
+            residuals = places.residuals
+            sums = np.bincount(left.view, (residuals**2).mean(axis=1), minlength=int(out.sum()))
+            own[out] = sums / np.bincount(left.view, minlength=int(out.sum()))
+    gain = squares[COEFFICIENTS] - squares[MOST_COEFFICIENTS]
+    error = float(gain.std(ddof=1)) / np.sqrt(n_view)
+    return {count: float(np.sqrt(own.mean())) for count, own in squares.items()}, bool(
+        gain.mean() > 2.0 * error
+    )
+
+
+def _sees_corners(lens: Lens) -> bool:
+    """Whether the model has light for every corner of the picture."""
+    width, height = lens.image_size
+    try:
+        lens.direction([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
+    except InvalidInput:
+        return False
+    return True
+
+
+def _views(
+    found: Fit, sight: Sight, which: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, Sight]:
+    """Places and corners of some views, numbered anew."""
+    corners = sight.only(which[sight.view])
+    number = np.cumsum(which) - 1
+    return (
+        found.rotations[which],
+        found.translations[which],
+        Sight(corners.points, corners.pixels, number[corners.view]),
+    )
 
 
 def _names(coefficients: int, fisheye: bool) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.vision.camera import Camera
+from fixel.vision.measured_camera import MeasuredCamera
 
 # Bit 0 is the blue coil, 1 the red, 2 the green one; the thesis's contact mode counts fixels from
 # the other end: 4 for the first, 2, 1 for the third.
@@ -146,6 +147,8 @@ class Rig(Comparable):
         The fixel behind each bit of the tactile byte, lowest first.
     position_tolerance, angle_tolerance : float
         How well parts must be placed before an experiment starts [m, rad].
+    measured : MeasuredCamera, optional
+        The same camera with the covariance of its errors; none where nothing is known of them.
     """
 
     name: str
@@ -156,10 +159,15 @@ class Rig(Comparable):
     tactile: tuple[str, ...] = THESIS_BITS
     position_tolerance: float = 1e-3
     angle_tolerance: float = math.radians(1.0)
+    measured: MeasuredCamera | None = None
 
     def __post_init__(self) -> None:
         name_of(self.name, "rig.name")
         instance(self.camera, Camera, "rig.camera", "a Camera")
+        if self.measured is not None and self.measured.camera != self.camera:
+            raise InvalidInput(
+                "rig.measured", found="another camera", expected="the errors of rig.camera, or none"
+            )
         settle(
             self,
             parts=dict(self.parts),

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import FloatArray, vector
-from fixel.vision.boards import Board, Picture
+from fixel.vision.boards import Board, Picture, gray_of
 from fixel.vision.bundle import Fit, Sight, fit, slopes_of
 from fixel.vision.camera import Camera
 from fixel.vision.find_tags import find_tags
@@ -22,9 +22,10 @@ from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
 from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.tag_reader import tag_corners
+from fixel.vision.tracking.tag_reader import other_families, tag_corners
 
 LEAST_TAGS: Final = 2
+UNEVEN: Final = 0.2  # of the spread of tags' edges, by which it differs from corner to corner
 WRONG: Final = 3e-3  # [m] from here on a point is not where it is said to be
 WORST_PIXELS: Final = 3.0  # [px] of the root mean square: this is another board, or another lens
 
@@ -88,9 +89,11 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
     found = find_tags(picture, tags)
     if len(found) < LEAST_TAGS:
         seen = ", ".join(str(tags[k].id) for k in found) or "none"
+        others = other_families(gray_of(picture), {tag.family for tag in tags})
         raise InvalidInput(
             "picture",
-            found=f"{seen} of the {len(tags)} tags of the plate",
+            found=f"{seen} of the {len(tags)} tags of the plate"
+            + (f", but {others}" if others else ""),
             expected=f"at least {LEAST_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
             hint="is the plate lit and in full view?",
         )
@@ -99,13 +102,42 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
         [np.column_stack([flat, np.full(4, tag.height)]) for tag, flat, _ in corners]
     )
     names = tuple(f"tag {tag.id}, corner {k}" for tag, _, _ in corners for k in range(1, 5))
-    return place_by_points(measured, points, np.concatenate([p for _, _, p in corners]), names)
+    pixels = np.concatenate([p for _, _, p in corners])
+    first = place_by_points(measured, points, pixels, names).camera.placed()
+    sharp, spread = _without_spread(first, points, pixels)
+    return place_by_points(measured, points, sharp, names, noise=UNEVEN * abs(spread))
+
+
+def _without_spread(
+    camera: Camera, points: FloatArray, pixels: FloatArray
+) -> tuple[FloatArray, float]:
+    """(n, 2) corners of tags without what bright spreads into dark, and that spread [px].
+
+    Blur and the camera's curve of brightness move the edges of all tags inwards, or all outwards,
+    by a fraction of a pixel. Four corners each, so that the places of the tags tell how far.
+    """
+    off = (pixels - camera.project(points)).reshape(-1, 4, 2)
+    squares = pixels.reshape(-1, 4, 2)
+    # Along both sides that meet at a corner: a step outwards of one pixel in each.
+    before, after = squares - np.roll(squares, 1, axis=1), squares - np.roll(squares, -1, axis=1)
+    outwards = before / np.linalg.norm(before, axis=-1, keepdims=True)
+    outwards += after / np.linalg.norm(after, axis=-1, keepdims=True)
+    spread = float((off * outwards).sum() / (outwards**2).sum())
+    return np.asarray((squares - spread * outwards).reshape(-1, 2)), spread
 
 
 def place_by_points(
-    measured: MeasuredCamera, points: FloatArray, pixels: FloatArray, names: Sequence[str]
+    measured: MeasuredCamera,
+    points: FloatArray,
+    pixels: FloatArray,
+    names: Sequence[str],
+    *,
+    noise: float = 0.0,
 ) -> Placement:
-    """The place of a camera from points (n, 3) of the world [m] and their pixels (n, 2)."""
+    """The place of a camera from points (n, 3) of the world [m] and their pixels (n, 2).
+
+    The pixels count as uncertain by `noise` [px] at least, along each axis.
+    """
     lens = measured.lens
     sight = Sight(points, pixels, np.zeros(len(points), dtype=np.intp))
     rotation, translation = _start(lens, points, pixels)
@@ -118,7 +150,7 @@ def place_by_points(
     )
     misfit -= points[:, :2]
     _refuse_misfit(misfit, rms, names)
-    joint_names, covariance = _joint(measured, found, sight)
+    joint_names, covariance = _joint(measured, found, sight, noise)
     placed = replace(
         measured,
         camera=camera,
@@ -142,12 +174,12 @@ def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArr
 
 
 def _joint(
-    measured: MeasuredCamera, found: Fit, sight: Sight
+    measured: MeasuredCamera, found: Fit, sight: Sight, least: float
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Errors of lens and place together: the place was found with the lens as it is said to be."""
     of_lens = [k for k, name in enumerate(measured.names) if name not in PLACE]
     names = tuple(measured.names[k] for k in of_lens)
-    noise = max(measured.noise or 0.0, found.noise, 1e-9)
+    noise = max(measured.noise or 0.0, found.noise, least, 1e-9)
     slopes = slopes_of((found.lens, found.rotations, found.translations), names, sight)
     n = len(names)
     own = noise**2 * (np.linalg.pinv(slopes[:, n:].T @ slopes[:, n:]) + _in_step(slopes[:, n:]))

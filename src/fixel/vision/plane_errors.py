@@ -86,7 +86,9 @@ def place_covariance(measured: MeasuredCamera, pixels: FloatArray, height: float
     """(..., 2, 2) of the places that pixels (..., 2) show, by the camera's errors [m^2]."""
     if not measured.names:
         return np.zeros((*pixels.shape[:-1], 2, 2))
-    slopes = np.stack([_slope(measured, name, pixels, height) for name in measured.names], axis=-1)
+    slopes = np.stack(
+        [slope_of(measured, name, pixels, height) for name in measured.names], axis=-1
+    )
     return np.asarray(slopes @ measured.covariance @ np.swapaxes(slopes, -1, -2))
 
 
@@ -138,7 +140,8 @@ def _factors() -> tuple[FloatArray, FloatArray]:
     return ratios, np.array(radii)
 
 
-def _slope(measured: MeasuredCamera, name: str, pixels: FloatArray, height: float) -> FloatArray:
+def slope_of(measured: MeasuredCamera, name: str, pixels: FloatArray, height: float) -> FloatArray:
+    """(..., 2) how the places that pixels (..., 2) show follow a parameter of the camera."""
     nudge = NUDGES.get(name, SMALL_NUDGE)
     ahead, back = (
         shifted(measured, {name: sign * nudge}).on_plane(pixels, height) for sign in (1.0, -1.0)

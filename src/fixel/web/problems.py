@@ -18,6 +18,7 @@ from fixel.errors import (
     JobRefused,
     NotStored,
     StoreRefused,
+    machine_failure,
 )
 
 OUR_MISTAKE = "Something went wrong in fixel itself: the terminal in which it runs says what."
@@ -83,6 +84,13 @@ def tell_problems(api: FastAPI) -> None:
                 expected=expected,
             )
         )
+
+    @api.exception_handler(OSError)
+    def of_the_machine(_: Request, error: OSError) -> JSONResponse:
+        failure = machine_failure(error)
+        if failure is None:
+            raise error
+        return answer(problem_of(failure))
 
     @api.exception_handler(Exception)
     def unforeseen(_: Request, error: Exception) -> JSONResponse:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,10 +13,11 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.database.project import Project
+from fixel.database.project import SETTINGS, Project
 from fixel.database.query import Query
 from fixel.drawing.side_by_side import SideBySide, TrackedRun
 from fixel.errors import InvalidInput
+from fixel.exchange.recording import is_recording, open_recording
 from fixel.exchange.scene_file import load_scene
 from fixel.model import Experiment, PathDrive, Trajectory, placed
 from fixel.model.records import Estimate
@@ -27,9 +30,10 @@ from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, 
 from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.emulated_bench import record_film
 from fixel.workflows.film import Progress, Shooting, film
+from fixel.workflows.film_truth import ARRAYS
 from fixel.workflows.pictures import Picture
 from fixel.workflows.report.write import Report, write_report
-from fixel.workflows.track import track_film
+from fixel.workflows.track import TrackAnswer, track_film
 
 # Of the plan of the thesis: straight on, beside the middle, turned; pushes from several sides say
 # more about friction than one does.
@@ -37,6 +41,9 @@ PUSHES: Final = (0, 12, 18)
 SEED: Final = 1
 LEAD: Final = 0.5  # [s] at rest before the drive starts
 TRACKED, TRUE = "tracked", "true-poses"
+MARK: Final = "tour.json"  # in the folder: what was asked for, so that the same can go on
+RUNS: Final = "runs.json"  # in the folder: what was measured while a run was recorded
+ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
 
 Say = Callable[[str], None]
 
@@ -94,6 +101,8 @@ def run_camera_tour(
 ) -> CameraTour:
     """Film simulated pushes, record the films off a camera, track, calibrate, compare.
 
+    A tour that was interrupted, or whose recordings could not be tracked, continues in its folder.
+
     The camera is a network camera that plays the film; the fixels are read from the real firmware
     in an emulator, where that can be built, through a serial port; the drive is an emulated GRBL
     controller.
@@ -110,37 +119,30 @@ def run_camera_tour(
         Told what is being done.
     progress : callable, optional
         Called as `progress(done, total)` while a film is rendered.
+
+    Raises
+    ------
+    InvalidInput
+        A folder with something else in it, or a run that could not be tracked from its start.
     """
     tell = say or (lambda _: None)
-    if folder.exists():
-        raise InvalidInput(
-            str(folder), found="something there already", expected="a folder to be made"
-        )
-    folder.mkdir(parents=True)
-    project = Project.create(folder / "lab")
+    project = _begun(folder, {"pushes": list(pushes), "frames": frames})
     films = _filmed(project, folder, pushes, frames, tell, progress)
     firmware = _firmware(folder, tell)
     runs, drive, lost, total = [], {}, 0, 0
     for made in films:
         name = made.name
-        tell(f"recording {name} off a network camera, fixels and drive on serial ports")
-        scene = load_scene(made / "scene.yaml").scene
-        out = folder / "recordings" / name
-        recorded, position = record_film(made, out, scene, LEAD, firmware)
-        lost, total = lost + recorded.lost, total + recorded.frames
+        answer = _tracked(folder, made, firmware, tell)
+        recording = open_recording(folder / "recordings" / name)
+        lost += 0 if recording.end is None else recording.end.lost
+        total += recording.n_frames
+        position = _noted(folder).get(name)
         if position is not None:
             drive[name] = position
-        tell(f"tracking {name}")
-        answer = track_film(
-            out,
-            project=project.folder,
-            dataset=TRACKED,
-            name=name,
-            overlay=folder / f"{name}-overlay.mp4",
-            sheet=folder / f"{name}-overlay.png",
-        )
+        twin, run = true_twin(answer.experiment, made)
         with project.store() as store:
-            twin, run = true_twin(answer.experiment, made)
+            video = store.add_video(answer.film.video)
+            store.add_experiment(replace(answer.experiment, video=video))
             store.add_experiment(twin)
         runs.append(run)
     tell("calibrating friction and support to the tracked poses, and to the true ones")
@@ -169,6 +171,68 @@ def run_camera_tour(
     )
 
 
+def _begun(folder: Path, asked: dict[str, object]) -> Project:
+    """Make the folder of a tour, or open that of one that was begun with the same requests."""
+    mark, lab = folder / MARK, folder / "lab"
+    if not folder.exists():
+        folder.mkdir(parents=True)
+        mark.write_text(json.dumps(asked), encoding="utf-8")
+    elif not mark.is_file():
+        raise InvalidInput(
+            str(folder), found="something there already", expected="a folder to be made"
+        )
+    elif json.loads(mark.read_text(encoding="utf-8")) != asked:
+        raise InvalidInput(
+            str(folder), found="a tour of other pushes", expected="a folder to be made"
+        )
+    return Project.open(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
+
+
+def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Say) -> TrackAnswer:
+    """Record a film where that has not been done, and track it.
+
+    Raises
+    ------
+    InvalidInput
+        The object was not tracked from its start, in none of the recordings.
+    """
+    name, out = made.name, folder / "recordings" / made.name
+    why_not = ""
+    for _ in range(ATTEMPTS):
+        if not (is_recording(out) and open_recording(out).complete):
+            shutil.rmtree(out, ignore_errors=True)
+            again = f" again: {why_not}" if why_not else ""
+            tell(f"recording {name} off a network camera, fixels and drive on serial ports{again}")
+            scene = load_scene(made / "scene.yaml").scene
+            _, position = record_film(made, out, scene, LEAD, firmware)
+            noted = _noted(folder) | {name: position}
+            (folder / RUNS).write_text(json.dumps(noted), encoding="utf-8")
+        tell(f"tracking {name}")
+        answer = track_film(
+            out,
+            dataset=TRACKED,
+            name=name,
+            overlay=folder / f"{name}-overlay.mp4",
+            sheet=folder / f"{name}-overlay.png",
+        )
+        if answer.experiment.scene is not None:
+            return answer
+        why_not = "; ".join(flag.detail for flag in answer.experiment.flags if flag.detail)
+        shutil.rmtree(out)
+    raise InvalidInput(
+        f"recording {name}",
+        found=why_not or "no scene",
+        expected="an object that is tracked from its start",
+        hint="the computer may be too busy to record: the same command goes on with this run",
+    )
+
+
+def _noted(folder: Path) -> dict[str, float | None]:
+    """Where the drive stood at the end of each run [m], by its name."""
+    path = folder / RUNS
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
 def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
     """The same experiment with true poses at the frames, and both beside each other.
 
@@ -179,7 +243,8 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
         The film it was tracked in, with its truth.
     """
     scene = tracked.scene
-    assert scene is not None
+    if scene is None:
+        raise InvalidInput(tracked.key, found="no scene", expected="a run with a scene")
     body, pusher = scene.bodies[0], scene.pushers[0]
     with np.load(film / "truth.npz") as truth:
         time = truth["time_s"] - truth["time_s"][0]
@@ -238,16 +303,25 @@ def _filmed(
     progress: Progress | None,
 ) -> list[Path]:
     planned = [thesis_plan().experiments[k] for k in pushes]
+    films = folder / "films"
+    missing = [one.name for one in planned if not _is_film(films / one.name)]
+    if not missing:
+        return [films / one.name for one in planned]
     with project.store() as store:
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
     tell(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
     shooting = Shooting(seed=SEED, lead=LEAD, frames=frames)
-    names = [one.name for one in planned]
-    made = film(
-        names, folder / "films", shooting, project=project.folder, say=tell, progress=progress
-    )
-    return [one.folder for one in made]
+    films.mkdir(exist_ok=True)
+    for name in missing:
+        shutil.rmtree(films / name, ignore_errors=True)
+        film([name], films / name, shooting, project=project.folder, say=tell, progress=progress)
+    return [films / one.name for one in planned]
+
+
+def _is_film(folder: Path) -> bool:
+    """Whether a film is there as a whole, with its truth."""
+    return is_recording(folder) and open_recording(folder).complete and (folder / ARRAYS).is_file()
 
 
 def _firmware(folder: Path, tell: Say) -> Path | None:

@@ -17,10 +17,16 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, schema, tables
 from fixel.database.engine import open_engine, reading
-from fixel.database.project import DATABASE, Project
+from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.exchange.atomic import written_whole
+from fixel.workflows.stored_content import (
+    RESTORE,
+    Trouble,
+    content_troubles,
+    schema_troubles,
+)
 
 OWNERS: Final = {
     "experiment": tables.experiment,
@@ -32,7 +38,6 @@ OWNERS: Final = {
 MOVING: Final = ("experiment", "simulation", "filter_run")
 RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
 SEE: Final = "see what is wrong with: fixel db check"
-RESTORE: Final = f"put a backup in place of {DATABASE}: one made with: fixel db backup"
 
 
 class Upgraded(NamedTuple):
@@ -49,14 +54,6 @@ class Backup(NamedTuple):
     size: int  # [bytes]
     sha256: str
     media: Path  # must be copied too
-
-
-class Trouble(NamedTuple):
-    """One thing that is wrong."""
-
-    where: str
-    sentence: str
-    hint: str
 
 
 @final
@@ -206,11 +203,19 @@ def _checked(engine: sa.Engine, project: Project) -> Checked:
             troubles += _damage(connection)
             schema.refuse_old(connection, project.upgrade_command)
             version = schema.version_of(connection)
+            lacking = list(schema_troubles(connection))
+            troubles += lacking
+            if any("missing" in one.sentence and one.hint == RESTORE for one in lacking):
+                raise StoreRefused("what it holds cannot be read without them", RESTORE)
             counts = _counts(connection)
             troubles += _broken_references(connection)
             troubles += _bad_series(connection, media)
             troubles += _without_motion(connection)
             troubles += _missing_videos(connection, media)
+            told = {trouble.where.partition(",")[0] for trouble in troubles}
+            troubles += (
+                one for one in content_troubles(connection, media) if one.where not in told
+            )
             used, videos = _used(connection)
     except StoreRefused as refused:
         # A damaged file may be read up to some point only; say what was found until there.
@@ -273,7 +278,8 @@ def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
     for number in connection.scalars(sa.select(table.c.id).order_by(table.c.id)).all():
         try:
             row = connection.execute(sa.select(table).where(table.c.id == number)).one()
-        except ValueError as problem:  # what should be JSON or text is not
+        except (ValueError, TypeError, sa.exc.NoResultFound) as problem:
+            # What should be JSON or text is not, or an index leads to no row.
             yield Trouble(f"series {number}", f"cannot be read: {problem}", RESTORE)
             continue
         where = f"{row.owner} {row.owner_id}, series {row.name!r}"
@@ -358,3 +364,30 @@ def _file_trouble(path: Path) -> str | None:
 
 def _rows(n: int) -> str:
     return "row" if n == 1 else "rows"
+
+
+def diagram(file: Path) -> list[str]:
+    """Draw the tables of a project's database and what refers to what; returns their names.
+
+    It is this program's schema, whatever a project's is: `upgrade` brings that up to it.
+    """
+    from fixel.database.tables import METADATA
+    from fixel.drawing.relations import Entity, draw_relations
+    from fixel.exchange.atomic import refuse_unwritable, written_whole
+
+    refuse_unwritable(file)
+    entities = [
+        Entity(
+            table.name,
+            [column.name for column in table.columns],
+            {
+                column.name: key.column.table.name
+                for column in table.columns
+                for key in column.foreign_keys
+            },
+        )
+        for table in METADATA.tables.values()
+    ]
+    with written_whole(file) as unfinished:
+        draw_relations(entities, unfinished)
+    return [entity.name for entity in entities]

@@ -82,6 +82,9 @@ def _unknown_in(store: Store, query: Query) -> Iterator[Unknown]:
 def _unknown_in_view(store: Store, view: View) -> Iterator[Unknown]:
     for name in view.flags:
         yield from _not_among("flag", name, store.flags())
+    texts = [text for known in store.conditions().values() for text in known.texts]
+    for word in view.words:
+        yield from _not_among("filter", word, (*texts, *store.datasets(), *store.flags()))
     columns = {*TEXTS, *NUMBERS, *SQUARES}
     for bound in view.bounds:
         if bound.name == "dataset":

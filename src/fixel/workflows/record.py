@@ -172,6 +172,7 @@ def summary(done: Recorded) -> dict[str, Any]:
         "rate_per_s": done.rate,
         "bytes": done.bytes,
         "reason": done.reason,
+        "early": done.early,
         "without_reading": done.without_reading,
         "problems": list(done.problems),
     }

@@ -306,7 +306,10 @@ def _part(part: Any) -> dict[str, Any]:
         "outliers": part.n_outliers,
         "residual_px": float(np.median(part.residual[good])),
         "residual_m": float(np.median(part.residual_m[good])),
-        "sd_m": float(np.median(part.sd[good, :2])),
-        "sd_rad": float(np.median(part.sd[good, 2])),
+        "sd_m": float(np.median(part.total_sd[good, :2])),
+        "sd_rad": float(np.median(part.total_sd[good, 2])),
+        "camera_sd_m": None
+        if part.camera_sd is None
+        else float(np.median(part.camera_sd[good, :2])),
         "gaps": [{"from_s": a, "to_s": b, "reason": why} for a, b, why in part.gaps],
     }

@@ -26,6 +26,7 @@ from fixel.model import (
 from fixel.uncertainty.apart import Neighbour, set_apart
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.actuator import Motion, motion_of
+from fixel.vision.tracking.judge import stamp_scatter
 from fixel.vision.tracking.tracked import PartTrack, Tracked
 
 MOST_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
@@ -60,10 +61,12 @@ def actuator_motion(tracked: Tracked, scene: Scene) -> tuple[str, Motion] | None
     for pusher in scene.pushers:
         track = tracked.parts.get(pusher.name)
         if track is not None and track.good.sum() > 1:
+            time, place = track.time[track.good], track.pose[track.good, :2]
             noise = float(np.median(np.hypot(track.sd[track.good, 0], track.sd[track.good, 1])))
-            return pusher.name, motion_of(
-                track.time[track.good], track.pose[track.good, :2], max(noise, 1e-9)
-            )
+            # A place is off along its way by as much as its time stamp is uncertain.
+            fastest = np.hypot(*(place[-1] - place[0])) / (time[-1] - time[0])
+            late = float(fastest) * float(np.median(stamp_scatter(track.time)))
+            return pusher.name, motion_of(time, place, max(noise, late, 1e-9))
     return None
 
 

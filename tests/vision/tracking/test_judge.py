@@ -7,7 +7,7 @@ import pytest
 
 from fixel.vision.tracking.actuator import motion_of
 from fixel.vision.tracking.base import Sighting
-from fixel.vision.tracking.judge import judged
+from fixel.vision.tracking.judge import judged, stamp_scatter
 
 TIME = np.arange(120) / 30.0
 
@@ -100,3 +100,55 @@ def test_an_actuator_that_pushes_twice_is_noticed():
 def test_what_stands_does_not_move():
     still = 1e-5 * np.random.default_rng(1).standard_normal((len(TIME), 2))
     assert not motion_of(TIME, still, 1e-5).moved
+
+
+# --- uneven time stamps -----------------------------------------------------------------------
+
+
+def quarter_circle(time):
+    """An object on an arc of 60 mm with 30 mm/s, and turning; it rests before and after."""
+    turn = np.clip((time - 0.5) * 0.5, 0.0, 1.5)
+    return np.column_stack((0.06 * np.sin(turn), 0.06 * (1.0 - np.cos(turn)), turn))
+
+
+def arrivals(taken, mean, share, seed):
+    """Stamps of frames that are held up by an exponential time and arrive in order."""
+    rng = np.random.default_rng(seed)
+    held = rng.exponential(mean, len(taken)) * (rng.random(len(taken)) < share)
+    return np.maximum.accumulate(taken + held) + 1e-6 * np.arange(len(taken))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+@pytest.mark.parametrize("mean", [0.005, 0.015, 0.03])
+def test_no_pose_is_lost_to_uneven_time_stamps(mean, share):
+    pose = quarter_circle(TIME) + 5e-6 * np.random.default_rng(1).standard_normal((120, 3))
+    for seed in range(4):
+        stamps = arrivals(TIME, mean, share, seed)
+        assert judged("object", stamps, sightings(pose)).good.all()
+
+
+@pytest.mark.parametrize("mean", [0.005, 0.03])
+def test_wrong_poses_are_found_whatever_the_time_stamps(mean):
+    pose = quarter_circle(TIME) + 5e-6 * np.random.default_rng(1).standard_normal((120, 3))
+    pose[30, :2] += (2e-3, -2e-3)
+    pose[60, 2] += 0.2
+    pose[85:91] += (-3e-3, 4e-3, 0.15)  # a run of them
+    wrong = [30, 60, *range(85, 91)]
+    for seed in range(4):
+        part = judged("object", arrivals(TIME, mean, 1.0, seed), sightings(pose))
+        assert np.flatnonzero(~part.good).tolist() == wrong
+
+
+def test_frames_that_are_left_out_are_no_reason_either():
+    """A camera that leaves frames out, with right stamps: there is no even rate to count by."""
+    kept = np.random.default_rng(3).random(len(TIME)) > 0.25
+    time = TIME[kept]
+    assert judged("object", time, sightings(quarter_circle(time))).good.all()
+
+
+def test_scatter_of_time_stamps():
+    assert not stamp_scatter(TIME).any()
+    assert not stamp_scatter(np.round(TIME, 3)).any()  # as Matroska keeps them
+    rng = np.random.default_rng(0)
+    stamps = np.sort(TIME + rng.normal(0.0, 0.006, len(TIME)))
+    assert np.median(stamp_scatter(stamps)) == pytest.approx(0.006, rel=0.3)

@@ -230,3 +230,29 @@ def test_unknown_methods_are_refused():
         track([frame], bare)
     with pytest.raises(InvalidInput, match="no frames"):
         track([], rig)
+
+
+def test_a_part_that_was_pushed_on_while_covered_is_seen_at_once():
+    """A hand over the object for 0.7 s, in which it goes 50 mm at 75 mm/s."""
+    painter = painted(tag_rig())
+    frames = []
+    for k in range(34):
+        poses = {
+            "object": np.array([-0.035 + 0.0025 * max(k - 4, 0), 0.0, 0.1]),
+            "actuator": np.array([-0.06, -0.04, 0.0]),
+        }
+        covered = 5 <= k < 26
+        shown = {"actuator": poses["actuator"]} if covered else poses
+        frames.append(Frame(k / 30.0, as_seen(painter.picture(shown), seed=k)))
+    part = track(frames, painter.rig).parts["object"]
+    assert not part.good[5:26].any()
+    assert part.good[28:].all()  # two frames later at most
+
+
+def test_tags_of_another_family_are_named():
+    painter = painted(tag_rig())
+    part = painter.rig.parts["object"]
+    other = replace(part.marks[0], family="aruco-5x5-100")
+    rig = replace(painter.rig, parts={"object": replace(part, marks=(other,))})
+    with pytest.raises(InvalidInput, match="apriltag-36h11 tags 1, 2"):
+        track([painter.frame(0.0)], rig)

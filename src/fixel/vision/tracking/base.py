@@ -18,8 +18,12 @@ from fixel.vision.marks import Rig
 Thing = Body | Pusher
 
 FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
+COUNTED: Final = 3  # frames likewise, where they are counted
+SAME: Final = 0.05  # of the way since the last sight: predictions that differ by less are one
 
-SEARCH_EVERY: Final = 4  # frames between two searches for what has been lost for a while
+SEARCH_EVERY: Final = 2  # frames between two searches for what has been lost for a while
+MARGIN: Final = 40  # [px] around the last place, in which a part is searched for at first
+SPREADS: Final = 6  # [px] a frame by which that grows: 0.1 m/s at 0.55 mm a pixel, 30 frames/s
 
 # Standard deviations of a pose beyond which a sight is none: a mark of which too little shows.
 VAGUE_POSITION: Final = 0.25e-3  # [m] at 0.55 mm a pixel; scaled with the pixel
@@ -101,11 +105,17 @@ class AbstractTracking(ABC):
 
 @final
 class Prediction:
-    """Where a part should be now, from where it was."""
+    """Where a part should be now, from where it was.
+
+    Time stamps of arrival may be uneven where the pictures are not, so that the motion is also
+    counted in frames: `at` is called once a frame.
+    """
 
     def __init__(self) -> None:
         self._last: tuple[float, FloatArray] | None = None
-        self._rate = np.zeros(3)
+        self._rate = np.zeros(3)  # a second
+        self._step = np.zeros(3)  # a frame
+        self._unseen = 0  # frames since the last sight
 
     @property
     def pose(self) -> FloatArray | None:
@@ -113,31 +123,51 @@ class Prediction:
         return None if self._last is None else self._last[1]
 
     def at(self, time: float) -> FloatArray | None:
-        """(3,) pose to be expected at an instant [s]."""
+        """(3,) pose to be expected at an instant [s], by the time stamps."""
+        self._unseen += 1
         if self._last is None:
             return None
         then, pose = self._last
         return pose + self._rate * min(time - then, FORGET)
 
+    def by_count(self, expected: FloatArray) -> FloatArray | None:
+        """(3,) pose to be expected by the number of frames; none where it is much the same."""
+        if self._last is None or self._unseen > COUNTED:
+            return None
+        moved = self._step * self._unseen
+        pose = self._last[1] + moved
+        alike = (np.abs(pose - expected) <= SAME * np.abs(moved)).all()
+        return None if alike else pose
+
     def fresh(self, time: float) -> bool:
         """Whether it was seen so lately that it must be about where it is expected."""
-        return self._last is not None and time - self._last[0] < FORGET
+        return self._last is not None and (time - self._last[0] < FORGET or self._unseen <= COUNTED)
 
     def seen(self, time: float, pose: FloatArray) -> None:
-        """Take note of a sight."""
-        self._rate = np.zeros(3)
-        if self._last is not None:
+        """Store a sight."""
+        self._rate, self._step = np.zeros(3), np.zeros(3)
+        if self._last is not None and self.fresh(time):
             then, before = self._last
+            step = pose - before
+            step[2] = wrapped(step[2])  # angles that were read anew know of no turns
+            self._step = step / max(self._unseen, 1)
             if time - then < FORGET:
-                step = pose - before
-                step[2] = wrapped(step[2])  # angles that were read anew know of no turns
                 self._rate = step / (time - then)
         self._last = (time, pose)
+        self._unseen = 0
 
 
 def worth_a_search(lost: int) -> bool:
-    """Whether to look for a part anew, after so many frames without it: ever less often."""
+    """Whether to search for a part again that was not seen in the last `lost` frames."""
     return lost < 3 or lost % SEARCH_EVERY == 0
+
+
+def search_margin(lost: int) -> int:
+    """Distance [px] from its last place at which a part may be after `lost` frames.
+
+    It may have been pushed on while it was covered; the whole picture is searched much more rarely.
+    """
+    return MARGIN + SPREADS * lost
 
 
 def vague(sd: FloatArray, scale: float) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Final, final
 
 import numpy as np
@@ -15,11 +16,13 @@ from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
+from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import LEAST_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges
 
 MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
+CERTAIN: Final = 1.6  # times the radius of 95 %: four standard deviations
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
 ABOVE: Final = 0.03  # [m], about where marks are
 LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
@@ -84,6 +87,9 @@ class PlateWatch:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
+        pixel = rig.camera.metres_per_pixel()
+        limits = [moved_limit(rig, tag, MOVED * pixel) / pixel for tag in rig.plate]
+        self._limit = max(limits, default=MOVED)  # [px]
         self._looks: list[tuple[float, float]] = []  # when [s], and how far off [px]
         self._last: Frame | None = None
 
@@ -98,16 +104,16 @@ class PlateWatch:
         if self._last is not None and (not self._looks or self._looks[-1][0] < self._last.time):
             self._look(self._last)
         when, off = np.array(self._looks).reshape(-1, 2).T
-        if not (off > MOVED).any():
+        if not (off > self._limit).any():
             return np.zeros(len(time), dtype=bool)
         before = np.maximum(np.searchsorted(when, time, side="right") - 1, 0)
         after = np.minimum(np.searchsorted(when, time, side="left"), len(when) - 1)
-        return np.asarray((off[before] > MOVED) | (off[after] > MOVED))
+        return np.asarray((off[before] > self._limit) | (off[after] > self._limit))
 
     @property
     def in_place(self) -> bool:
         """Whether nothing spoke against it at the last look."""
-        return not self._looks or self._looks[-1][1] <= MOVED
+        return not self._looks or self._looks[-1][1] <= self._limit
 
     @property
     def remarks(self) -> list[str]:
@@ -115,13 +121,13 @@ class PlateWatch:
         return [
             f"camera or plate moved during the film: {off:.1f} px off at {when:.2f} s"
             for when, off in self._looks
-            if off > MOVED
+            if off > self._limit
         ][:1]
 
     def _look(self, frame: Frame) -> None:
         edges = [_by_its_edges(self._rig, frame, tag) for tag in self._rig.plate]
         off = [each for each in edges if each is not None]
-        if not off or np.median(off) > MOVED:  # else there is no need to read them
+        if not off or np.median(off) > self._limit:  # else there is no need to read them
             off = [straight for straight, _ in _plate(self._rig, frame).values()]
         if off:
             self._looks.append((frame.time, float(np.median(off))))
@@ -171,6 +177,8 @@ def refuse_moved(rig: Rig, frame: Frame) -> bool:
     offsets = _plate(rig, frame)
     if not offsets:
         return False
+    pixel = rig.camera.metres_per_pixel()
+    limits = {tag.id: moved_limit(rig, tag, MOVED * pixel) / pixel for tag in rig.plate}
     off = {id_: straight for id_, (straight, _) in offsets.items()}
     if max(turned for _, turned in offsets.values()) < FOUND < max(off.values()):
         raise InvalidInput(
@@ -179,22 +187,34 @@ def refuse_moved(rig: Rig, frame: Frame) -> bool:
             expected=f"the picture as rig {rig.name!r} has it",
             hint="turn off rotation in the camera's settings, or calibrate the plate anew",
         )
-    if max(off.values()) > MOVED:
-        pixel = rig.camera.metres_per_pixel()
-        worst = max(off, key=lambda id_: off[id_])
+    worst = max(off, key=lambda id_: off[id_] / limits[id_])
+    if off[worst] > limits[worst]:
         raise InvalidInput(
             "camera",
             found=f"tag {worst} of the plate {off[worst] * pixel * 1e3:.1f} mm off its place: the "
             "camera or the plate was moved",
-            expected=f"at most {MOVED * pixel * 1e3:.1f} mm",
+            expected=f"at most {limits[worst] * pixel * 1e3:.1f} mm",
             hint="calibrate the plate anew, or track with --register to find the camera's new "
             "place from these tags",
         )
     return True
 
 
-def registered(rig: Rig, frame: Frame) -> Camera:
-    """The rig's camera where it must be, for its plate's tags to be where they show.
+def moved_limit(rig: Rig, tag: Tag, least: float) -> float:
+    """Distance [m] of a plate tag from its place beyond which the camera or the plate was moved.
+
+    A camera that never moved shows a tag off its place by the errors of its own calibration: the
+    limit is `least` [m] and these errors together, `CERTAIN` times the radius that holds 95 %.
+    """
+    if rig.measured is None:
+        return least
+    corners = rig.camera.project_at(tag_corners(tag), tag.height)
+    covariance = place_covariance(rig.measured, corners, tag.height)
+    return float(np.hypot(least, CERTAIN * radius95(covariance).max()))
+
+
+def registered(rig: Rig, frame: Frame) -> Rig:
+    """The rig with its camera where it must be, for its plate's tags to be where they show.
 
     Raises
     ------
@@ -212,9 +232,8 @@ def registered(rig: Rig, frame: Frame) -> Camera:
             expected=f"at least {LEAST_TAGS} to find the camera's place from, near the corners",
         )
     camera = _placed(rig.camera, rough)[0]
-    camera, rest = _placed(
-        camera, {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}, exact=True
-    )
+    exact = {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
+    camera, rest = _placed(camera, exact, exact=True)
     if rest > 1.0:
         raise InvalidInput(
             "camera",
@@ -222,7 +241,14 @@ def registered(rig: Rig, frame: Frame) -> Camera:
             expected="tags at the places the rig says",
             hint="was one of them moved? calibrate the plate anew",
         )
-    return camera
+    if rig.measured is None:
+        return replace(rig, camera=camera)
+    from fixel.vision.place_camera import place_by_points
+
+    names = [f"tag {tag.id}" for tag in exact for _ in range(4)]
+    points, pixels = _points(exact)
+    measured = place_by_points(rig.measured, points, pixels, names).camera
+    return replace(rig, camera=measured.placed(), measured=measured)
 
 
 def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> FloatArray:
@@ -233,14 +259,17 @@ def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> Floa
     return camera.project_at(placed(tag_corners(tag), fit.pose), tag.height)
 
 
+def _points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) corners of tags in the world [m], and (n, 2) where they are seen [px]."""
+    points = [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
+    return np.concatenate(points), np.concatenate(list(seen.values()))
+
+
 def _placed(
     camera: Camera, seen: Mapping[Tag, FloatArray], *, exact: bool = False
 ) -> tuple[Camera, float]:
     """The camera where its tags show as they do, and how far they are off then [px]."""
-    points = np.concatenate(
-        [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
-    )
-    pixels = np.concatenate(list(seen.values()))
+    points, pixels = _points(seen)
 
     def at(unknown: FloatArray) -> Camera:
         turn = _rotation(unknown[:3])

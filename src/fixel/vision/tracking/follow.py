@@ -9,9 +9,11 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
 from fixel.model import Scene
 from fixel.vision.frame import Frame
-from fixel.vision.marks import Rig
+from fixel.vision.marks import Rig, Tag
+from fixel.vision.pose_errors import pose_covariance
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
 from fixel.vision.tracking.checks import (
     UNWATCHED,
@@ -23,11 +25,12 @@ from fixel.vision.tracking.checks import (
     registered,
 )
 from fixel.vision.tracking.fixels import FixelFinder
-from fixel.vision.tracking.judge import judged
+from fixel.vision.tracking.judge import judged, stamp_scatter
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
+from fixel.vision.tracking.tag_reader import other_families, tag_corners
 from fixel.vision.tracking.tags import Tags
-from fixel.vision.tracking.tracked import Tracked
+from fixel.vision.tracking.tracked import PartTrack, Tracked
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())
@@ -35,6 +38,8 @@ METHODS: Final[Mapping[str, AbstractTracking]] = {
 AUTO: Final = "auto"
 
 FIXELS_EVERY: Final = 15  # frames
+UNEVEN: Final = 3e-3  # [s] of scatter of time stamps from which on it is said
+KNOTS: Final = 9  # poses of a track at which the camera's part of their errors is computed
 
 
 def track(
@@ -98,17 +103,59 @@ def track(
             progress(index + 1)
     if first is None:
         raise InvalidInput("video", found="no frames", expected="at least one")
-    _refuse_unseen(sightings, first)
+    _refuse_unseen(rig, sightings, first)
     time = np.array(times)
     doubted = plate.doubted(time)
     return Tracked(
         method=method if isinstance(method, str) else method.name,
         rig=rig,
         time=time,
-        parts={name: judged(name, time, sightings[name], doubted) for name in names},
+        parts={
+            name: _with_camera(rig, judged(name, time, sightings[name], doubted), things)
+            for name in names
+        },
         fixels=finder.found() if finder is not None else (),
-        remarks=(*remarks, *plate.remarks),
+        remarks=(*remarks, *plate.remarks, *_uneven(time)),
     )
+
+
+def _with_camera(rig: Rig, part: PartTrack, things: Mapping[str, Thing]) -> PartTrack:
+    """A track with what the camera's errors add to the uncertainty of its poses."""
+    rows = np.flatnonzero(part.good)
+    points = _points_of(rig, part.name, things)
+    if rig.measured is None or points is None or not len(rows):
+        return part
+    # These errors change slowly over the picture.
+    knots = rows[np.unique(np.linspace(0, len(rows) - 1, KNOTS).round().astype(int))]
+    height = rig.parts[part.name].height
+    covariance = pose_covariance(rig.measured, part.pose[knots], points, height)
+    sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    at = np.arange(len(part.time))
+    every = np.column_stack([np.interp(at, knots, column) for column in sd.T])
+    every[~part.seen] = np.nan
+    return replace(part, camera_sd=every)
+
+
+def _uneven(time: FloatArray) -> list[str]:
+    """A sentence about time stamps that are scattered much about an even frame rate."""
+    scatter = float(np.median(stamp_scatter(time)))
+    if scatter < UNEVEN:
+        return []
+    return [
+        f"frames came unevenly: their time stamps scatter by {1e3 * scatter:.0f} ms about an even "
+        "rate; a part that moves is as uncertain along its way as its speed times that"
+    ]
+
+
+def _points_of(rig: Rig, name: str, things: Mapping[str, Thing]) -> FloatArray | None:
+    """(n, 2) points of a part by which it is measured [m]: its marks, or else its outline."""
+    points = [
+        tag_corners(mark) if isinstance(mark, Tag) else mark.place[None]
+        for mark in rig.parts[name].marks
+    ]
+    if points:
+        return np.concatenate(points)
+    return things[name].shape.outline if name in things else None
 
 
 def things_of(scene: Scene) -> dict[str, Thing]:
@@ -123,10 +170,10 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
     if not register:
         watched = refuse_moved(rig, frame) or not rig.plate
         return rig, [] if watched else [UNWATCHED]
-    camera = registered(rig, frame)
-    shift = float(np.hypot(*(camera.position - rig.camera.position)[:2]))
+    found = registered(rig, frame)
+    shift = float(np.hypot(*(found.camera.position - rig.camera.position)[:2]))
     remark = f"the camera was registered anew from the plate's tags, {shift * 1e3:.1f} mm away"
-    return replace(rig, camera=camera), [remark]
+    return found, [remark]
 
 
 def followers_of(
@@ -162,14 +209,17 @@ def _chosen(method: str | AbstractTracking) -> AbstractTracking:
     return METHODS[method]
 
 
-def _refuse_unseen(sightings: Mapping[str, list[Sighting]], first: Frame) -> None:
+def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[Sighting]], first: Frame) -> None:
     for name, own in sightings.items():
         if any(sight.pose is not None for sight in own):
             continue
         reasons = [sight.reason for sight in own]
+        families = {mark.family for mark in rig.parts[name].marks if isinstance(mark, Tag)}
+        others = other_families(first.luma, families) if families else ""
+        there = f"; in the first frame are {others}" if others else ""
         raise InvalidInput(
             f"part {name!r}",
-            found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}",
+            found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}{there}",
             expected="a part that shows",
             hint=bad_light(first) or "is this the rig the film was taken with?",
         )

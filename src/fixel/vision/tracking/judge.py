@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,11 @@ USUAL_PIXEL: Final = 0.55e-3  # [m]
 ELSEWHERE: Final = "the camera or the plate was moved"
 BESIDE: Final = 3  # steps to either side that tell a speed
 AT_END: Final = 4  # poses likewise, at the end of a piece
+NEARBY: Final = 7  # frames to either side that tell an even frame rate
+EVEN: Final = (
+    0.06  # of the frame period: milliseconds of a container at 30 frames a second are even
+)
+SPREAD: Final = 2.0  # standard deviations of a time stamp that a pose may be early or late
 
 
 def judged(
@@ -52,13 +57,15 @@ def judged(
             ELSEWHERE if s and d else why for s, d, why in zip(seen, doubted, reason, strict=True)
         ]
     pixel = float(np.median(scale[seen])) if seen.any() else USUAL_PIXEL
+    clocks = _clocks(time)
     for find, why in (
         (_alone, "an outlier: it fits neither what came before nor what came after"),
         (_between_jumps, "an outlier: nothing moves to there and back at once"),
     ):
         rows = np.flatnonzero(good)
         pose[:, 2] = _continuous(pose[:, 2], good)
-        for row in rows[find(time[rows], pose[rows], pixel / USUAL_PIXEL)]:
+        own = tuple(clock.only(rows) for clock in clocks)
+        for row in rows[find(own, pose[rows], pixel / USUAL_PIXEL)]:
             good[row] = False
             reason[row] = why
     pose[:, 2] = _continuous(pose[:, 2], good)
@@ -89,14 +96,72 @@ def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
     return np.asarray(result)
 
 
-def _alone(time: FloatArray, pose: FloatArray, scale: float) -> BoolArray:
-    """(n,) which poses agree with their neighbours neither before nor after nor around."""
+class _Clock(NamedTuple):
+    """Times by which motion is judged.
+
+    Attributes
+    ----------
+    time : (n,) float64
+        [s].
+    slack : (n,) float64
+        Uncertainty of each [s].
+    """
+
+    time: FloatArray
+    slack: FloatArray
+
+    def only(self, rows: NDArray[np.int64]) -> _Clock:
+        """The clock at some of the frames."""
+        return _Clock(self.time[rows], self.slack[rows])
+
+
+def _clocks(time: FloatArray) -> tuple[_Clock, ...]:
+    """The time stamps with their uncertainty, and where they are uneven a count of the frames.
+
+    Stamps of arrival come late by what the computer did meanwhile, and then the frames were taken
+    evenly; or the camera left frames out, and the stamps are right. A pose that fits the motion by
+    either of the clocks is believed.
+    """
+    scatter = stamp_scatter(time)
+    stamps = _Clock(time, SPREAD * scatter)
+    if not scatter.any():
+        return (stamps,)
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    return stamps, _Clock(period * np.arange(len(time)), scatter)
+
+
+def stamp_scatter(time: FloatArray) -> FloatArray:
+    """(n,) root mean square distance of time stamps (n,) from an even frame rate nearby [s].
+
+    The even rate is a line through the stamps of `NEARBY` frames to either side. A scatter of less
+    than `EVEN` of the frame period, such as that of rounded stamps, counts as 0.
+    """
     n = len(time)
+    if n < 4:
+        return np.zeros(n)
+    index = np.arange(n)[:, None] + np.arange(-NEARBY, NEARBY + 1)
+    inside = (index >= 0) & (index < n)
+    index = np.clip(index, 0, n - 1)
+    count = inside.sum(1)
+    t = np.where(inside, time[index], 0.0)
+    k = np.where(inside, index, 0).astype(np.float64)
+    t = np.where(inside, t - (t.sum(1) / count)[:, None], 0.0)
+    k = np.where(inside, k - (k.sum(1) / count)[:, None], 0.0)
+    period = (k * t).sum(1) / (k * k).sum(1)
+    scatter = np.sqrt(((t - period[:, None] * k) ** 2).sum(1) / count)
+    return np.where(scatter < EVEN * period, 0.0, scatter)
+
+
+def _alone(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> BoolArray:
+    """(n,) which poses agree with their neighbours neither before nor after nor around."""
+    n = len(pose)
     if n < 2 * NEIGHBOURS + 1:
         return np.zeros(n, dtype=bool)
     offsets = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
     sides = [offsets[offsets < 0], offsets[offsets > 0], offsets[offsets != 0]]
-    apart = np.stack([_disagreement(time, pose, side) for side in sides])  # (3, n, 2)
+    apart = np.stack(
+        [_disagreement(clock, pose, side) for clock in clocks for side in sides]
+    )  # (3 or 6, n, 2)
     least = apart.min(axis=0)
     usual = 1.4826 * np.median(least, axis=0)
     limit = np.maximum(SCATTERS * usual, np.array(LEAST) * (scale, 1.0))
@@ -104,9 +169,10 @@ def _alone(time: FloatArray, pose: FloatArray, scale: float) -> BoolArray:
 
 
 def _disagreement(
-    time: FloatArray, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    clock: _Clock, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
 ) -> FloatArray:
     """(n, 2) distance [m] and angle [rad] of poses from a robust line through some neighbours."""
+    time = clock.time
     n = len(time)
     index = np.arange(n)[:, None] + offsets
     inside = (index >= 0) & (index < n)
@@ -118,24 +184,39 @@ def _disagreement(
     slopes[~enough] = 0.0
     rate = np.nanmedian(slopes, axis=1)
     expected = np.nanmedian(p + rate[:, None] * (time[:, None] - t)[..., None], axis=1)
-    off = pose - expected
+    off = _within(pose - expected, rate, clock.slack)
     apart = np.column_stack((np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])))
     apart[~enough] = np.inf
     return apart
 
 
-def _between_jumps(time: FloatArray, pose: FloatArray, scale: float) -> BoolArray:
+def _within(off: FloatArray, rate: FloatArray, slack: FloatArray) -> FloatArray:
+    """(n, 3) the part of offsets (n, 3) that no error of the time by up to `slack` [s] explains.
+
+    A pose that moves at `rate` is seen early or late: it lies off along that rate, in position and
+    angle at once.
+    """
+    if not slack.any():
+        return off
+    weight = np.array([1.0, 1.0, JUMP[0] / JUMP[1]]) ** 2
+    square = np.maximum((weight * rate**2).sum(1), 1e-30)
+    late = np.clip((weight * off * rate).sum(1) / square, -slack, slack)
+    return np.asarray(off - late[:, None] * rate)
+
+
+def _between_jumps(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> BoolArray:
     """(n,) which poses lie on pieces of a track that do not go on from the longest one."""
-    n = len(time)
+    n = len(pose)
     bad = np.zeros(n, dtype=bool)
     if n < 3:
         return bad
-    step = np.diff(time)
-    rate = np.diff(pose, axis=0) / step[:, None]
     limit = np.array([JUMP[0] * scale, JUMP[1]])
-    off = _beyond(rate, *_beside(rate)) * step[:, None]
-    # Over a gap it may have gone anywhere it had time for.
-    jump = (off > limit).any(axis=1) & (step < 4.0 * float(np.median(step)))
+    rates = [_rates(clock, pose) for clock in clocks]
+    # Stamps that nearly coincide make speeds too high: the lower ones of the clocks are right.
+    fastest = np.min([np.max([_sizes(r) for r in _beside(rate)], axis=0) for rate in rates], axis=0)
+    jump = np.ones(n - 1, dtype=bool)
+    for clock, rate in zip(clocks, rates, strict=True):
+        jump &= _jumps(clock, rate, limit, fastest)
     if not jump.any():
         return bad
     piece = np.concatenate(([0], np.cumsum(jump)))
@@ -145,24 +226,78 @@ def _between_jumps(time: FloatArray, pose: FloatArray, scale: float) -> BoolArra
         own, kept = np.flatnonzero(piece == k), np.flatnonzero(good)
         if own[0] < kept[0]:
             own, kept = own[::-1], kept[::-1]
-        here, there = own[0], kept[-1]
-        speed = _speed(time, pose, kept[-AT_END:])
-        its_own = _speed(time, pose, own[:AT_END]) if len(own) >= AT_END else speed
-        passed = time[here] - time[there]
-        off = _beyond((pose[here] - pose[there]) / passed, speed, its_own) * abs(passed)
-        # The longer it was away, the less its speed then says.
-        slack = limit + 0.5 * abs(passed) * np.array([np.hypot(*speed[:2]), abs(speed[2])])
-        if (off < slack).all():
+        speeds = [_speed(clock.time, pose, kept[-AT_END:]) for clock in clocks]
+        size = np.min([_sizes(speed) for speed in speeds], axis=0)
+        if any(
+            _goes_on(clock, pose, (kept[-1], own), speed, limit, size)
+            for clock, speed in zip(clocks, speeds, strict=True)
+        ):
             good |= piece == k
     return np.asarray(~good)
 
 
+def _lasted(clock: _Clock) -> FloatArray:
+    """(n - 1,) durations of steps, none much shorter than the usual one [s]."""
+    step = np.diff(clock.time)
+    return np.asarray(np.maximum(step, 0.25 * np.median(step)))
+
+
+def _rates(clock: _Clock, pose: FloatArray) -> FloatArray:
+    """(n - 1, 3) speeds from pose to pose [m/s, rad/s]."""
+    return np.asarray(np.diff(pose, axis=0) / _lasted(clock)[:, None])
+
+
+def _jumps(clock: _Clock, rate: FloatArray, limit: FloatArray, fastest: FloatArray) -> BoolArray:
+    """(n - 1,) which steps are farther than the speeds before and after explain."""
+    step = np.diff(clock.time)
+    off = _beyond(rate, *_beside(rate)) * _lasted(clock)[:, None]
+    slack = np.maximum(clock.slack[1:], clock.slack[:-1])
+    far = (off > limit + slack[:, None] * fastest).any(axis=1)
+    # Over a gap it may have gone anywhere it had time for.
+    return np.asarray(far & (step < 4.0 * np.median(step) + slack))
+
+
+def _goes_on(
+    clock: _Clock,
+    pose: FloatArray,
+    pieces: tuple[np.int64, NDArray[np.int64]],
+    speed: FloatArray,
+    limit: FloatArray,
+    size: FloatArray,
+) -> bool:
+    """Whether a piece goes on, forwards or backwards, from the last pose of another.
+
+    Its speed there is `speed` (3,), and its size as far as it is sure `size` (2,).
+    """
+    time = clock.time
+    there, own = pieces
+    here = own[0]
+    its_own = _speed(time, pose, own[:AT_END]) if len(own) >= AT_END else speed
+    passed = time[here] - time[there]
+    off = _beyond((pose[here] - pose[there]) / passed, speed, its_own) * abs(passed)
+    # The longer it was away, the less its speed then says.
+    unsure = max(0.5 * abs(float(passed)), float(clock.slack[[here, there]].max()))
+    return bool((off < limit + unsure * size).all())
+
+
+def _sizes(rate: FloatArray) -> FloatArray:
+    """(..., 2) sizes of speeds (..., 3) [m/s, rad/s]."""
+    return np.stack((np.hypot(rate[..., 0], rate[..., 1]), np.abs(rate[..., 2])), axis=-1)
+
+
 def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 3) usual speeds over the steps before each, and over those after it; at ends, both."""
-    n = len(rate)
-    before = [np.median(rate[max(k - BESIDE, 0) : k], axis=0) for k in range(1, n)]
-    after = [np.median(rate[k + 1 : k + 1 + BESIDE], axis=0) for k in range(n - 1)]
-    return np.array([after[0], *before]), np.array([*after, before[-1]])
+    before, after = _usual(rate)[:-1], _usual(rate[::-1])[::-1][1:]
+    return np.concatenate((after[:1], before)), np.concatenate((after, before[-1:]))
+
+
+def _usual(rate: FloatArray) -> FloatArray:
+    """(n, 3) medians of each speed (n, 3) and those before it, `BESIDE` of them at most."""
+    first = [np.median(rate[: k + 1], axis=0) for k in range(min(BESIDE - 1, len(rate)))]
+    if len(rate) < BESIDE:
+        return np.array(first)
+    windows = np.lib.stride_tricks.sliding_window_view(rate, BESIDE, axis=0)
+    return np.concatenate((first, np.median(windows, axis=-1)))
 
 
 def _beyond(rate: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:

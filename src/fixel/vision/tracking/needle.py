@@ -85,6 +85,9 @@ class NeedleFollower:
         expected = None if self._prediction is None else self._prediction.at(frame.time)
         if expected is not None:
             sight = self._followed(frame, self._tip_of(expected), part)
+            counted = None if sight.pose is not None else self._prediction.by_count(expected)  # type: ignore[union-attr]
+            if counted is not None:
+                sight = self._followed(frame, self._tip_of(counted), part)
             if sight.pose is not None:
                 return sight
         if dark is None:

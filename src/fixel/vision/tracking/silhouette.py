@@ -133,6 +133,9 @@ class _Outlined:
         if expected is None:
             return Sighting(reason="not found yet")
         sight = self._fitted(frame, expected, REACH)
+        counted = None if sight.pose is not None else self._prediction.by_count(expected)
+        if counted is not None:
+            sight = self._fitted(frame, counted, REACH)
         if sight.pose is not None:
             self._prediction.seen(frame.time, sight.pose)
         return sight

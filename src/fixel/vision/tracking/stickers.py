@@ -20,6 +20,7 @@ from fixel.vision.tracking.base import (
     Prediction,
     Sighting,
     Thing,
+    search_margin,
     vague,
     worth_a_search,
 )
@@ -30,7 +31,7 @@ REACH: Final = 6.0  # [px] from where a sticker is expected
 APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
 MOST_RESIDUAL: Final = 0.7  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
-MARGIN: Final = 60  # [px] around the last place, in the others
+WIDER: Final = 20  # [px] around the last place, beyond what a part without stickers needs
 LEAST_SHARE: Final = 0.35  # of a sticker's edge
 
 
@@ -97,6 +98,9 @@ class _StickeredPart:
         sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._fitted(frame, placed(self._place, expected))
+            counted = None if sight.pose is not None else self._prediction.by_count(expected)
+            if counted is not None:
+                sight = self._fitted(frame, placed(self._place, counted))
         if sight.pose is None and worth_a_search(self._lost):
             found, reason = self._found(frame)
             sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
@@ -189,8 +193,9 @@ class _StickeredPart:
             ]
         )
         width, height = frame.size
-        low = np.maximum(pixel.min(0).astype(int) - MARGIN, 0)
-        high = np.minimum(pixel.max(0).astype(int) + MARGIN, (width, height))
+        margin = WIDER + search_margin(self._lost)
+        low = np.maximum(pixel.min(0).astype(int) - margin, 0)
+        high = np.minimum(pixel.max(0).astype(int) + margin, (width, height))
         return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 

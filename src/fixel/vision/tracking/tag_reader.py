@@ -20,6 +20,14 @@ DICTIONARIES: Final = {
     "aruco-4x4-50": "DICT_4X4_50",
     "aruco-5x5-100": "DICT_5X5_100",
 }
+# Those that others print, to name what is there.
+KNOWN: Final = DICTIONARIES | {
+    "aruco-6x6-250": "DICT_6X6_250",
+    "aruco-7x7-250": "DICT_7X7_250",
+    "apriltag-25h9": "DICT_APRILTAG_25h9",
+    "apriltag-36h10": "DICT_APRILTAG_36h10",
+}
+MOST_NAMED: Final = 6  # tags of a family
 # Corners of a tag of side 1, as they are found: clockwise in the picture from the upper left.
 CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
@@ -44,6 +52,18 @@ def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArra
     return found
 
 
+def other_families(picture: Gray, families: set[str]) -> str:
+    """Tags of other families in a picture, in words; empty where there are none."""
+    found = read_tags(picture, set(KNOWN) - families)
+    by_family: dict[str, list[int]] = {}
+    for family, id_ in sorted(found):
+        by_family.setdefault(family, []).append(id_)
+    return "; ".join(
+        f"{family} tag{'' if len(ids) == 1 else 's'} {', '.join(map(str, ids[:MOST_NAMED]))}"
+        for family, ids in by_family.items()
+    )
+
+
 @functools.cache
 def _detector(family: str) -> Any:
     cv2 = opencv()
@@ -55,7 +75,7 @@ def _detector(family: str) -> Any:
 @functools.cache
 def _dictionary(family: str) -> Any:
     cv2 = opencv()
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, KNOWN[family]))
 
 
 @functools.cache

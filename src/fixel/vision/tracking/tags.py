@@ -17,11 +17,13 @@ from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.tracking.base import (
+    MARGIN,
     AbstractFollower,
     AbstractTracking,
     Prediction,
     Sighting,
     Thing,
+    search_margin,
     vague,
     worth_a_search,
 )
@@ -45,7 +47,6 @@ PARTLY: Final = 3.0  # how much wider its standard deviations are taken
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MOST_RESIDUAL: Final = 0.6  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
-MARGIN: Final = 40  # [px] around the last place, in the others
 WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
 
 
@@ -115,6 +116,9 @@ class _TaggedPart:
         sight = Sighting(reason=self._why_not)
         if expected is not None:
             sight = self._followed(frame, expected, REACH)
+            counted = None if sight.pose is not None else self._prediction.by_count(expected)
+            if counted is not None:
+                sight = self._followed(frame, counted, REACH)
         if sight.pose is None and worth_a_search(self._lost):
             read, reason = self._read(frame)
             if read is not None:
@@ -227,8 +231,9 @@ class _TaggedPart:
             self._camera.project_at(placed(tag_corners(tag), last), tag.height)
             for tag in self._tags
         ]
-        low = np.floor(np.min(np.concatenate(corners), axis=0)).astype(int) - MARGIN
-        high = np.ceil(np.max(np.concatenate(corners), axis=0)).astype(int) + MARGIN
+        margin = search_margin(self._lost)
+        low = np.floor(np.min(np.concatenate(corners), axis=0)).astype(int) - margin
+        high = np.ceil(np.max(np.concatenate(corners), axis=0)).astype(int) + margin
         width, height = frame.size
         left, top = max(int(low[0]), 0), max(int(low[1]), 0)
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)

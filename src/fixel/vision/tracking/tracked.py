@@ -36,7 +36,11 @@ class PartTrack(Comparable):
     residual_m : (n,) float64
         The same on the plane [m].
     sd : (n, 3) float64
-        Standard deviations of the poses by that residual [m, m, rad].
+        Standard deviations of the poses by that residual [m, m, rad]; independent from frame to
+        frame.
+    camera_sd : (n, 3) float64, or None
+        Standard deviations by the errors of the camera [m, m, rad], much the same in all frames;
+        None where nothing is known of them.
     marks : (n,) int64
         How many took part.
     share : (n,) float64
@@ -56,6 +60,12 @@ class PartTrack(Comparable):
     marks: NDArray[np.int64]
     share: FloatArray
     reason: tuple[str, ...]
+    camera_sd: FloatArray | None = None
+
+    @property
+    def total_sd(self) -> FloatArray:
+        """(n, 3) standard deviations by the marks and, as far as known, the camera [m, m, rad]."""
+        return self.sd if self.camera_sd is None else np.hypot(self.sd, self.camera_sd)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -59,6 +59,7 @@ class TableOut(BaseModel):
     experiments: list[RowOut]
     total: int = Field(description="that match, on this page or not")
     faulty: int = Field(description="of these, with a fault in their data")
+    meant: str | None = Field(description="a filter that was perhaps meant, where nothing matches")
 
 
 class IdsOut(BaseModel):

@@ -15,6 +15,7 @@ from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.exchange.trajectory_file import plain_numbers
 from fixel.model import Experiment, Trajectory
+from fixel.model.trajectory import turned
 from fixel.web.api._experiments import (
     AxisOut,
     CoverageOut,
@@ -38,6 +39,7 @@ from fixel.web.api._experiments import (
 from fixel.web.api._values import LARGEST, Array, Number
 from fixel.workflows.browse import coverage, view_of, vocabulary
 from fixel.workflows.experiments import summary
+from fixel.workflows.mistyped import meant_filter
 from fixel.workflows.seen import seen_in_video
 from fixel.workflows.watchable import watchable
 
@@ -77,7 +79,8 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
         leaf = desk.store.browse(view)
         rows = [row_out(row) for row in leaf.rows]
-        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty)
+        meant = None if leaf.total else meant_filter(desk.store, filter)
+        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty, meant=meant)
 
     @router.get("/experiments/ids", summary="Ids of all that match, in order")
     def ids(
@@ -230,7 +233,7 @@ def row_out(row: Row) -> RowOut:
         start=list(row.start),
         end=list(row.end),
         moved_m=(dx * dx + dy * dy) ** 0.5,
-        turned_rad=row.end[2] - row.start[2],
+        turned_rad=turned(row.start[2], row.end[2], row.frames),
         contacts=row.contacts,
         conditions=row.conditions,
         created_utc=row.created,

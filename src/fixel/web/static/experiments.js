@@ -84,6 +84,8 @@ function describe() {
   at("table").hidden = rows.total === 0;
   at("nothing-words").textContent = question.filter ? "No experiment is like that." : "No experiments yet. Bring some in:";
   at("nothing-commands").hidden = Boolean(question.filter);
+  const meant = rows.total ? null : rows.meant;
+  if (meant) at("nothing-words").append(" Did you mean ", make("button", { type: "button", class: "quiet", id: "meant", onclick: () => search(meant) }, meant), "?");
   const deleted = has(question.filter, "is:deleted");
   at("act-delete").hidden = deleted;
   at("act-restore").hidden = !deleted;

@@ -39,6 +39,8 @@ const VERDICTS = {
   "at bound": { sign: "\u21e5", kind: "fault" },
   effective: { sign: "\u2248", kind: "off" },
   "precise, but the model misfits": { sign: "\u2260", kind: "fault" },
+  "at least": { sign: "\u2265", kind: "off" },
+  "at most": { sign: "\u2264", kind: "off" },
   frozen: { sign: "\u2016", kind: "" },
 };
 

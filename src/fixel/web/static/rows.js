@@ -56,6 +56,8 @@ export class Rows extends EventTarget {
     this.asked = new Set();
     this.total = 0;
     this.faulty = 0;
+    /** @type {string | null} */
+    this.meant = null;
     this.stop = new AbortController();
   }
 
@@ -71,6 +73,7 @@ export class Rows extends EventTarget {
     this.asked = new Set([0]);
     this.total = first.total;
     this.faulty = first.faulty;
+    this.meant = first.meant ?? null;
     this.dispatchEvent(new Event("came"));
   }
 

@@ -192,7 +192,7 @@ def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
     ]
 
 
-def full_fit(bench: Bench, group: PushGroup, repeat: int, split: Split) -> FittedPushes:
+def full_fit(bench: Bench, group: PushGroup, repeat: int | str, split: Split) -> FittedPushes:
     """Physics calibrated on a split's training pushes."""
     member = Member(group, split.train, {})
     beliefs = full_beliefs(group, split.train)

@@ -12,9 +12,11 @@ from typing import Final, NamedTuple
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.exchange.atomic import written_whole
 from fixel.workflows.benchmark import (
+    asme_figure_11,
     asme_table_1,
     cmu_tripod,
     coverage,
+    new_sides,
     promise,
     rates,
     repeats,
@@ -36,8 +38,10 @@ REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
         "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
         "rpi-141": Part("rpi_2dgad", rpi_141.run),
         "asme-table-1": Part(None, asme_table_1.run),
+        "asme-figure-11": Part(None, asme_figure_11.run),
         "repeats": Part("cmu_two_point_push", repeats.run),
         "promise": Part("mit_push_endpoints", promise.run, keeps=True),
+        "new-sides": Part("mit_push_endpoints", new_sides.run, keeps=True),
         "coverage": Part("mit_push_endpoints", coverage.run, keeps=True),
         "rates": Part("", rates.run, keeps=True),
     }

@@ -50,6 +50,19 @@ def folds(strata: Sequence[Hashable], n: int, seed: int) -> list[Split]:
     return [Split(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(n)]
 
 
+def split_without(labels: IntArray, label: int, seed: int) -> Split:
+    """Three quarters of the members of every other label for training.
+
+    Held out are all members of the one label, such as a side, and a quarter of the others.
+    """
+    rng = np.random.default_rng(seed)
+    train: list[int] = []
+    for own in np.unique(labels[labels != label]).tolist():
+        members = rng.permutation(np.flatnonzero(labels == own))
+        train += members[: round(0.75 * len(members))].tolist()
+    return _split(train, len(labels))
+
+
 def few_of(split: Split, n: int, seed: int) -> Split:
     """The same held out, and only `n` of those for training."""
     dice = np.random.default_rng(seed)

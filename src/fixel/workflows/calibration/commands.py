@@ -30,7 +30,7 @@ def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
         else:
             ends = f"{unknown.low:.9g}:{unknown.high:.9g}:{unknown.nominal:.9g}"
             words += ["--fit", f"{unknown.name}={ends}"]
-    for name in ("motion", "combine", "starts", "seed", "level", "name"):
+    for name in ("motion", "combine", "starts", "seed", "level", "name", "budget"):
         value = getattr(request, name)
         if value != getattr(usual, name):
             words += [f"--{name}", str(value)]

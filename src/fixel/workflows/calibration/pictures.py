@@ -213,7 +213,7 @@ def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
         title = title_of(desk, one)
         if word:
             title = f"{word} of {len(desk.searched)}\n{title}"
-        panels.append(SearchPanel(title, np.nan_to_num(one.trace.errors, nan=np.inf), begins))
+        panels.append(SearchPanel(title, one.trace.errors, begins))
     return SearchChart(panels=panels, unit=desk.unit, what=_what(desk, picks[0][1]))
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart
+from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
@@ -23,6 +23,8 @@ Combine = Literal["sum", "mean", "largest"]
 
 
 LEAST_SQUARES: Final = "least-squares"
+PATTERN_SEARCH: Final = PatternSearch.name
+ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
 PAPER: Final = RootMeanSquare.name
 
 
@@ -75,6 +77,12 @@ class Request(_Entry):
         Whether to find out what the data determine.
     stored : list of list of float
         Values of the free unknowns in earlier calibrations.
+    budget : float, optional
+        Computing time, of all processes together [s]: half of it for the search where verdicts are
+        wanted. Nothing is cut off within a round, so it is exceeded a little.
+    sample_of : int, optional
+        Number of experiments that those calibrated were drawn from at random; None where all of
+        them are.
     """
 
     name: str = "calibration"
@@ -91,6 +99,8 @@ class Request(_Entry):
     level: float = 0.95
     verdicts: bool = True
     stored: list[list[float]] = []
+    budget: float | None = Field(default=None, gt=0.0)
+    sample_of: int | None = Field(default=None, ge=1)
 
     @property
     def space(self) -> ParameterSpace:
@@ -158,6 +168,8 @@ class Request(_Entry):
             raise InvalidInput(
                 "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"
             )
+        if self.budget is not None and self.mode != "joint":
+            raise InvalidInput("--budget", found=f"--mode {self.mode}", expected="--mode joint")
         if self.least_squares is not None:
             self._check_squares()
         else:
@@ -173,6 +185,25 @@ class Request(_Entry):
                 expected="--mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
+
+
+def usual_optimiser(mode: str, combine: str, error: str, residuals: int, unknowns: int) -> str:
+    """Name of the search that suits a calibration best.
+
+    Least squares for one set of parameters, where the error is a sum of squares (also softened
+    ones) and there are several residuals an unknown; else pattern search.
+
+    Parameters
+    ----------
+    mode, combine, error : str
+        As in `Request`.
+    residuals : int
+        Numbers compared: three a frame, or three an experiment where only the end counts.
+    unknowns : int
+        Free ones.
+    """
+    squares = mode == "joint" and combine != "largest" and error != PAPER
+    return LEAST_SQUARES if squares and residuals >= ENOUGH * unknowns else PATTERN_SEARCH
 
 
 def entry_of(unknown: Unknown) -> UnknownEntry:

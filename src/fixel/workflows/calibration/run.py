@@ -38,6 +38,7 @@ from fixel.workflows.readable import readable
 MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
+MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 PREFLIGHT: Final = 16  # experiments simulated before any work starts, to see that they can be
 
 
@@ -91,6 +92,48 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
             hint="see what there is: fixel list",
         )
     return Chosen(ids=found, targets=targets, left_out=left_out)
+
+
+def sampled(chosen: Chosen, count: int, seed: int) -> Chosen:
+    """A random part of the chosen experiments, in which every condition keeps its share.
+
+    Parameters
+    ----------
+    chosen : Chosen
+    count : int
+        Experiments wanted; all are kept where there are no more.
+    seed : int
+        Seed of the draw.
+    """
+    n = len(chosen.ids)
+    if count >= n:
+        return chosen
+    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
+    kinds = _grouping([target.conditions for target in chosen.targets])
+    for k, target in enumerate(chosen.targets):
+        key = tuple((name, str(target.conditions.get(name, ""))) for name in kinds)
+        groups.setdefault(key, []).append(k)
+    draw = np.random.default_rng(seed)
+    # Shuffled within each group, then taken at even distances along all groups one after another:
+    # each gives its share, to one experiment.
+    order = [k for key in sorted(groups) for k in draw.permutation(groups[key]).tolist()]
+    first = draw.random()
+    places = ((first + np.arange(count)) * n / count).astype(int)
+    kept = sorted(order[place] for place in places.tolist())
+    return Chosen(
+        ids=[chosen.ids[k] for k in kept],
+        targets=[chosen.targets[k] for k in kept],
+        left_out=chosen.left_out,
+    )
+
+
+def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
+    """Conditions that sort experiments into groups, not those that number them."""
+    names = sorted({name for own in conditions for name in own})
+    most = max(1, len(conditions) // MEMBERS_A_GROUP)
+    return [
+        name for name in names if 1 < len({str(own.get(name, "")) for own in conditions}) <= most
+    ]
 
 
 def stored_points(store: Store, request: Request) -> list[list[float]]:
@@ -180,6 +223,7 @@ class Calibration:
             "job": str(self.folder),
             "experiments": list(outcome.keys),
             "left_out": dict(self.left_out),
+            "sample_of": self.request.sample_of,
             "error": self.request.error.name,
             "unit": self.request.made_error.unit,
             "nominal_error": [_finite(error) for error in outcome.nominal.tolist()],
@@ -336,7 +380,7 @@ def _record(
         name=f"{request.name}: {title}, {one.how}",
         parameters=_parameters(request, one),
         members=tuple(
-            Member(experiments[m], 1.0, error)
+            Member.of(experiments[m], 1.0, error, request.made_error.unit)
             for m, error in zip(one.members, one.errors.tolist(), strict=True)
         ),
         provenance=Provenance(version=version("fixel"), command=command, seed=request.seed),
@@ -359,6 +403,8 @@ def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dic
     return {
         "how": one.how,
         "mode": request.mode,
+        **({} if request.sample_of is None else {"sample_of": float(request.sample_of)}),
+        **({} if request.budget is None else {"budget_s": request.budget}),
         "error": request.error.name,
         "error_unit": request.made_error.unit,
         "motion": request.motion,

@@ -125,7 +125,7 @@ def tell(project: Project, store: Store, number: int) -> Told:
     return Told(
         id=number,
         record=record,
-        unit=str(record.method.get("error_unit", "mm^2")),
+        unit=record.error_unit,
         rows=_rows(record, desk, one),
         residuals=_residuals(store, record, calibration, one),
         objective=_objective(record),
@@ -205,8 +205,10 @@ def _residuals(
         before = calibration.outcome.nominal[list(one.members)].tolist()
     keys = keys_of(store, [member.experiment_id for member in record.members])
     found = [
-        Residual(member.experiment_id, key, _finite(start), _finite(member.error_mm2))
-        for member, key, start in zip(record.members, keys, before, strict=True)
+        Residual(member.experiment_id, key, _finite(start), _finite(error))
+        for member, error, key, start in zip(
+            record.members, record.errors, keys, before, strict=True
+        )
     ]
     return sorted(found, key=lambda r: -math.inf if r.after is None else -r.after)
 
@@ -290,7 +292,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> Listed:
     number, record = together[-1] if together else sets[0]
     shown = [record] if together else [one for _, one in sets]
     before = [float(one.method.get("nominal_error", math.nan)) for one in shown]
-    after = [one.mean_error_mm2 for one in shown]
+    after = [float(np.mean(one.errors)) for one in shown]
     verdicts: dict[str, int] = {}
     for estimate in record.estimates:
         if estimate.verdict:
@@ -302,7 +304,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> Listed:
         how=str(record.method.get("how", "")),
         mode=str(record.method.get("mode", "")),
         optimiser=str(record.method.get("optimiser", "")),
-        unit=str(record.method.get("error_unit", "mm^2")),
+        unit=record.error_unit,
         created=record.provenance.created,
         sets=len(sets),
         experiments=len({m.experiment_id for _, one in sets for m in one.members}),

@@ -31,6 +31,7 @@ from fixel.calibration.objective import Comparer, Evaluated, Objective
 from fixel.calibration.profile import Profiles
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
+    OUT_OF_BUDGET,
     Ask,
     Pooled,
     Study,
@@ -49,7 +50,7 @@ from fixel.calibration.study import (
 from fixel.calibration.verdict import Verdict
 from fixel.errors import InvalidInput
 from fixel.exchange.array_bytes import arrays_of, bytes_of
-from fixel.jobs.functions import threads
+from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
@@ -66,6 +67,7 @@ from fixel.workflows.calibration.outcome import (
     Outcome,
     found_arrays,
     found_of,
+    length_of,
     outcome_bytes,
 )
 from fixel.workflows.calibration.request import Request
@@ -77,16 +79,21 @@ HERE: Final = __name__
 
 # Experiments calibrated alone in one chunk, in step: enough for full batches, and seconds of work.
 MEMBERS_A_CHUNK: Final = 4
+TIME: Final = "cpu_s"  # name of the computing time among the arrays of an answer [s]
+# Share of a budget that the search may take where verdicts are wanted.
+SEARCH_SHARE: Final = 0.5
 # Rollouts evaluated in one chunk, about a second of them.
 ROLLOUTS_A_CHUNK: Final = 4000
 
 
+@callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """The whole calibration; its result is an `Outcome`."""
     request, comparer = _desk(inputs)
     n = len(comparer.targets)
     members = list(range(n))
     start = comparer.space.nominal
+    budget = _Budget(request.budget)
     before, _ = yield from _asked(at_points(members, start[None]), "nominal")
     found: list[Found] = []
     if request.mode in ("each", "campaign"):
@@ -100,9 +107,9 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
         found.append(_pooled(STORED, members, pooled))
     elif request.mode == "joint":
         one = _by_squares if request.least_squares is not None else _direct
-        found.append((yield from one(request, comparer, members, start)))
+        found.append((yield from one(request, comparer, members, start, budget)))
     if request.verdicts and request.mode != "each":
-        found = yield from _judged(request, comparer, found)
+        found = yield from _judged(request, comparer, found, budget)
     return outcome_bytes(
         Outcome(
             keys=tuple(target.key for target in comparer.targets),
@@ -116,9 +123,39 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
 Rounds = Generator[Round, Answers, T]
 
 
-def _asked(study: Study[T], stage: str, objective: Objective | None = None) -> Rounds[T]:
-    """A study's conversation, held in rounds of chunks; with an objective, who watches is told the
-    best of it."""
+class _Budget:
+    """Computing time that chunks have taken, out of their answers: the same after an interruption.
+
+    Parameters
+    ----------
+    limit : float or None
+        [s]
+    """
+
+    def __init__(self, limit: float | None) -> None:
+        self._limit = limit
+        self._spent = 0.0
+
+    def add(self, answers: Answers) -> None:
+        """Count the time of a round."""
+        if self._limit is not None:
+            good = (one for one in answers.values() if not isinstance(one, Failure))
+            self._spent += sum(float(arrays_of(one)[TIME]) for one in good)
+
+    def over(self, share: float = 1.0) -> bool:
+        """Whether more than a share of it is used up."""
+        return self._limit is not None and self._spent > share * self._limit
+
+
+def _timed(begun: float, **arrays: Any) -> bytes:
+    """An answer that says how long it took to compute."""
+    return bytes_of(**arrays, **{TIME: time.process_time() - begun})
+
+
+def _asked(
+    study: Study[T], stage: str, objective: Objective | None = None, budget: _Budget | None = None
+) -> Rounds[T]:
+    """Answer a study in rounds of chunks; with an objective, the note shows its best."""
     note, best = stage, math.inf
     try:
         ask = next(study)
@@ -135,6 +172,8 @@ def _asked(study: Study[T], stage: str, objective: Objective | None = None) -> R
                 for k, at in enumerate(starts)
             ]
             answers = yield Round(f"{HERE}:evaluate", chunks, note=note)
+            if budget is not None:
+                budget.add(answers)
             parts = [
                 _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
                 for chunk, at in zip(chunks, starts, strict=True)
@@ -143,12 +182,18 @@ def _asked(study: Study[T], stage: str, objective: Objective | None = None) -> R
             if objective is not None:
                 table = errors.reshape(-1, len(objective.members))
                 best = min(best, float(objective.combined(table).min()))
-                note = f"{stage}, best {best:.4g} {objective.comparer.error.unit}"
+                note = f"{stage}, {_best_shown(best, objective)}"
             reasons = [reason for part in parts for reason in part.reasons]
             ask = study.send(Evaluated(errors, reasons))
     except StopIteration as end:
         result: T = end.value
         return result
+
+
+def _best_shown(best: float, objective: Objective) -> str:
+    """The best combined error so far, per experiment and as a length."""
+    shared = best / len(objective.members) if objective.combine == "sum" else best
+    return f"best RMS {length_of(shared, objective.comparer.error.unit):.4g} mm"
 
 
 def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
@@ -162,14 +207,15 @@ def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
     return Evaluated(arrays["error"], reasons)
 
 
+@callable_by_jobs
 def evaluate(inputs: Path, payload: bytes) -> bytes:
     """Chunk: errors of experiments under points."""
     _, comparer = _desk(inputs)
-    asked = arrays_of(payload)
+    begun, asked = time.process_time(), arrays_of(payload)
     answer = comparer.errors(asked["which"], asked["points"])
     failed = {str(k): reason for k, reason in enumerate(answer.reasons) if reason}
     said = np.frombuffer(json.dumps(failed).encode(), np.uint8)
-    return bytes_of(error=answer.error, reasons=said)
+    return _timed(begun, error=answer.error, reasons=said)
 
 
 # --- every experiment by itself -----------------------------------------------------------------
@@ -203,6 +249,7 @@ def _nothing(comparer: Comparer, member: int, reason: str) -> Found:
     )
 
 
+@callable_by_jobs
 def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
     """Chunk: the calibration of a few experiments, each by itself."""
     request, comparer = _desk(inputs)
@@ -273,7 +320,7 @@ def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Round
         best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
     )
     start = subset.point
-    direct = yield from _direct(request, comparer, members, start)
+    direct = yield from _direct(request, comparer, members, start, _Budget(None))
     return [
         *alone,
         *_improved(alone, better, least),
@@ -296,9 +343,14 @@ def _pooled(how: str, members: Sequence[int], pooled: Pooled) -> Found:
 
 
 def _direct(
-    request: Request, comparer: Comparer, members: Sequence[int], start: FloatArray
+    request: Request,
+    comparer: Comparer,
+    members: Sequence[int],
+    start: FloatArray,
+    budget: _Budget,
 ) -> Rounds[Found]:
     objective = Objective(comparer, combine=request.combine)
+    share = SEARCH_SHARE if request.verdicts else 1.0
     begun = time.perf_counter()
     trace, _ = yield from _asked(
         together(
@@ -308,9 +360,11 @@ def _direct(
             objective.combined,
             request.seed,
             comparer.feasible,
+            lambda: budget.over(share),
         ),
         "all together",
         objective,
+        budget,
     )
     errors, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
     return Found(
@@ -326,7 +380,11 @@ def _direct(
 
 
 def _by_squares(
-    request: Request, comparer: Comparer, members: Sequence[int], start: FloatArray
+    request: Request,
+    comparer: Comparer,
+    members: Sequence[int],
+    start: FloatArray,
+    budget: _Budget,
 ) -> Rounds[Found]:
     """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
     options = request.least_squares
@@ -336,6 +394,9 @@ def _by_squares(
     search = options.start(box, request.seed, comparer.feasible, Prior.of(comparer.space))
     tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
     best = math.inf
+    ended = ""
+    share = SEARCH_SHARE if request.verdicts else 1.0
+    divisor = len(members) if request.combine == "sum" else 1
     per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
     while not search.done:
         points = search.ask()
@@ -343,20 +404,26 @@ def _by_squares(
             Chunk(f"squares/{k}", bytes_of(points=points[at : at + per_chunk]))
             for k, at in enumerate(range(0, len(points), per_chunk))
         ]
-        note = f"least squares, best {best:.4g} mm^2" if tried[1:] else "least squares"
+        note = "least squares"
+        if tried[1:]:
+            note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
         answers = yield Round(f"{HERE}:residuals", chunks, note=note)
+        budget.add(answers)
         table = np.concatenate([_table(answers[c.name], c) for c in chunks])
         search.tell(table)
         tried.append(points)
         errors.append(np.einsum("km,km->k", table, table))
         best = min(best, float(errors[-1].min()))
+        if budget.over(share) and not search.done:
+            ended = OUT_OF_BUDGET
+            break
     trace = Trace(
         search.best.point,
         best,
         np.concatenate(tried),
         np.concatenate(errors),
         [""] * sum(map(len, errors)),
-        search.reason,
+        ended or search.reason,
     )
     found, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
     return Found(
@@ -378,11 +445,13 @@ def _table(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
     return table
 
 
+@callable_by_jobs
 def residuals(inputs: Path, payload: bytes) -> bytes:
     """Chunk: residuals of all experiments under points, whose squares add up to the summed error.
 
     A few frames stand for all of a long trajectory.
     """
+    begun = time.process_time()
     request, comparer = _desk(inputs)
     members = np.arange(len(comparer.targets))
     scale = request.made_error.angle_scale  # type: ignore[attr-defined]
@@ -390,22 +459,28 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
     frames = Frames(comparer, members)
     table = frames.residuals(noise)(arrays_of(payload)["points"])
     share = len(members) if request.combine == "mean" else 1
-    return bytes_of(table=table / np.sqrt(share * frames.weights))
+    return _timed(begun, table=table / np.sqrt(share * frames.weights))
 
 
 # --- what the data determine --------------------------------------------------------------------
 
 
-def _judged(request: Request, comparer: Comparer, found: list[Found]) -> Rounds[list[Found]]:
+def _judged(
+    request: Request, comparer: Comparer, found: list[Found], budget: _Budget
+) -> Rounds[list[Found]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
     judged = []
     for one in found:
         wanted = one.how == DIRECT
-        judged.append((yield from _with_verdicts(request, comparer, one)) if wanted else one)
+        judged.append(
+            (yield from _with_verdicts(request, comparer, one, budget)) if wanted else one
+        )
     return judged
 
 
-def _with_verdicts(request: Request, comparer: Comparer, one: Found) -> Rounds[Found]:
+def _with_verdicts(
+    request: Request, comparer: Comparer, one: Found, budget: _Budget
+) -> Rounds[Found]:
     """With a verdict on every unknown; every simulation behind them is an answer in the journal."""
     if not np.isfinite(one.errors).all():
         return one
@@ -426,6 +501,10 @@ def _with_verdicts(request: Request, comparer: Comparer, one: Found) -> Rounds[F
             ]
             left = None if ask.left is None else math.ceil(ask.left / per_chunk)
             answers = yield Round(f"{HERE}:assess_points", chunks, note=ask.note, left=left)
+            budget.add(answers)
+            if budget.over():
+                more = "give a larger --budget, or fewer experiments: --sample"
+                return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
             ask = running.send(np.concatenate([_table(answers[c.name], c) for c in chunks]))
     except StopIteration as end:
         return _with_assessment(comparer, one, end.value)
@@ -433,12 +512,14 @@ def _with_verdicts(request: Request, comparer: Comparer, one: Found) -> Rounds[F
         return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
 
+@callable_by_jobs
 def assess_points(inputs: Path, payload: bytes) -> bytes:
     """Chunk: answers to a question of `assessing`."""
+    begun = time.process_time()
     _, comparer = _desk(inputs)
     asked = arrays_of(payload)
     kind = str(asked["kind"])
-    return bytes_of(table=answer(comparer, asked["members"], kind, asked["points"]))
+    return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
 
 
 def _assessing(request: Request, comparer: Comparer, one: Found) -> Asking[Assessment]:

@@ -16,14 +16,16 @@ from fixel.exchange.atomic import refuse_unwritable, written_whole
 from fixel.exchange.camera_file import load_camera, save_camera
 from fixel.exchange.camera_import import import_camera
 from fixel.exchange.camera_opencv import save_opencv, save_ros
-from fixel.exchange.rig_file import rig_of
-from fixel.vision.boards import Board, board_of
+from fixel.exchange.document import read_document
+from fixel.exchange.rig_file import plate_of
+from fixel.vision.boards import Board, Picture, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.workflows.camera.pictures import files_of, first_picture, pictures_of
 from fixel.workflows.camera.verdict import Verdict, empty_corners, verdict
 
+RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
 Tell = Callable[[int, int, str], None]
 
@@ -81,7 +83,14 @@ class CameraAnswer:
                 {"name": u.name, "corners": u.corners, "rms_px": u.rms, "tilt_rad": u.tilt}
                 for u in found.used
             ]
-            answer["dropped"] = [{"name": d.name, "reason": d.reason} for d in found.dropped]
+            used = {u.name for u in found.used}
+            for key, whole in (("dropped", True), ("used_in_part", False)):
+                answer[key] = [
+                    {"name": d.name, "reason": d.reason}
+                    for d in found.dropped
+                    if (d.name not in used) is whole
+                ]
+            answer["left_out_rms_px"] = {str(n): rms for n, rms in found.unseen.items()}
         if self.placement is not None:
             off = np.hypot(*self.placement.misfit.T)
             answer["place_rms_px"] = self.placement.rms
@@ -96,7 +105,7 @@ def calibrate(
     board: str,
     output: Path,
     *,
-    coefficients: int = 4,
+    coefficients: int | None = None,
     fisheye: bool = False,
     tell: Tell | None = None,
 ) -> CameraAnswer:
@@ -187,29 +196,23 @@ def place(
         That lies on the plate, its lower left corner `at` a pose of the world [m, m, rad], its
         upper face `thickness` above the plate [m].
     rig : str, optional
-        Whose tags are on the plate; in place of a board.
+        Whose tags are on the plate. They are used where two or more of them are seen, else the
+        board; left out, `rig.yaml` beside the camera file or the picture, where there is one.
     heights : sequence of float
         Above the plate, for which to say how right places are [m].
     plot : Path, optional
         A picture of that: `.png`, `.svg` or `.pdf`.
     """
-    if (board is None) == (rig is None):
-        raise InvalidInput(
-            "place", found="both" if board else "neither", expected="either --board or --rig"
-        )
+    if rig is None:
+        beside = [folder / RIG_FILE for folder in (path.parent, picture.parent)]
+        rig = next((str(file) for file in beside if _has_plate(file)), None)
+    if board is None and rig is None:
+        raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
     _refuse_output(output)
     refuse_plot(plot)
     measured = load_camera(path)
     seen = first_picture(picture)
-    if board is not None:
-        found = place_by_board(measured, seen, board_of(board), pose=at, height=thickness)
-    else:
-        tags = rig_of(str(rig)).plate
-        if not tags:
-            raise InvalidInput(
-                str(rig), found="no tags on the plate", expected="a rig with plate tags, or --board"
-            )
-        found = place_by_tags(measured, seen, tags)
+    found, remarks = _place(measured, seen, board, at, thickness, rig)
     save_camera(found.camera, output)
     verdicts = tuple(verdict(found.camera, height) for height in heights)
     return CameraAnswer(
@@ -217,8 +220,47 @@ def place(
         file=output,
         placement=found,
         verdicts=verdicts,
+        remarks=remarks,
         plot=draw_errors(found.camera, verdicts, plot),
     )
+
+
+def _place(
+    measured: MeasuredCamera,
+    seen: Picture,
+    board: str | None,
+    at: tuple[float, float, float],
+    thickness: float,
+    rig: str | None,
+) -> tuple[Placement, tuple[str, ...]]:
+    """The place by the plate's tags where they are seen, else by the board; and by which."""
+    why_not = "no rig with tags on the plate was named (--rig)"
+    if rig is not None:
+        try:
+            tags = plate_of(rig)
+            if not tags:
+                raise InvalidInput(
+                    rig, found="no tags on the plate", expected="a rig with plate tags, or --board"
+                )
+            found = place_by_tags(measured, seen, tags)
+            return found, (f"placed by the tags on the plate of {rig}",)
+        except InvalidInput as problem:
+            if board is None:
+                raise
+            why_not = f"by its tags it could not be: {problem.found}"
+    found = place_by_board(measured, seen, board_of(str(board)), pose=at, height=thickness)
+    return found, (
+        f"placed by the board; {why_not}. Tags in the corners of the plate make the corners of the "
+        "picture surer than a board in its middle",
+    )
+
+
+def _has_plate(file: Path) -> bool:
+    """Whether a rig file is there and has tags on its plate, whatever its camera file is."""
+    if not file.is_file():
+        return False
+    raw = read_document(file)
+    return isinstance(raw, dict) and bool(raw.get("plate"))
 
 
 def draw_errors(

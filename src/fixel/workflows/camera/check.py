@@ -17,12 +17,13 @@ from fixel.vision.find_tags import find_tags
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
 from fixel.vision.measured_camera import MeasuredCamera
+from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import tag_corners
 from fixel.workflows.camera.calibrate import CameraAnswer, draw_errors, refuse_plot
 from fixel.workflows.camera.pictures import first_picture
 from fixel.workflows.camera.verdict import mm, verdict
 
-MOVED: Final = 5e-4  # [m] from here on a tag of the plate says that the camera was moved
+MOVED: Final = 5e-4  # [m] that a tag of the plate may lie off its place beside the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
 
 
@@ -116,11 +117,8 @@ def _camera_of(name: str) -> tuple[MeasuredCamera, Rig | None]:
         raw = read_document(Path(name))
         if not (isinstance(raw, dict) and "fixel_rig" in raw):
             return load_camera(name), None
-        camera = raw.get("camera")
-        if isinstance(camera, str):
-            return load_camera(Path(name).parent / camera), rig_of(name)
     rig = rig_of(name)
-    return MeasuredCamera(lens=rig.camera.lens, camera=rig.camera), rig
+    return rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera), rig
 
 
 def _tags_off(rig: Rig, picture: Any) -> dict[int, float]:
@@ -140,11 +138,13 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
             expected="tags " + ", ".join(str(tag.id) for tag in rig.plate),
             hint="is this the bench of the rig?",
         )
-    far = {number: off for number, off in tags.items() if off > MOVED}
+    limits = {tag.id: moved_limit(rig, tag, MOVED) for tag in rig.plate}
+    far = {number: off for number, off in tags.items() if off > limits[number]}
     if not far:
         return []
-    worst = max(far, key=lambda number: far[number])
+    worst = max(far, key=lambda number: far[number] / limits[number])
     return [
         f"tag {worst} of the plate is seen {mm(far[worst])} from its place, {len(far)} of "
-        f"{len(tags)} tags are off: the camera was moved, or the plate"
+        f"{len(tags)} tags are off by more than the calibration explains ({mm(limits[worst])}): "
+        "the camera was moved, or the plate"
     ]

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from fixel.applicability.contacts import CONTACT_ANGLE
 from fixel.applicability.evidence import Value
 from fixel.calibration.target import Target
 from fixel.model.trajectory import wrapped
 from fixel.simulation.pack import pusher_path
 
-CONTACT: Final = "contact_angle_rad"
 PUSH: Final = "push_angle_rad"
 TRAVEL: Final = "travel_m"
 
@@ -50,7 +50,7 @@ def _geometry(target: Target) -> dict[str, float]:
     found = {TRAVEL: float(np.hypot(*way))}
     if np.hypot(*arm) > 0.0:
         bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
-        found[CONTACT] = _short(bearing)
+        found[CONTACT_ANGLE] = _short(bearing)
         if found[TRAVEL] > 0.0:
             heading = math.atan2(float(way[1]), float(way[0]))
             found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))

@@ -130,6 +130,8 @@ def _computed(
 ) -> dict[str, Any]:
     chosen = choose(store, (), asked.query)
     started = model_of(project, store, asked, chosen.targets)
+    if asked.measure == "relative":  # what refuses, refuses before hours of fits
+        own_best(store, chosen.ids, started.model)
     folds = asked.folds or _usual(chosen.targets, asked)
     apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
     errors = held_out(chosen.targets, started.model, apart, finished, progress)

@@ -132,6 +132,7 @@ def held_out(
     groups = [label_of(target.conditions, apart.by) for target in targets]
     fold = _folds(targets, groups, apart)
     comparer = Comparer(targets, model.space, model.error, model.motion, stepper, threads)
+    _refuse_start(comparer, groups)
     error = np.full(len(targets), math.inf)
     points: dict[str, list[float]] = {}
     jobs = [(g, k) for g in dict.fromkeys(groups) for k in range(apart.folds)]
@@ -149,6 +150,33 @@ def held_out(
         if progress is not None:
             progress(done + 1, len(jobs))
     return HeldOut(error=error, fold=fold, points=points, stepper=_said(stepper))
+
+
+def _refuse_start(comparer: Comparer, groups: Sequence[str]) -> None:
+    """Refuse a start at which some group has no simulation at all, before any group is fitted.
+
+    One experiment of a group that can be simulated is enough; most often the first can.
+    """
+    start = comparer.space.nominal[None]
+    for group in dict.fromkeys(groups):
+        members = [k for k, name in enumerate(groups) if name == group]
+        reason = ""
+        for k in members:
+            answer = comparer.errors(np.array([k]), start)
+            reason = reason or answer.reasons[0]
+            if math.isfinite(answer.error[0]):
+                break
+        else:
+            raise _no_start(f"{group}: {reason}" if group else reason)
+
+
+def _no_start(reason: str) -> InvalidInput:
+    return InvalidInput(
+        "start of the fits",
+        found=f"no simulation at it: {reason}",
+        expected="parameters with which experiments can be simulated",
+        hint="start at another calibration: --calibration N",
+    )
 
 
 class _Fit:
@@ -186,12 +214,7 @@ class _Fit:
         answer = self.comparer.errors(chosen, start)
         good = chosen[np.isfinite(answer.error)]
         if not len(good):
-            raise InvalidInput(
-                "start of the fits",
-                found=f"no simulation at it: {answer.reasons[0]}",
-                expected="parameters with which experiments can be simulated",
-                hint="start at another calibration: --calibration N",
-            )
+            raise _no_start(answer.reasons[0])
         return good
 
 

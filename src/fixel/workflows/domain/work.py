@@ -12,6 +12,7 @@ from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.exchange.atomic import written_whole
 from fixel.jobs import folder as files
+from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.work import Work
 from fixel.workflows import jobs
 from fixel.workflows.domain.mapped import map_domain
@@ -22,6 +23,7 @@ MAKER: Final = "fixel.workflows.domain.work:domain_work"
 PROGRESS: Final = "fits.json"  # how many fits of how many are done
 
 
+@callable_by_jobs
 def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Everything `fixel domain` does.
 

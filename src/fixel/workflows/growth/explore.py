@@ -238,7 +238,7 @@ def _record(
         name=f"{GROWTH}: {step.group.name}, step {step.step}, {len(members)} experiments",
         parameters=Parameters(dict(zip(method.names, point.tolist(), strict=True))),
         members=tuple(
-            Member(samples.ids[m], share, error)
+            Member.of(samples.ids[m], share, error, method.unit)
             for m, share, error in zip(members, shares.tolist(), step.errors.tolist(), strict=True)
         ),
         provenance=Provenance(version=version("fixel"), command=command),

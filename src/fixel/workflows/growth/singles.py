@@ -44,7 +44,7 @@ class One(NamedTuple):
     @property
     def error(self) -> float:
         """Of its only member."""
-        return self.record.members[0].error_mm2
+        return self.record.errors[0]
 
 
 @final
@@ -200,7 +200,7 @@ def _joint(
         one = One(number, record, sets[0])
         if _method(one) != method or any(values != sets[0] for values in sets):
             continue
-        members, largest = tuple(sorted(rows)), record.max_error_mm2
+        members, largest = tuple(sorted(rows)), max(record.errors)
         if not math.isfinite(largest) or largest > least.get(members, math.inf):
             continue
         least[members] = largest

@@ -31,6 +31,8 @@ SUSPECT: Final = {
     "effective": "is effective: a number that makes this model fit, not a property of the object",
     "precise, but the model misfits": "is precise as far as noise goes, but not when the model's"
     " own errors are allowed for. Do not quote the narrow interval",
+    "at least": "is bounded from below alone: quote the lower end of its interval only",
+    "at most": "is bounded from above alone: quote the upper end of its interval only",
 }
 _LIKELIEST: Final = (
     "The likeliest values, with intervals from profile likelihoods. The best fit is what the search"
@@ -191,7 +193,7 @@ def scale_of(one: Calibrated) -> float:
 
 def errors_of(one: Calibrated) -> FloatArray:
     """(n_member,) as they were minimised; inf where there is none."""
-    return np.array([m.error_mm2 if _has(m.error_mm2) else math.inf for m in one.record.members])
+    return np.array([error if _has(error) else math.inf for error in one.record.errors])
 
 
 def rms(one: Calibrated, errors: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fixel.database.query import Query, Summary
 from fixel.database.store import Store
+from fixel.model.trajectory import turned
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.report.content import Section
 
@@ -78,12 +79,14 @@ def data_section(data: Data) -> Section:
     start = np.array([(s.start_x_m, s.start_y_m, s.start_theta_rad) for s in summaries])
     end = np.array([(s.end_x_m, s.end_y_m, s.end_theta_rad) for s in summaries])
     moved = 1e3 * np.hypot(*(end - start)[:, :2].T)
-    turned = np.degrees(np.abs(end - start)[:, 2])
+    angle = np.degrees(
+        [abs(turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)) for s in summaries]
+    )
     rows = (
         ("frames of an experiment", *_spread(frames)),
         ("duration [s]", *_spread(lasted)),
         ("object moved [mm]", *_spread(moved)),
-        ("object turned [deg]", *_spread(turned)),
+        ("object turned [deg]", *_spread(angle)),
     )
     tables = [
         TextTable(title="Experiments", head=("", "least", "median", "most"), rows=rows),

@@ -1,0 +1,207 @@
+"""Check a database's schema, the checksums of its records and the figures derived from others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import sqlalchemy as sa
+
+from fixel.database import arrays, rows, tables
+from fixel.errors import FixelError, StoreRefused
+
+RESTORE: Final = "put a backup in place of experiments.db: one made with: fixel db backup"
+ADVICE: Final = "copy the experiments into a new project with: fixel export"
+UNREADABLE: Final = (ValueError, TypeError, KeyError, AttributeError, StopIteration)
+CHANGED: Final = "has changed: its checksum is another"
+
+
+class Trouble(NamedTuple):
+    """One thing that is wrong."""
+
+    where: str
+    sentence: str
+    hint: str
+
+
+# --- the schema -----------------------------------------------------------------------------------
+
+
+def schema_troubles(connection: sa.Connection) -> Iterator[Trouble]:
+    """Yield what is missing of tables, columns, indices, references and triggers."""
+    look = sa.inspect(connection)
+    triggers = _triggers(connection)
+    there = set(look.get_table_names())
+    for name, table in tables.METADATA.tables.items():
+        if name not in there:
+            yield Trouble(name, "the table is missing", RESTORE)
+            continue
+        missing = sorted(set(_wanted(table)) - set(_found(look, name)))
+        for sentence in (*missing, *_trigger_faults(table, triggers)):
+            yield Trouble(name, sentence, ADVICE)
+
+
+def _wanted(table: sa.Table) -> Iterator[str]:
+    """Properties of a table that others rely on, as sentences that name one that is missing."""
+    for column in table.columns:
+        yield _column(column.name, bool(column.nullable))
+    for index in table.indexes:
+        yield _index([column.name for column in index.columns])
+    for key in table.foreign_keys:
+        yield f"the reference from {key.parent.name} to {key.column.table.name} is missing"
+    for constraint in table.constraints:
+        if isinstance(constraint, sa.UniqueConstraint):
+            yield _unique([column.name for column in constraint.columns])
+
+
+def _found(look: sa.Inspector, name: str) -> Iterator[str]:
+    for column in look.get_columns(name):
+        yield _column(column["name"], column["nullable"])
+    for index in look.get_indexes(name):
+        columns = [column or "" for column in index["column_names"]]
+        yield _unique(columns) if index["unique"] else _index(columns)
+    for key in look.get_foreign_keys(name):
+        target = key["referred_table"]
+        yield f"the reference from {key['constrained_columns'][0]} to {target} is missing"
+    for constraint in look.get_unique_constraints(name):
+        yield _unique(constraint["column_names"])
+
+
+def _column(name: str, nullable: bool) -> str:
+    return f"the column {name} is missing, or {'must not' if nullable else 'may'} be empty"
+
+
+def _index(columns: list[str]) -> str:
+    return f"the index of {', '.join(columns)} is missing"
+
+
+def _unique(columns: list[str]) -> str:
+    return f"{', '.join(sorted(columns))} may be there twice"
+
+
+def _triggers(connection: sa.Connection) -> Mapping[str, str]:
+    """Definitions of all triggers, by name."""
+    if connection.dialect.name == "sqlite":
+        text = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
+    else:
+        text = "SELECT tgname, pg_get_triggerdef(oid) FROM pg_trigger WHERE NOT tgisinternal"
+    return {str(name): str(sql) for name, sql in connection.execute(sa.text(text))}
+
+
+def _trigger_faults(table: sa.Table, triggers: Mapping[str, str]) -> Iterator[str]:
+    deeds = {"frozen": ("BEFORE UPDATE", "change"), "kept": ("BEFORE DELETE", "delete")}
+    for name, (words, verb) in deeds.items():
+        text = triggers.get(f"{table.name}_{name}", "")
+        frozen = [c.name for c in table.columns if c.name != "deleted_at_utc"]
+        whole = name == "kept" or all(column in text for column in frozen)
+        refuses = "RAISE(ABORT" in text or "fixel_refuse" in text
+        if words not in text or " WHEN " in text or not refuses or not whole:
+            yield f"nothing refuses to {verb} its rows"
+
+
+# --- records --------------------------------------------------------------------------------------
+
+
+def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
+    """Records whose content is not what their checksum, or what they were made from, says."""
+    checks: dict[sa.Table, Callable[[sa.Connection, sa.Row[Any], Path], str | None]] = {
+        tables.experiment: _experiment,
+        tables.system_parameters: _parameters,
+        tables.simulation: _moved,
+        tables.filter_run: _moved,
+        tables.calibration: _calibration,
+    }
+    for table, check in checks.items():
+        # One by one, since together they may be larger than memory.
+        for number in connection.scalars(sa.select(table.c.id).order_by(table.c.id)).all():
+            try:
+                row = connection.execute(sa.select(table).where(table.c.id == number)).one()
+                sentence = check(connection, row, media)
+            except StoreRefused:
+                continue  # a file that is missing or has changed, which is told of its series
+            except (FixelError, sa.exc.NoResultFound, *UNREADABLE) as problem:
+                sentence = f"cannot be read: {_short(problem)}"
+            if sentence is not None:
+                yield Trouble(f"{table.name} {number}", sentence, RESTORE)
+
+
+def _short(problem: Exception) -> str:
+    return " ".join(str(problem).split())[:200] or type(problem).__name__
+
+
+def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
+    flag = tables.flag
+    imported = connection.execute(
+        sa.select(flag.c.name, flag.c.detail, flag.c.is_fault)
+        .where(flag.c.experiment_id == row.id)
+        .order_by(flag.c.id)
+        .limit(row.n_import_flag)
+    )
+    measured = arrays.read_all(connection, "experiment", row.id, media)
+    paths = [values for name, _, values in measured if name == "object"]
+    if not paths or len(paths[0]) != row.n_frame:
+        return None  # told by another check
+    content = row._asdict()
+    derived = rows.path_columns(rows.trajectory_of(paths[0]))
+    if any(content[name] != value for name, value in derived.items()):
+        return "its duration, start or end is not that of its path"
+    flags = [list(one) for one in imported]
+    if rows.content_digest(content | derived, flags, measured) != row.content_sha256:
+        return CHANGED
+    return _geometries(connection, row)
+
+
+def _geometries(connection: sa.Connection, row: sa.Row[Any]) -> str | None:
+    heights = (row.object_height_m, row.pusher_height_m)
+    wanted = rows.geometries_of(row.scene, row.object_name, *heights)
+    for number, geometry in zip(
+        (row.object_geometry_id, row.pusher_geometry_id), wanted, strict=True
+    ):
+        if (number is None) != (geometry is None):
+            return "a geometry of its scene is not stored, or is not of its scene"
+        if geometry is None:
+            continue
+        table = tables.geometry
+        stored = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
+        if stored is None:
+            return None  # a broken reference, which another check tells
+        found = stored._asdict()
+        if any(found[name] != value for name, value in geometry.items()):
+            return f"object_pusher_geometry {number} is not that of its scene"
+    return None
+
+
+def _parameters(_: sa.Connection, row: sa.Row[Any], __: Path) -> str | None:
+    values = rows.parameters_of(row)
+    return None if rows.parameters_row(values)["content_sha256"] == row.content_sha256 else CHANGED
+
+
+def _moved(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
+    owner = "simulation" if hasattr(row, "error_mm2") else "filter_run"
+    for name, columns, values in arrays.read_all(connection, owner, row.id, media):
+        if columns == rows.PATH:
+            rows.trajectory_of(values)  # refuses what is no path
+        elif name in ("object", "pusher"):
+            return f"its path has the columns {', '.join(columns)}"
+    return None
+
+
+def _calibration(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
+    member = tables.calibration_member
+    errors = connection.scalars(
+        sa.select(member.c.error_mm2).where(member.c.calibration_id == row.id)
+    ).all()
+    if len(errors) != row.n_member or not errors:
+        return f"has {len(errors)} of {row.n_member} members"
+    total = math.fsum(errors)
+    wanted = (total / len(errors), total, max(errors))
+    found = (row.mean_error_mm2, row.sum_error_mm2, row.max_error_mm2)
+    if not all(math.isclose(a, b) for a, b in zip(found, wanted, strict=True)):
+        return "its errors are not those of its members"
+    tried = arrays.read_all(connection, "calibration", row.id, media)
+    if sum(len(values) for name, _, values in tried if name == "evaluations") != row.n_evaluation:
+        return "its evaluations are not whole"
+    rows.estimates_of(row.estimates)
+    return None

@@ -1,0 +1,213 @@
+"""What the machine refuses is a sentence: full disks, read-only ones, names that are too long."""
+
+import contextlib
+import errno
+import os
+import shutil
+import sqlite3
+import subprocess
+import time
+
+import pytest
+
+from fixel.cli.main import run
+from fixel.database.project import Project
+from fixel.errors import FixelError, InvalidInput, StoreRefused
+from fixel.exchange.document import parse_json
+from fixel.exchange.scene_file import scene_file_from_dict
+from fixel.sampling import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+
+
+def fixel(capsys, *arguments):
+    """Exit code and what was printed."""
+    with pytest.raises(SystemExit) as end:
+        run([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    return end.value.code, said.out, said.err
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab") / "lab"
+    with Project.create(folder).store() as store:
+        for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
+            store.add_experiment(experiment)
+    return folder
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 3 MB of its own; skipped where none may be made."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no file system can be made here")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def fill(place, left_kb):
+    """Leave so much room."""
+    status = os.statvfs(place)
+    free = status.f_bavail * status.f_frsize
+    (place / "fill").write_bytes(bytes(max(0, free - 1024 * left_kb)))
+
+
+# --- any command ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.ENAMETOOLONG])
+def test_what_the_machine_refuses_is_a_sentence(capsys, monkeypatch, number):
+    def refuse(*_, **__):
+        raise OSError(number, os.strerror(number), "some/file")
+
+    monkeypatch.setattr(Project, "open", refuse)
+    code, _, err = fixel(capsys, "list", "--project", "lab")
+    assert code == 1
+    assert err.startswith(f"fixel: some/file: {os.strerror(number).lower()}")
+    assert "Traceback" not in err
+
+
+def test_a_mistake_of_ours_is_not_hidden(monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EBADF, "bad")
+
+    monkeypatch.setattr(Project, "open", refuse)
+    with pytest.raises(OSError, match="bad"):
+        run(["list", "--project", "lab"])
+
+
+# --- disks ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("left_kb", [0, 36, 44, 52])
+def test_calibrate_on_a_full_disk(small_disk, laboratory, capsys, left_kb):
+    lab = small_disk / "lab"
+    shutil.copytree(laboratory, lab)
+    fill(small_disk, left_kb)
+    code, _, err = fixel(capsys, "calibrate", "--all", "--project", lab, "--prepare")
+    if left_kb == 0 or code:  # the last of them may have room enough
+        assert code in (1, 2), err
+        assert "no space left on device" in err or "full" in err
+        assert err.count("\n") < 3
+
+
+def test_calibrate_where_jobs_cannot_be_written(small_disk, laboratory, capsys):
+    lab = small_disk / "lab"
+    shutil.copytree(laboratory, lab)
+    (lab / "jobs").mkdir(exist_ok=True)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    code, _, err = fixel(capsys, "calibrate", "--all", "--project", lab)
+    assert code in (1, 2)
+    assert "read-only" in err
+    assert "Traceback" not in err
+
+
+def test_a_project_on_a_disk_that_cannot_be_written(small_disk, laboratory, capsys):
+    """Burnt on a disc or mounted read-only, without the file that readers share with writers."""
+    lab = small_disk / "lab"
+    shutil.copytree(laboratory, lab)
+    for left in lab.glob("experiments.db-*"):
+        left.unlink()
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    code, out, err = fixel(capsys, "list", "--project", lab)
+    assert (code, err) == (0, "")
+    assert "2" in out
+    assert fixel(capsys, "db", "check", lab)[0] == 0
+    with Project.open(lab).store() as store:
+        assert store.experiment(1).trajectory.time.size > 1
+        with pytest.raises(StoreRefused, match="read-only"):
+            store.delete(1)
+
+
+def test_changes_that_only_a_writer_can_bring_in_are_not_left_out(small_disk, laboratory, capsys):
+    lab = small_disk / "lab"
+    shutil.copytree(laboratory, lab)
+    with contextlib.closing(sqlite3.connect(lab / "experiments.db")) as raw:
+        raw.execute("UPDATE experiment SET deleted_at_utc = '2026' WHERE id = 1")
+        raw.commit()
+        copy = small_disk / "copy"
+        copy.mkdir()
+        for name in ("experiments.db", "experiments.db-wal", "fixel.yaml"):
+            shutil.copy(lab / name, copy / name)
+    assert (copy / "experiments.db-wal").stat().st_size > 0
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    code, _, err = fixel(capsys, "list", "--project", copy)
+    assert code == 1
+    assert "newest changes" in err
+
+
+# --- fixel new ------------------------------------------------------------------------------------
+
+
+def test_new_on_a_full_disk_can_be_repeated(small_disk, capsys):
+    fill(small_disk, 40)
+    lab = small_disk / "lab"
+    code, _, err = fixel(capsys, "new", lab)
+    assert code in (1, 2)
+    assert "full" in err or "no space" in err
+    assert not lab.exists()
+    (small_disk / "fill").unlink()
+    assert fixel(capsys, "new", lab)[0] == 0
+
+
+@pytest.mark.parametrize(
+    "moment", ["fixel.database.schema.upgrade", "fixel.database.project.written_whole"]
+)
+def test_a_new_that_failed_leaves_nothing(tmp_path, monkeypatch, moment):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(moment, full)
+        with pytest.raises(FixelError, match="no space left"):
+            Project.create(tmp_path / "lab")
+    assert not (tmp_path / "lab").exists()
+    Project.create(tmp_path / "lab").store().close()
+
+
+def test_a_new_that_was_killed_can_be_repeated(tmp_path):
+    Project.create(tmp_path / "lab")
+    (tmp_path / "lab" / "fixel.yaml").unlink()
+    Project.create(tmp_path / "lab").store().close()
+    (tmp_path / "lab" / "fixel.yaml").unlink()
+    (tmp_path / "lab" / "experiments.db").write_bytes(b"")
+    Project.create(tmp_path / "lab").store().close()
+
+
+def test_a_database_that_holds_something_is_not_taken(laboratory, tmp_path):
+    shutil.copytree(laboratory, tmp_path / "lab")
+    (tmp_path / "lab" / "fixel.yaml").unlink()
+    before = (tmp_path / "lab" / "experiments.db").read_bytes()
+    with pytest.raises(InvalidInput, match="something else"):
+        Project.create(tmp_path / "lab")
+    assert (tmp_path / "lab" / "experiments.db").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["x" * 200, "x" * 250, "\u00e4" * 120, "x" * 300])
+def test_long_names(tmp_path, capsys, name):
+    code, _, err = fixel(capsys, "new", tmp_path / name)
+    assert code == (1 if len(name) == 300 else 0), err
+    assert "Traceback" not in err
+    if not code:
+        assert name.startswith(Project.open(tmp_path / name).settings.name)
+
+
+# --- documents ------------------------------------------------------------------------------------
+
+
+def test_many_keys_cost_no_more_than_reading_them():
+    """Each step of a scene's way is linear; counted in calls, since nothing here is timed."""
+    many = {f"k{i}": i for i in range(120_000)}
+    with pytest.raises(InvalidInput, match="found 120000 keys, expected at most 1000"):
+        scene_file_from_dict({"fixel": 1, **dict(list(many.items())[:-1])})
+
+
+def test_a_key_twice_among_many_is_found_at_once():
+    pairs = ",".join(f'"k{i}": 1' for i in range(120_000))
+    begun = time.process_time()
+    with pytest.raises(InvalidInput, match="'k119999' twice"):
+        parse_json(f'{{{pairs}, "k119999": 2}}', "a.json")
+    assert time.process_time() - begun < 20.0  # it was minutes: each key compared with all
