@@ -18,6 +18,8 @@ from fixel.kernels.path import path_direction, path_pose
 REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
 CLOSE = 1e-9  # of the characteristic length: an overlap that is none
 ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a normal is an impact
+RUBBED = 1.0  # marks of a body: friction may stop it
+BLOCKED = 2.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
@@ -405,7 +407,7 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
     """
     n_dof = problem.size[3]
     v = problem.velocity
-    scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, blocked.
+    scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, mark.
     for o in range(0, n_dof, 3):
         dx = v[o] - state.velocity[o]
         dy = v[o + 1] - state.velocity[o + 1]
@@ -416,13 +418,14 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
                 problem.momentum[k] - problem.inertia[k, k - o] * state.velocity[k]
             )
         scratch[o + 2] = 0.0
+    for e in range(problem.size[2]):
+        if problem.element_dof[e] < n_dof:
+            scratch[problem.element_dof[e] + 1] += problem.element_limit[e]
+            scratch[problem.element_dof[e] + 2] = RUBBED
     if not smooth:
-        for e in range(problem.size[2]):
-            if problem.element_dof[e] < n_dof:
-                scratch[problem.element_dof[e] + 1] += problem.element_limit[e]
         for o in range(0, n_dof, 3):
             if scratch[o] > 2.0 * scratch[o + 1] / problem.inertia[o, 0]:
-                scratch[o + 2] = 1.0
+                scratch[o + 2] = BLOCKED
     for i in range(problem.size[1]):
         if problem.impulse[i, 0] <= 0.0:
             continue
@@ -439,13 +442,14 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
                 if smooth:
                     size = max(size, math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1]) + abs(v[o + 2]))
                 if along > ALONG * size:
-                    scratch[o + 2] = 1.0
+                    scratch[o + 2] = BLOCKED
+                scratch[o + 2] = max(scratch[o + 2], RUBBED)
     for o in range(0, n_dof, 3):
         forward = 0.0
         for k in range(o, o + 3):
             forward += v[k] * (2.0 * v[k] - state.velocity[k])
-        if forward <= 0.0:
-            scratch[o + 2] = 1.0
+        if forward <= 0.0 and scratch[o + 2] == RUBBED:
+            scratch[o + 2] = BLOCKED
     spreading = True
     while spreading:  # from body to body: only together do they keep from gaining energy
         spreading = False
@@ -454,12 +458,12 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
             other = problem.contact_dof[i, 1]
             if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
                 continue
-            if scratch[o + 2] != scratch[other + 2]:
-                scratch[o + 2] = 1.0
-                scratch[other + 2] = 1.0
+            if (scratch[o + 2] == BLOCKED) != (scratch[other + 2] == BLOCKED):
+                scratch[o + 2] = BLOCKED
+                scratch[other + 2] = BLOCKED
                 spreading = True
     for o in range(0, n_dof, 3):
-        reach = 2.0 if scratch[o + 2] == 0.0 else 1.0
+        reach = 1.0 if scratch[o + 2] == BLOCKED else 2.0
         for k in range(o, o + 3):
             state.velocity[k] += reach * (v[k] - state.velocity[k])
 
