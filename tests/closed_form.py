@@ -19,7 +19,7 @@ def push(mu, offset, *, speed=0.02, duration=2.0, rate=50.0, angle=0.0):
     """
     pose = np.array([0.0, 0.0, angle])
     tip = _world(pose, (-SIDE / 2 - TIP, offset))
-    fine, n = 40, round(duration * rate)
+    fine, n = 10, round(duration * rate)
     step = 1.0 / (rate * fine)
     poses, tips = [pose], [tip]
     way = np.array([speed, 0.0])

@@ -215,3 +215,13 @@ def test_the_pages_name_what_they_show(bench):
     assert 'data-example="grasp"' in bench.page("/simulate").text
     strange = bench.page("/simulate?example=<script>alert(1)</script>").text
     assert "<script>alert" not in strange
+
+
+@pytest.mark.parametrize("speed", [1e308, 1e200, 1e-200, 5e-324])
+def test_speeds_that_no_pusher_has_are_no_mistake_of_ours(bench, speed):
+    scene = scene_desk.example("grasp")
+    scene["pushers"][0]["drive"]["speed"] = speed
+    answer = bench.post("/simulate", {"scene": scene})
+    assert answer.status_code == (422 if speed > 1.0 else 200), answer.text
+    if speed > 1.0:
+        assert "fastest motion" in answer.json()["sentence"]

@@ -16,6 +16,7 @@ from fixel.workflows import database
 from fixel.workflows.benchmark.reproductions import reproduce
 
 
+@pytest.mark.slow
 def test_two_searches_settle_in_the_part(tmp_path):
     made = reproduce("asme-figure-11", out=tmp_path, quick=True)
     assert (tmp_path / "asme-figure-11.png").stat().st_size > 10_000

@@ -226,8 +226,9 @@ class Promise:
         far = np.where(self._near(table), "", FAR_AWAY)
         answer = [new or away for new, away in zip(novelty.reason, far.tolist(), strict=True)]
         if self._beyond is not None:
-            for k in np.flatnonzero(np.isin(novelty.kind, (SIDE, SPEED))).tolist():
-                answer[k] = self._beyond.reasons(table[k : k + 1])[0]
+            new = np.flatnonzero(np.isin(novelty.kind, (SIDE, SPEED)))
+            for k, why in zip(new.tolist(), self._beyond.reasons(table[new]), strict=True):
+                answer[k] = why
         return tuple(answer)
 
     def near(

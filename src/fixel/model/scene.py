@@ -68,6 +68,14 @@ class PairFriction(Comparable):
             restitution=None if restitution is None else fraction(restitution, where),
         )
 
+    def named(self, names: Sequence[str]) -> tuple[BoolArray, BoolArray]:
+        """Return which names the first and the second of the pair match: two (n,) arrays."""
+        first, second = self.pair
+        return (
+            np.array([_matches(name, first) for name in names], bool),
+            np.array([_matches(name, second) for name in names], bool),
+        )
+
     def covers(self, a: str, b: str) -> bool:
         """Whether this is about bodies `a` and `b`, in either order."""
         first, second = self.pair
@@ -243,7 +251,7 @@ def _refuse_missing_friction(scene: Scene) -> None:
     free = [body.name for body in scene.bodies]
     covered: BoolArray = np.eye(len(free), dtype=bool)
     for entry in scene.contact_friction:
-        first, second = (np.array([_matches(x, pattern) for x in free]) for pattern in entry.pair)
+        first, second = entry.named(free)
         covered |= np.outer(first, second) | np.outer(second, first)
     if not covered.all():
         a, b = (free[k] for k in np.argwhere(~covered)[0])

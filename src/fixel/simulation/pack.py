@@ -49,6 +49,11 @@ from fixel.simulation.vary import (
 # impulses over such a step are of the order of one in scaled units.
 TYPICAL_STEP = 0.01
 
+# [m/s] Slower is standing still: it would take a million ages of the universe to cross an atom.
+SLOWEST = 1e-34
+# Characteristic values whose squares and products are numbers.
+SMALLEST, LARGEST = 1e-100, 1e100
+
 # Of position in one adaptive step, in characteristic lengths: with it 95 % of random grasps end
 # within 0.1 mm and 0.1 degree of converged (docs/theory/stepping.md).
 TOLERANCE = 1e-5
@@ -77,7 +82,30 @@ class Units(NamedTuple):
 
 def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
     """Units of a scene: radius of gyration, fastest prescribed or initial motion (or a `speed`
-    given [m/s]), mass or friction."""
+    given [m/s]), mass or friction.
+
+    Raises
+    ------
+    InvalidInput
+        Speeds, sizes, masses and forces that no floating-point number can relate.
+    """
+    try:
+        units = _units(scene, speed)
+        scales = [*units, units.speed, units.force, units.torque]
+    except (OverflowError, ZeroDivisionError):
+        scales = [math.inf]
+    if not all(SMALLEST < scale < LARGEST for scale in scales):
+        length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in scene.bodies)
+        raise InvalidInput(
+            "scene",
+            found=f"a fastest motion of {fastest_motion(scene, length):.3g} m/s "
+            f"of bodies of {length:.3g} m and {median(b.mass for b in scene.bodies):.3g} kg",
+            expected="speeds, lengths and masses whose products can be computed",
+        )
+    return units
+
+
+def _units(scene: Scene, speed: float | None) -> Units:
     bodies = scene.bodies
     length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in bodies)
     if speed is None:
@@ -85,7 +113,7 @@ def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
     mass = median(b.mass for b in bodies)
     forces = [_friction_force(b, scene.gravity) + math.hypot(*b.force[:2]) for b in bodies]
     force = median(forces)
-    if speed == 0.0:
+    if speed < SLOWEST:
         # Nothing is asked to move: the speed that the forces would give over one length.
         speed = math.sqrt((force / mass if force > 0.0 else 1.0) * length)
     time = length / speed
@@ -190,14 +218,24 @@ def _pieces(scene: Scene) -> Pieces:
 
 
 def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    names = scene.names
-    n = len(names)
-    friction = np.zeros((n, n))
-    restitution = np.zeros((n, n))
-    for a in range(len(scene.bodies)):
-        for b in range(a + 1, n):
-            friction[a, b] = friction[b, a] = scene.friction(names[a], names[b])
-            restitution[a, b] = restitution[b, a] = scene.restitution(names[a], names[b])
+    """`Scene.friction` and `Scene.restitution` of all pairs at once: (n, n) tables."""
+    names, free = scene.names, len(scene.bodies)
+    friction = np.zeros((len(names), len(names)))
+    usual = np.zeros((len(names), len(names)))
+    obstacles: list[Pusher | Fixel] = [*scene.pushers, *scene.fixels]
+    for k, obstacle in enumerate(obstacles, start=free):
+        friction[:free, k] = friction[k, :free] = obstacle.friction
+        usual[:free, k] = usual[k, :free] = obstacle.restitution
+    restitution = usual.copy() if scene.contact_friction else usual
+    # What is written last stays: patterns give way to names, later entries to earlier ones.
+    for entry in sorted(reversed(scene.contact_friction), key=lambda entry: entry.is_literal):
+        one, other = entry.named(names)
+        covered = np.outer(one, other) | np.outer(other, one)
+        covered[free:, free:] = False
+        np.fill_diagonal(covered, False)
+        friction[covered] = entry.friction
+        given = entry.restitution
+        restitution[covered] = usual[covered] if given is None else given
     return friction, restitution
 
 

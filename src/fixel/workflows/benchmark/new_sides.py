@@ -111,6 +111,8 @@ def run(
         beyond = _beyond(bench, plates, left[SIDE] + left[SPEED], column)
         for kind in (SIDE, SPEED):
             counted = _counted(bench, left[kind], beyond, column)
+            if counted is None:
+                continue
             overall += _overall(name, kind, counted)
             groups += _by_group(name, kind, counted)
     transfer = _transfer(left[SIDE], left[RANDOM])
@@ -213,17 +215,21 @@ def _beyond(
 
 def _counted(
     bench: Bench, left: Sequence[LeftOut], beyond: dict[str, Promise | None], column: int
-) -> Counted:
+) -> Counted | None:
+    """Bounds and errors of all left-out pushes; None where too few are left to judge any."""
     plates: dict[Key, list[LeftOut]] = {}
     for own in left:
         plates.setdefault(own.key, []).append(own)
     parts: list[tuple[list[str], FloatArray, FloatArray, FloatArray, BoolArray]] = []
-    for k in range(max(len(own) for own in plates.values())):
+    for k in range(max((len(own) for own in plates.values()), default=0)):
         # Every plate with its k-th side left out; of fewer sides the last judges again.
         use = [own[min(k, len(own) - 1)] for own in plates.values()]
         names = _spread(use, lambda own: " ".join(own.key), lambda own: own.known)
         contacts = Contacts.joined([own.contacts.rows(np.flatnonzero(own.known)) for own in use])
         features, errors = _rows(use, lambda own: own.known, column)
+        bench.tell(f"bounds {k + 1}")
+        if len(errors) < least_experiments(LEVEL):
+            continue  # a quick look at few pushes
         also = Experience(*_rows(use, lambda own: own.train, column))
         plain = Promise.fit(features, errors, names, also=also)
         pushed = PushedContacts(contacts, names)
@@ -235,7 +241,8 @@ def _counted(
             kind = pushed.novelty(asked, name).kind
             parts.append((name, own.errors[rows, column], plain.bounds(table, name),
                           promise.bounds(table, name, asked), np.array(kind) != ""))  # fmt: skip
-        bench.tell(f"bounds {k + 1}")
+    if not parts:
+        return None
     return Counted(
         [name for part in parts for name in part[0]],
         *(np.concatenate([part[j] for part in parts]) for j in range(1, 5)),
