@@ -74,6 +74,36 @@ def test_nonlinear_intervals_are_those_of_brute_force():
         np.testing.assert_allclose(ours, theirs, atol=0.02 * (theirs[1] - theirs[0]))
 
 
+def test_intervals_along_a_bent_valley_are_those_of_a_grid():
+    """Brute force: the least deviance on a dense grid of the other unknown."""
+
+    def bent(points):
+        x, y = points[:, 0], points[:, 1]
+        return np.c_[(y - 4.0 * (x - 0.5) ** 2 - 0.3) / 0.05, (x - 0.55) / 0.08, (y - 0.35) / 0.2]
+
+    _, found = calibrated(bent, box([0, 0], [1, 1]))
+    grid = np.linspace(0.0, 1.0, 2001)
+    table = np.stack([np.sum(bent(np.c_[np.full(len(grid), x), grid]) ** 2, axis=1) for x in grid])
+    for profile, least in zip(found.profiles, (table.min(axis=1), table.min(axis=0)), strict=True):
+        inside = grid[least <= table.min() + THRESHOLD]
+        half = 0.5 * np.ptp(inside)
+        assert profile.low == pytest.approx(inside[0], abs=0.03 * half + 5e-4)
+        assert profile.high == pytest.approx(inside[-1], abs=0.03 * half + 5e-4)
+
+
+@pytest.mark.parametrize("n", [2, 6])
+def test_profiles_of_a_parabola_cost_few_evaluations(n):
+    """Before: 150 an unknown, ten times as many as a search by least squares."""
+    truth = np.linspace(0.3, 0.6, n)
+    residuals, matrix, exact = linear(truth=tuple(truth), sd=0.1)
+    _, found = calibrated(residuals, box([0] * n, [1] * n))
+    half = np.sqrt(THRESHOLD * np.diag(np.linalg.inv(matrix.T @ matrix)))
+    np.testing.assert_allclose(
+        intervals(found), np.c_[exact - half, exact + half], atol=0.01 * half.max()
+    )
+    assert found.evaluations < 25 * n
+
+
 def test_profile_lists_what_a_plot_needs():
     _, found = calibrated(decay_residuals(1), DECAY_BOX)
     for j, profile in enumerate(found.profiles):

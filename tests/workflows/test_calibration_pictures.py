@@ -73,8 +73,11 @@ def test_of_each_experiment_by_itself(lab, tmp_path):
     ]
     assert sorted(path.suffix for path in folder.iterdir()).count(".csv") == 11
 
-    after = {row["experiment"]: float(row["after_mm2"]) for row in _rows(folder / "errors.csv")}
-    assert after == {done.outcome.keys[one.members[0]]: one.errors[0] for one in done.outcome.alone}
+    after = {row["experiment"]: float(row["after_mm"]) for row in _rows(folder / "errors.csv")}
+    alone = done.outcome.alone
+    assert after == pytest.approx(
+        {done.outcome.keys[o.members[0]]: o.errors[0] ** 0.5 for o in alone}
+    )
     offsets = _rows(folder / "parameters_by_offset.csv")
     assert {(row["axis"], row["offset_unit"]) for row in offsets} == {("x", "m"), ("y", "m")}
     radius = {row["experiment"]: float(row["tripod_radius [m]"]) for row in offsets}
@@ -90,10 +93,10 @@ def test_of_one_set_for_all(lab, tmp_path):
     assert "parameters_by_offset" not in names
     trace = done.outcome.found[0].trace
     searched = _rows(tmp_path / "search.csv")
-    assert [float(row["error_mm2"]) for row in searched] == trace.errors.tolist()
+    assert [float(row["error_mm"]) ** 2 for row in searched] == pytest.approx(trace.errors.tolist())
     assert [int(row["iteration"]) for row in searched][:4] == [0, 0, 0, 1]
     starts = _rows(tmp_path / "starts.csv")
-    assert float(starts[0]["error_mm2"]) == trace.error
+    assert float(starts[0]["error_mm"]) ** 2 == pytest.approx(trace.error)
     assert sum(int(row["evaluations"]) for row in starts) == len(trace.errors)
 
 
@@ -111,9 +114,9 @@ def test_of_a_campaign(lab, tmp_path):
     errors = _rows(tmp_path / "errors.csv")
     assert list(errors[0]) == [
         "experiment",
-        "before_mm2",
-        "each_alone_mm2",
-        "one_set_for_all_mm2",
+        "before_mm",
+        "each_alone_mm",
+        "one_set_for_all_mm",
     ]
 
 
@@ -223,6 +226,6 @@ def test_pictures_of_a_search_with_failed_evaluations(lab, tmp_path):
     broken = replace(done, outcome=replace(done.outcome, found=(failed,)))
     search = next(p for p in pictures_of(Desk(broken)) if p.name == "search")
     low, high = search.chart.figure().axes[0].get_ylim()
-    assert high < 100.0 * errors[np.isfinite(errors)].max()
+    assert high < 10.0 * np.sqrt(errors[np.isfinite(errors)].max())
     assert low > 0.0
     assert "search" in _names(draw_all(broken, tmp_path))

@@ -14,6 +14,7 @@ from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.drawing.offsets import Axis
+from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
 from fixel.workflows.calibration.outcome import DIRECT, STORED, SUBSET, Found, Outcome
 from fixel.workflows.calibration.request import Request
@@ -40,6 +41,19 @@ class Desk:
         self.space: ParameterSpace = calibration.request.space
         self.keys: Sequence[str] = calibration.outcome.keys
         self.unit: str = calibration.request.made_error.unit
+
+    def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
+        """Errors as lengths [mm], the unit of all pictures and tables.
+
+        Parameters
+        ----------
+        errors : array
+            In the unit of the calibration.
+        members : int
+            Experiments whose combined errors these are; a sum is shared out among them.
+        """
+        shared = errors / members if self.request.combine == "sum" else errors
+        return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
 
     @cached_property
     def targets(self) -> list[Target]:

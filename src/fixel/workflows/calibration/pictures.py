@@ -139,11 +139,11 @@ def _of_experiments(desk: Desk) -> Pictures:
     """Errors of the experiments, before and after."""
     if len(desk.keys) == 1:  # the overlay says it all
         return
-    series = _series(desk)
-    yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit=desk.unit), desk.banner)
+    series = {name: desk.lengths(errors) for name, errors in _series(desk).items()}
+    yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit="mm"), desk.banner)
     if desk.offset_axes:
         name = "each alone" if "each alone" in series else list(series)[-1]
-        error = Quantity("error", desk.unit, series[name], log=True)
+        error = Quantity("error", "mm", series[name], log=True)
         chart = _offsets_chart(desk, f"Error, {name}", [error])
         yield Picture("errors_by_offset", chart, desk.banner)
 
@@ -213,17 +213,15 @@ def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
         title = title_of(desk, one)
         if word:
             title = f"{word} of {len(desk.searched)}\n{title}"
-        panels.append(SearchPanel(title, one.trace.errors, begins))
-    return SearchChart(panels=panels, unit=desk.unit, what=_what(desk, picks[0][1]))
+        panels.append(SearchPanel(title, desk.lengths(one.trace.errors, len(one.members)), begins))
+    return SearchChart(panels=panels, unit="mm", what=_what(desk, picks[0][1]))
 
 
 def _what(desk: Desk, one: Found) -> str:
     """The number that a search made small."""
     if len(one.members) == 1:
-        return "error"
-    return {"largest": "largest error"}.get(
-        desk.request.combine, f"{desk.request.combine} of errors"
-    )
+        return "RMS error"
+    return "largest RMS error" if desk.request.combine == "largest" else "RMS error"
 
 
 def _starts(desk: Desk, name: str, one: Found) -> Pictures:
@@ -236,15 +234,15 @@ def _starts(desk: Desk, name: str, one: Found) -> Pictures:
     space = desk.space
     chart = StartsChart(
         title=f"{len(traced.ends)} starts: {title_of(desk, one)}",
-        unit=desk.unit,
-        errors=np.array([end.error for end in traced.ends]),
+        unit="mm",
+        errors=desk.lengths(np.array([end.error for end in traced.ends]), len(one.members)),
         points=np.array([end.point for end in traced.ends]),
         labels=space.labels,
         units=[unknown.unit for unknown in space.free],
         low=space.low,
         high=space.high,
         evaluations=traced.evaluations,
-        nearly=NEARLY,
+        nearly=NEARLY if desk.unit == "mm" else 0.5 * NEARLY,
         what=_what(desk, one),
     )
     yield Picture(name, chart, desk.banner)
@@ -345,18 +343,18 @@ def _overlay_chart(
     scene = target.case.scene
     before, after = (_simulated(desk, target, p) for p in (desk.space.nominal, point))
     body = scene.bodies[0]
-    nominal = float(desk.outcome.nominal[member])
+    nominal = float(desk.lengths(desk.outcome.nominal[member]))
     start = np.concatenate(([0.0], target.case.times))
     return OverlayChart(
         title=target.key if not word else f"{target.key}: the {word} of {len(desk.keys)}",
         outline=body.shape.outline,
         measured=Track(start, np.vstack((body.pose, target.pose))),
         before=_track(before, nominal),
-        after=_track(after, error),
+        after=_track(after, float(desk.lengths(np.asarray(error)))),
         real=not desk.banners[member],
         fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in scene.fixels],
         pusher=_pusher(after),
-        unit=desk.unit,
+        unit="mm",
     )
 
 
