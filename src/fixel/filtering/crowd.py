@@ -212,8 +212,7 @@ class Mechanics:
                 back = (sight.time - sight.seen_at) / (time[k] - time[k - 1])
             behind = back * (crowd.pose - before)
             before = crowd.pose
-            if np.any(path[:, k] != path[:, k - 1]):
-                self._grow(crowd, walk, time[k] - time[k - 1], shake)
+            self._grow(crowd, walk, time[k] - time[k - 1], shake)
             self._weigh(crowd, sight, behind)
             if sight.fold:
                 before = crowd.place
@@ -242,6 +241,7 @@ class Mechanics:
             *np.moveaxis(np.diff(pose[:, :, :2], axis=1, prepend=start[:, None, :2]), 2, 0)
         )
         thrown = (away > FARTHEST * way + self._stride).any(axis=1)
+        thrown |= ~np.isfinite(pose).all(axis=(1, 2))
         failed = np.asarray(~result.converged | thrown)
         pose = np.where(thrown[:, None, None], start[:, None], pose)
         return pose, failed, result.stalled[:, 0]

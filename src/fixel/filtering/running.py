@@ -138,7 +138,7 @@ class RunningFilter:
         self._unknowns = Unknowns(self.prior, pose, np.array(self._start_spread)[[0, 0, 1]])
         free = self._unknowns.drawn(options.n_particles, self._random)
         self._begin(free, time, pusher)
-        self.estimate = self._estimated(0.0, False)
+        self.estimate = self._estimated(0.0, 0, False)
         # Compiled code is loaded now, so that the first frame takes no longer than the others.
         sights = [Sight(time), Sight(time + FRAME)]
         copy = self._crowd.take(np.arange(options.n_particles))
@@ -178,6 +178,7 @@ class RunningFilter:
         self._mechanics.advance(crowd, unknowns, self._sights[-2:], path, self._shake)
         self._driven = driven
         surprise, near = self._surprise(sight.seen)
+        failed = int(crowd.failed.sum())
         alive = normalised(self._log_weight) > 0.0
         lost = bool(crowd.failed[alive].all() or not near[alive].any())
         if lost:
@@ -186,7 +187,7 @@ class RunningFilter:
             self._losses = 0
             self._move()
             self._weigh()
-        self.estimate = self._estimated(surprise, lost)
+        self.estimate = self._estimated(surprise, failed, lost)
         return self.estimate
 
     # --- the parts of a step --------------------------------------------------------------------
@@ -345,7 +346,7 @@ class RunningFilter:
         self._unknowns = Unknowns(self.prior, centre, np.array([position, position, angle]))
         self._begin(free, sight.time, pusher)
 
-    def _estimated(self, surprise: float, recovered: bool) -> Estimate:
+    def _estimated(self, surprise: float, failed: int, recovered: bool) -> Estimate:
         crowd, weight = self._crowd, normalised(self._log_weight)
         values = self._unknowns.values(crowd.free)
         pose = mean_pose(crowd.place, weight, self._angle)
@@ -360,7 +361,7 @@ class RunningFilter:
             quantiles=quantiles(values, weight, QUANTILES),
             touch=np.sum(weight[:, None] * crowd.touch, axis=0),
             ess=effective_sample_size(weight),
-            failed=int(crowd.failed.sum()),
+            failed=failed,
             surprise=surprise,
             recovered=recovered,
         )
