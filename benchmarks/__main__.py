@@ -23,6 +23,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
     "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
+    "filter-coverage": ("filter_coverage", "run", "intervals of 200 filter runs with known truth"),
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
@@ -44,7 +45,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 }
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
-    *("camera", "other-camera", "web"),
+    *("camera", "other-camera", "web", "filter-coverage"),
 }
 
 

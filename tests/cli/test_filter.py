@@ -73,7 +73,14 @@ def test_the_answer_for_programs(folder):
     assert (first["particles"], first["seed"], first["occlusion_s"]) == (40, 3, [1.0, 2.0])
     assert first["filter_run_id"] is None
     assert first["files"] == {}
-    assert set(first["parameters"]["mu_pusher"]) == {"mean", "q05", "q50", "q95", "excited"}
+    assert set(first["parameters"]["mu_pusher"]) == {
+        "mean",
+        "q05",
+        "q50",
+        "q95",
+        "excited",
+        "at_bound",
+    }
     assert (deaf["uses_tactile"], deaf["hidden"]) == (False, None)
 
 

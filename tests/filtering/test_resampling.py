@@ -8,11 +8,11 @@ import pytest
 
 from fixel.filtering.prior import Prior
 from fixel.filtering.resampling import (
+    COARSE,
     effective_sample_size,
     normalised,
-    shrunk,
+    power,
     systematic,
-    tempered,
 )
 
 PRIOR = Prior(("mu_pusher", "tripod_radius"), np.array([0.1, 0.01]), np.array([1.0, 0.1]))
@@ -52,40 +52,17 @@ def test_weights_far_below_rounding_are_weights():
     np.testing.assert_allclose(weight, [0.75, 0.25, 0.0])
 
 
-def test_one_observation_leaves_as_many_as_asked():
-    log_prior = np.full(500, -np.log(500.0))
-    likelihood = -0.5 * (np.linspace(0.0, 60.0, 500)) ** 2
+def test_the_likelihood_counts_as_far_as_particles_reach():
+    nothing = np.zeros(500)
+    score = -0.5 * (np.linspace(0.0, 60.0, 500)) ** 2
 
-    assert effective_sample_size(normalised(log_prior + likelihood)) < 20.0
-    weight = tempered(log_prior, likelihood, 50.0)
-    assert 50.0 <= effective_sample_size(weight) < 55.0
-    assert (np.diff(weight) <= 0.0).all()
-    mild = likelihood * 1e-3
-    np.testing.assert_array_equal(tempered(log_prior, mild, 50.0), normalised(log_prior + mild))
-
-
-def test_jitter_keeps_mean_and_spread_on_the_free_scale():
-    random = np.random.default_rng(3)
-    values, weight = PRIOR.drawn(20_000, random), weights(20_000, 4)
-    chosen = systematic(weight, random)
-    jittered = shrunk(PRIOR, values, weight, chosen, 0.95, random)
-
-    before, after = PRIOR.free(values), PRIOR.free(jittered)
-    mean = np.sum(weight[:, None] * before, axis=0)
-    spread = np.sqrt(np.sum(weight[:, None] * (before - mean) ** 2, axis=0))
-    np.testing.assert_allclose(after.mean(axis=0), mean, atol=0.05)
-    np.testing.assert_allclose(after.std(axis=0), spread, rtol=0.05)
-    assert len(np.unique(jittered[:, 0])) > len(np.unique(chosen))
-
-
-def test_nothing_leaves_its_bounds():
-    random = np.random.default_rng(5)
-    values = PRIOR.low + (PRIOR.high - PRIOR.low) * random.integers(0, 2, (400, 2))
-    chosen = np.arange(400)
-    for _ in range(20):
-        values = shrunk(PRIOR, values, np.full(400, 1 / 400), chosen, 0.9, random)
-    assert (values >= PRIOR.low).all()
-    assert (values <= PRIOR.high).all()
+    assert effective_sample_size(normalised(COARSE * score)) < 20.0
+    found = power(nothing, score, nothing, 50.0)
+    assert 0.0 < found < COARSE
+    assert 50.0 <= effective_sample_size(normalised(found * score)) < 60.0
+    assert power(nothing, 1e-3 * score, nothing, 50.0) == COARSE
+    # What the weights hold already is not counted twice.
+    assert power(nothing, score, COARSE * score, 50.0) == COARSE
 
 
 def test_free_scale_and_back():

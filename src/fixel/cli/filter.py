@@ -18,6 +18,8 @@ HERE = Path()
 
 Range = tuple[float, float]
 
+BELIEF_FAR = 3.0  # times the camera's noise: a belief beyond it is worth a line
+
 
 def filter_(
     key: Annotated[
@@ -36,7 +38,7 @@ def filter_(
     tactile: Annotated[
         bool, typer.Option("--tactile/--no-tactile", help="Whether the fixels are listened to.")
     ] = True,
-    particles: Annotated[int, typer.Option(help="How many particles.")] = 500,
+    particles: Annotated[int, typer.Option(help="How many particles.")] = 125,
     prior: Annotated[
         list[str] | None,
         typer.Option(
@@ -128,7 +130,7 @@ def _command(
         words += ["--no-tactile"]
     for belief in prior or []:
         words += ["--prior", belief]
-    words += [] if particles == 500 else ["--particles", str(particles)]
+    words += [] if particles == 125 else ["--particles", str(particles)]
     words += [] if seed == 0 else ["--seed", str(seed)]
     return shlex.join(words)
 
@@ -153,9 +155,11 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
 def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
     blocks = [
         [_origin(answer)],
+        _misfit(answer),
         _input(answer),
         _errors(answer),
         _parameters(answer),
+        _calibrated(answer),
         _modes(answer),
         _effort(answer),
         _kept(answer, plot),
@@ -168,6 +172,27 @@ def _origin(answer: "FilterAnswer") -> str:
     experiment = answer.experiment
     what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
     return f"{experiment.key}: {what}"
+
+
+def _misfit(answer: "FilterAnswer") -> list[str]:
+    """Said first: how far the intervals below can be trusted."""
+    misfit, found = answer.estimates.misfit, answer.estimates
+    if misfit.ratio is None or not misfit.warns:
+        return []
+    lines = [
+        f"model misfit: residuals of {1e3 * misfit.residual_m:.2g} mm and"
+        f" {degrees(misfit.residual_rad):.2g} deg are {misfit.ratio:.2g} times the noise of"
+        f" {1e3 * misfit.noise_m:.2g} mm and {degrees(misfit.noise_rad):.2g} deg"
+        " (second differences of the measured poses).",
+        "The model is wrong by more than the noise explains: values below are effective ones.",
+    ]
+    believed = found.options.position_deviation / max(misfit.noise_m, 1e-12)
+    if believed > BELIEF_FAR:
+        lines.append(
+            f"The filter believes {believed:.2g} times as much camera noise as there is;"
+            " its intervals allow for the misfit as far as that goes."
+        )
+    return lines
 
 
 def _input(answer: "FilterAnswer") -> list[str]:
@@ -206,11 +231,33 @@ def _parameters(answer: "FilterAnswer") -> list[str]:
         found.prior.names, found.mean[-1], found.quantiles[-1], strict=True
     ):
         told = "" if found.excited[name] else "not excited: about as believed before"
+        if found.at_bound[name]:
+            told = "at the bound of its prior: choose a wider one with --prior"
         shown = f"{name} [mm]" if name == "tripod_radius" else name
         factor = 1e3 if name == "tripod_radius" else 1.0
         numbers = [f"{factor * value:.3g}" for value in (mean, low, high)]
         rows.append((shown, *numbers, told))
     return table(("at the end", "mean", "5 %", "95 %", ""), rows) if rows else []
+
+
+def _calibrated(answer: "FilterAnswer") -> list[str]:
+    """What calibrations with this experiment say of the same parameters."""
+    from fixel.cli.screen import table
+
+    rows = []
+    for number, parameters in answer.compared().items():
+        for name, one in parameters.items():
+            factor = 1e3 if name == "tripod_radius" else 1.0
+            ends = [one["low"], one["high"]]
+            shown = ["open" if end is None else f"{factor * end:.3g}" for end in ends]
+            label = f"{name} [mm]" if name == "tripod_radius" else name
+            verdict = one["verdict"] or "not assessed"
+            rows.append(
+                (f"calibration {number}", label, f"{factor * one['value']:.3g}", *shown, verdict)
+            )
+    return (
+        table(("of this experiment", "", "value", "low", "high", "verdict"), rows) if rows else []
+    )
 
 
 def _modes(answer: "FilterAnswer") -> list[str]:

@@ -2,55 +2,81 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from fixel.kernels.measure import measure_gaps
-from fixel.model import Scene, wrapped
+from fixel.model import Scene
 from fixel.model.fields import FloatArray
 from fixel.simulation.geometry import pack_shapes
 
+CLEAR: Final = 1e-3  # probability from which a contact is clear
+FAR: Final = 5e-3  # [m] gaps beyond it are bounded, not measured
 
-def squared_distance(
-    pose: FloatArray, seen: FloatArray, position_deviation: float, angle_deviation: float
-) -> FloatArray:
-    """(n,) squared deviations of poses (n, 3) from one that was seen (3,), in standard deviations.
 
-    The logarithm of the camera's likelihood is minus half of it.
+def contact_probability(gap: FloatArray, touch_gap: float, spread: FloatArray) -> FloatArray:
+    """Return the probability that shapes touch, from the gap between them [-].
+
+    A half at half of `touch_gap`; how far on both sides it is in between is given by `touch_gap`
+    and by how uncertain the gap itself is.
+
+    Parameters
+    ----------
+    gap : (n, n_fixel) float64
+        [m]
+    touch_gap : float
+        [m]
+    spread : (n, 1) float64
+        Standard deviation of the gap [m].
     """
-    away = pose - seen
-    position = np.sum(away[:, :2] ** 2, axis=1) / position_deviation**2
-    return np.asarray(position + (wrapped(away[:, 2]) / angle_deviation) ** 2)
+    width = np.sqrt((0.25 * touch_gap) ** 2 + spread**2)
+    # The logistic function is the normal distribution's within 0.01 on this scale.
+    return np.asarray(0.5 * (1.0 + np.tanh(0.851 * (0.5 * touch_gap - gap) / width)))
 
 
-def tactile_log_likelihood(
-    contact: FloatArray, touches: FloatArray, silent: float, heard: float
-) -> FloatArray:
-    """(n,) logarithm of the probability of readings, given which fixels each particle touches.
+def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> FloatArray:
+    """Return probabilities of contact (n, n_fixel) that remember those of the frame before.
+
+    Where the pose is uncertain, it is as uncertain in the next frame, in the same direction: sixty
+    frames at an unclear gap are one unknown, not sixty. Contacts that are clear remember nothing.
+
+    Parameters
+    ----------
+    contact, before : (n, n_fixel) float64
+        By the gaps now, and after the readings of the frame before.
+    memory : (n, 1) float64
+        Share of the old one that is kept [-].
+    """
+    unclear = (contact > CLEAR) & (contact < 1.0 - CLEAR)
+    return np.asarray(np.where(unclear, contact + memory * (before - contact), contact))
+
+
+def told(
+    contact: FloatArray, ones: FloatArray, zeros: FloatArray, silent: float, heard: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what readings say, and probabilities of contact after them, by Bayes' rule.
 
     Parameters
     ----------
     contact : (n, n_fixel) float64
-        Probability that there is contact, from `contact_probability`.
-    touches : (n_fixel,) float64
-        Readings, 1 for contact; NaN where there was none.
+        Probability that there is contact, before the readings.
+    ones, zeros : (n_fixel,) float64
+        How often each fixel has read 1 and 0.
     silent, heard : float
         P(read 0 | no contact) and P(read 1 | contact) [-].
+
+    Returns
+    -------
+    likelihood : (n,) float64
+        Logarithm of the probability of the readings.
+    contact : (n, n_fixel) float64
+        Probability that there is contact, after the readings.
     """
-    one = contact * heard + (1.0 - contact) * (1.0 - silent)
-    probability = np.where(touches > 0.5, one, 1.0 - one)
-    return np.asarray(np.sum(np.where(np.isnan(touches), 0.0, np.log(probability)), axis=1))
-
-
-def contact_probability(gap: FloatArray, touch_gap: float) -> FloatArray:
-    """1 where shapes touch, 0 from a gap of `touch_gap` on, linear between [-].
-
-    One frame of a push may be half a millimetre long. With a sharp edge, the frame or two in which
-    a particle is within the edge but the object does not touch yet would cost it a factor of 77
-    each.
-    """
-    return np.asarray(np.clip(1.0 - gap / touch_gap, 0.0, 1.0))
+    likely = contact * (heard**ones * (1.0 - heard) ** zeros)
+    other = (1.0 - contact) * (silent**zeros * (1.0 - silent) ** ones)
+    both = likely + other
+    return np.asarray(np.sum(np.log(both), axis=1)), np.asarray(likely / both)
 
 
 @final
@@ -64,31 +90,32 @@ class FixelGaps:
     """
 
     def __init__(self, scene: Scene) -> None:
-        shapes = pack_shapes([scene.bodies[0].shape, *(f.shape for f in scene.fixels)])
+        pieces = [scene.bodies[0].shape, *(f.shape for f in scene.fixels)]
+        shapes = pack_shapes(pieces)
         # Sizes of order one: the kernels' tolerances are meant for that.
         self._size = float(max(np.abs(shapes.vertex).max(), shapes.piece_radius.max()))
         self._shapes = shapes._replace(
             vertex=shapes.vertex / self._size, piece_radius=shapes.piece_radius / self._size
         )
         self._fixel = np.array([f.pose for f in scene.fixels]).reshape(-1, 3)
+        reach = np.array([np.hypot(*shape.outline.T).max() for shape in pieces])
+        self._reach = reach[0] + reach[1:]
 
     @property
     def n_fixel(self) -> int:
-        """How many fixels there are."""
+        """Number of fixels."""
         return len(self._fixel)
 
     def of(self, pose: FloatArray) -> FloatArray:
-        """(n, n_fixel) gaps [m] at poses (n, 3); negative in overlap."""
-        n, n_fixel = len(pose), self.n_fixel
-        if n_fixel == 0:
-            return np.zeros((n, 0))
-        apart = np.zeros((n, n_fixel, 3))
-        apart[:, :, :2] = (pose[:, None, :2] - self._fixel[:, :2]) / self._size
-        apart[:, :, 2] = pose[:, None, 2]
-        about = np.zeros((n * n_fixel, 3))
-        about[:, 2] = np.tile(self._fixel[:, 2], n)
-        second = np.tile(np.arange(1, n_fixel + 1), n)
-        found = measure_gaps(
-            *self._shapes, np.zeros_like(second), second, apart.reshape(-1, 3), about
-        )
-        return np.asarray(self._size * found[:, 0].reshape(n, n_fixel))
+        """(n, n_fixel) gaps [m] at poses (n, 3); negative in overlap, lower bounds from 5 mm on."""
+        away = pose[:, None, :2] - self._fixel[:, :2]
+        gap = np.asarray(np.hypot(away[:, :, 0], away[:, :, 1]) - self._reach)
+        row, fixel = np.nonzero(gap < FAR)
+        if len(row) == 0:
+            return gap
+        first = np.column_stack((away[row, fixel] / self._size, pose[row, 2]))
+        second = np.zeros_like(first)
+        second[:, 2] = self._fixel[fixel, 2]
+        found = measure_gaps(*self._shapes, np.zeros_like(fixel), 1 + fixel, first, second)
+        gap[row, fixel] = self._size * found[:, 0]
+        return gap

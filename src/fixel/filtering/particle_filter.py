@@ -1,8 +1,9 @@
 """A particle filter that follows a pushed object and learns its friction while it moves.
 
-Every particle is a pose with a set of parameters of its own. In each frame of the camera all of
-them are simulated over the pusher's measured motion, in one compiled batch, and weighed by what was
-seen and felt.
+Every particle is a start pose with a set of parameters and a size of model error of its own. In
+each frame of the camera all of them are simulated over the pusher's smoothed motion, in one
+compiled batch, and weighed by what was seen and felt. Proposals that are simulated from the start
+on keep them apart.
 
 Source: Zhang, Lyu & Trinkle (2013), A dynamic Bayesian approach to real-time estimation and
 filtering in grasp acquisition, for estimating pose and parameters together with tactile bits; the
@@ -53,26 +54,23 @@ class ParticleFilter:
     Parameters
     ----------
     n_particles : int
-        At least 2; 500 as in the laboratory.
+        At least 2. Up to 125 are moved in every frame, more of them less often: see
+        docs/how-to/filter-a-run.md for what that means for intervals.
     priors : mapping from name to (low, high) or None
         Uniform beliefs about parameters, in place of those of `DEFAULT_PRIORS`: friction of support
         and pusher 0.1 to 1, of fixels 0.2 to 0.5, tripod radius 10 to 100 mm. None leaves a
         parameter at the scene's value.
     start_position_deviation, start_angle_deviation : float
-        Spread of the start pose, in either coordinate [m] and in angle [rad].
+        Spread of the start pose, in either coordinate [m] and in angle [rad]; as much as the
+        camera's own, by which it is mostly known.
     position_deviation, angle_deviation : float
         Of a pose as the camera sees it, in either coordinate [m] and in angle [rad]. The
         laboratory's covariance is diag(0.5, 0.5 mm^2, 0.001 rad^2).
     no_contact_reliability, contact_reliability : float
         P(read 0 | no contact) and P(read 1 | contact) of a fixel [-].
     touch_gap : float
-        Below which object and fixel count as touching [m]; readings trust it gradually, see
+        Below which object and fixel count as touching [m], gradually: see
         `observation.contact_probability`.
-    position_noise, angle_noise : float
-        Process noise in 1/30 s, for all that the model leaves out [m], [rad]. It grows with the
-        square root of time.
-    discount : float
-        Of the kernel that jitters parameters, see `resampling.shrunk` [-].
     resample_below : float
         Effective sample size, as a share of the particles, below which is resampled [-].
     motion : AbstractMotionModel
@@ -86,19 +84,16 @@ class ParticleFilter:
         Of the simulation. The results are the same bits for any number.
     """
 
-    n_particles: int = 500
+    n_particles: int = 125
     priors: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
-    start_position_deviation: float = 0.5e-3
-    start_angle_deviation: float = 0.02
+    start_position_deviation: float = math.sqrt(0.5) * 1e-3
+    start_angle_deviation: float = math.sqrt(1e-3)
     position_deviation: float = math.sqrt(0.5) * 1e-3
     angle_deviation: float = math.sqrt(1e-3)
     no_contact_reliability: float = 0.9575
     contact_reliability: float = 0.9875
-    touch_gap: float = 0.95e-3
-    position_noise: float = 0.2e-3
-    angle_noise: float = 4e-3
-    discount: float = 0.98
-    resample_below: float = 0.5
+    touch_gap: float = 0.3e-3
+    resample_below: float = 0.6
     motion: AbstractMotionModel = field(default_factory=QuasiStatic)
     force_limit: float | None = None
     threads: int = 1
@@ -184,14 +179,11 @@ _POSITIVE = {"position_deviation": "m", "angle_deviation": "rad", "touch_gap": "
 _NOT_NEGATIVE = {
     "start_position_deviation": "m",
     "start_angle_deviation": "rad",
-    "position_noise": "m",
-    "angle_noise": "rad",
 }
 # Open intervals: a fixel that never errs would kill every particle at its first error.
 _BETWEEN = {
     "no_contact_reliability": (0.0, 1.0),
     "contact_reliability": (0.0, 1.0),
-    "discount": (0.5, 1.0),
     "resample_below": (0.0, 1.0),
 }
 

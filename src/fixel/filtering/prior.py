@@ -155,3 +155,18 @@ def excited(prior: Prior, low: FloatArray, high: FloatArray) -> list[bool]:
     before = 0.9 * (prior.high - prior.low)
     narrow = (high - low) < NARROWED * before
     return [bool(a and not math.isclose(b, 0.0)) for a, b in zip(narrow, before, strict=True)]
+
+
+def touches_bound(prior: Prior, low: FloatArray, high: FloatArray) -> list[bool]:
+    """Return which 90 % intervals end at a bound of the prior.
+
+    Nearer to it than half of what lies outside of the interval of a uniform belief.
+
+    Parameters
+    ----------
+    prior : Prior
+    low, high : (n_name,) float64
+        The 5 % and 95 % quantiles.
+    """
+    near = 0.025 * (prior.high - prior.low)
+    return [bool(told) for told in (low - prior.low < near) | (prior.high - high < near)]

@@ -11,8 +11,9 @@ import numpy as np
 
 from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
+from fixel.filtering.misfit import Misfit, misfit_of
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import Prior, excited
+from fixel.filtering.prior import Prior, excited, touches_bound
 from fixel.filtering.running import Estimate, Frame
 from fixel.kernels.arrays import IntArray
 from fixel.model import Experiment, Scene, Trajectory, pose_error
@@ -21,6 +22,7 @@ from fixel.model.fields import BoolArray, FloatArray
 Progress = Callable[[int, int], None]
 
 SAME_INSTANT: Final = 1e-6  # [s]; clocks of two sensors are the same frames, rounded differently
+DRAWS: Final = 400  # of the parameters at the end
 TACTILE: Final = "tactile"  # the channel of the fixels
 
 
@@ -53,8 +55,14 @@ class FilterEstimates:
     ess : (n,) float64
     failed : (n,) int64
         Particles that could not be simulated.
+    surprise : (n,) float64
+        See `Estimate.surprise`.
     seen, recovered : (n,) bool
         Whether the camera saw the object, and whether the filter had lost it.
+    draws : (n_draw, n_name) float64
+        Parameters of the particles at the end, drawn as often as their weights say.
+    misfit : Misfit
+        How far the model alone is from what the camera saw.
     busy : (n,) float64
         Wall time each frame took [s]; the only thing that is not the same every time.
     """
@@ -72,8 +80,11 @@ class FilterEstimates:
     touch: FloatArray
     ess: FloatArray
     failed: IntArray
+    surprise: FloatArray
     seen: BoolArray
     recovered: BoolArray
+    draws: FloatArray
+    misfit: Misfit
     busy: FloatArray
 
     @property
@@ -101,6 +112,17 @@ class FilterEstimates:
         """By parameter, whether the run has told something about it."""
         last = self.quantiles[-1]
         return dict(zip(self.prior.names, excited(self.prior, last[:, 0], last[:, 2]), strict=True))
+
+    @property
+    def at_bound(self) -> dict[str, bool]:
+        """By parameter, whether its interval ends at a bound of its prior, so that the bound and
+        not the run may have decided it."""
+        low, _, high = self.quantiles[-1].T
+        near = touches_bound(self.prior, low, high)
+        return {
+            name: told and self.excited[name]
+            for name, told in zip(self.prior.names, near, strict=True)
+        }
 
     def errors(self, measured: Trajectory) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Distance [m] and angle [rad] to the measured poses, and which of them were hidden.
@@ -166,16 +188,29 @@ def run_filter(
         prior=running.prior,
         occlusion=occlusion,
         uses_tactile=any(frame.touches is not None for frame in frames),
+        draws=running.draws(DRAWS),
+        misfit=misfit_of(running, *_within_run(experiment, frames), seed),
         seen=np.array([frame.seen is not None for frame in frames]),
         busy=np.array(busy),
     )
+
+
+def _within_run(experiment: Experiment, frames: list[Frame]) -> tuple[Trajectory, Trajectory]:
+    """Measured paths of the object and the pusher while the filter ran."""
+    first, last = frames[0].time - SAME_INSTANT, frames[-1].time + SAME_INSTANT
+    found = []
+    for track in (experiment.trajectory, _pusher(experiment)):
+        kept = (track.time >= first) & (track.time <= last)
+        found.append(Trajectory(time=track.time[kept], pose=track.pose[kept]))
+    return found[0], found[1]
 
 
 def _gathered(estimates: list[Estimate], **rest: object) -> FilterEstimates:
     columns = {
         name: np.array([getattr(estimate, name) for estimate in estimates])
         for name in (
-            "time", "pose", "covariance", "mean", "quantiles", "touch", "ess", "failed", "recovered"
+            "time", "pose", "covariance", "mean", "quantiles", "touch", "ess", "failed", "surprise",
+            "recovered"
         )
     }  # fmt: skip
     return FilterEstimates(**columns, **rest)  # type: ignore[arg-type]

@@ -4,46 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.filtering.observation import (
-    FixelGaps,
-    contact_probability,
-    squared_distance,
-    tactile_log_likelihood,
-)
+from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, Mechanics, Sight, gathered, joined
+from fixel.filtering.head_path import smoothed
 from fixel.filtering.prior import Prior, prior_for
-from fixel.filtering.resampling import (
-    Indices,
-    effective_sample_size,
-    shrunk,
-    systematic,
-    tempered,
-)
+from fixel.filtering.resampling import COARSE, effective_sample_size, normalised, power, systematic
 from fixel.filtering.statistics import mean_pose, pose_covariance, quantiles
-from fixel.model import Scene
+from fixel.filtering.unknowns import Unknowns, accepted
+from fixel.model import Scene, wrapped
 from fixel.model.fields import BoolArray, FloatArray, vector
-from fixel.simulation import BatchResult, StewartTrinkle, simulate_batch
 
 if TYPE_CHECKING:
     from fixel.filtering.particle_filter import ParticleFilter
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
-FRAME: Final = 1.0 / 30.0  # [s] for which process noise is given
 # [-] standard deviations; the nearest of all particles further than this from what was seen is no
 # chance but a lost object.
 LOST: Final = 6.0
-AT_REST: Final = 1e-9  # of the object's size: motion below is rounding
-STRIDE: Final = 0.01  # of the object's size: how far the pusher goes in one step of a simulation
-FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was not pushed there
-# Of all particles, in effective number, that one frame leaves at least. The camera will see the
-# object again in the next frame, but values that have died out are gone for good.
-LEAST_SHARE: Final = 0.1
+# Of all particles, in effective number, that a frame leaves at least: see `resampling.power`.
+LEAST_SHARE: Final = 0.5
 MOST_WIDENED: Final = 8.0  # times the spread at the start
+CROWD: Final = 125  # particles whose proposals are simulated in one frame
+BLOCK: Final = 40  # frames of the past through which it is
+LONGEST: Final = 600  # frames of the pusher's path that are smoothed again with every new one
 POSE: Final = "x [m], y [m], angle [rad]"
 
 
@@ -80,6 +69,9 @@ class Estimate:
         Effective sample size, before it was resampled [-].
     failed : int
         Particles that could not be simulated over this frame.
+    surprise : float
+        Squared distance of what the camera saw from what was expected, in standard deviations of
+        both together; 3 on average where all beliefs are right, 0 while hidden [-].
     recovered : bool
         Whether the object had been lost, see `RunningFilter`.
     """
@@ -93,6 +85,7 @@ class Estimate:
     touch: FloatArray
     ess: float
     failed: int
+    surprise: float
     recovered: bool
 
 
@@ -100,16 +93,30 @@ class Estimate:
 class RunningFilter:
     """A particle filter at work: `step` once a frame.
 
-    A particle whose simulation fails, or ends where no push can have brought it, stays where it was
-    and keeps its weight: noise has squeezed it between head and fixel, which says nothing of its
-    parameters. The object is *lost* when all of them fail, or when the nearest lies further than
-    six standard deviations from what was seen. Then the filter starts again, wider: poses about
-    what is seen now, or, while hidden, about where they were, with the spread of the start doubled
-    every time in a row; half of the particles keep parameters by the last weights, half draw theirs
-    from the prior. Such estimates are marked `recovered`.
+    Parameters and start pose of a particle never change by themselves: its path follows from them.
+    What the model leaves out is a random walk of a size that is unknown too; a Kalman filter in
+    each particle follows it. While particles are weighed by every new frame, a proposal for each is
+    simulated from the start on, a few frames of the past for every new one; once it has caught up,
+    it takes the particle's place by Metropolis' rule. So no value dies out for good.
+
+    A particle whose simulation fails, or ends where no push can have brought it, stays where it
+    was: it is squeezed between head and fixel. The object is *lost* when all of them fail, or when
+    the nearest lies further than six standard deviations from what was seen. Then the filter starts
+    again, wider: poses about what is seen now, or, while hidden, about where they were, with the
+    spread of the start doubled every time in a row; half of the particles keep parameters by the
+    last weights, half draw theirs from the prior. Such estimates are marked `recovered`.
 
     Made by `ParticleFilter.start`.
+
+    Source: Chopin (2002), A sequential particle filter method for static models.
     """
+
+    _crowd: Crowd
+    _driven: FloatArray  # (n, 3) where the pusher was last
+    _path: FloatArray  # (n_frame, 3) of the pusher, smoothed
+    _shake: FloatArray  # see `Mechanics.advance`
+    _log_weight: FloatArray
+    _reached: FloatArray  # how much of the likelihood is in the weights
 
     def __init__(
         self,
@@ -123,27 +130,34 @@ class RunningFilter:
         self.options = options
         self.scene = scene
         self.prior: Prior = prior_for(scene, options.priors)
-        self._gaps = FixelGaps(scene)
+        self._mechanics = Mechanics(options, scene)
         self._random = np.random.default_rng(seed)
-        self._time, self._pusher = time, pusher
+        self._parts = -(-options.n_particles // CROWD)
         self._losses = 0  # in a row
         self._angle = float(pose[2])
-        n = options.n_particles
-        self._pose = self._spread(np.tile(pose, (n, 1)), *self._start_spread)
-        self._values = self.prior.drawn(n, self._random)
-        self._told = np.zeros((n, len(self.prior.names)), np.bool_)
-        self._weight: FloatArray = np.full(n, 1.0 / n)
-        body = scene.bodies[0]
-        self._reach = float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
-        self._stride = STRIDE * self._reach
-        self.estimate = self._estimated(self._touching(), 0, False)
+        self._unknowns = Unknowns(self.prior, pose, np.array(self._start_spread)[[0, 0, 1]])
+        free = self._unknowns.drawn(options.n_particles, self._random)
+        self._begin(free, time, pusher)
+        self.estimate = self._estimated(0.0, 0, False)
         # Compiled code is loaded now, so that the first frame takes no longer than the others.
-        self._simulated(self._pose, pusher, FRAME)
+        sights = [Sight(time), Sight(time + FRAME)]
+        copy = self._crowd.take(np.arange(options.n_particles))
+        path = np.tile(pusher, (options.n_particles, 2, 1))
+        self._mechanics.advance(copy, self._unknowns, sights, path, self._shake)
 
     @property
     def particles(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Copies of poses (n, 3), parameters (n, n_name) and weights (n,)."""
-        return self._pose.copy(), self._values.copy(), self._weight.copy()
+        crowd = self._crowd
+        return crowd.place, self._unknowns.values(crowd.free), normalised(self._log_weight)
+
+    def draws(self, n: int) -> FloatArray:
+        """(n, n_name) parameters, each particle's as often as its weight says."""
+        _, values, weight = self.particles
+        place = (np.arange(n) + 0.5) / n
+        return np.asarray(
+            values[np.minimum(np.searchsorted(np.cumsum(weight), place), len(values) - 1)]
+        )
 
     def step(self, frame: Frame) -> Estimate:
         """Move all particles to a frame, and weigh them by what was seen and felt there.
@@ -154,170 +168,200 @@ class RunningFilter:
             A frame that is not after the last one, poses that are not three numbers, or readings
             that are not one a fixel.
         """
-        pusher, seen, touches = self._checked(frame)
-        options, random = self.options, self._random
-        if effective_sample_size(self._weight) < options.resample_below * options.n_particles:
-            self._pose = self._pose[self._resample()]
-        before = self._pose
-        spread = math.sqrt((frame.time - self._time) / FRAME)
-        noisy = self._spread(before, options.position_noise * spread, options.angle_noise * spread)
-        moved, failed, stalled = self._simulated(noisy, pusher, frame.time - self._time)
-        self._pose = np.where(failed[:, None], before, moved)
-        self._time, self._pusher = float(frame.time), pusher
-        gap = self._gaps.of(self._pose)
-        touching = np.asarray(gap < options.touch_gap)
-        pushed = np.abs(moved - noisy).max(axis=1) > AT_REST * self._reach
-        self._note(np.asarray(pushed & ~failed), np.asarray(touching.any(axis=1)), stalled)
-        with np.errstate(divide="ignore"):
-            prior = np.log(self._weight)
-        likelihood, near = self._likelihood(seen, gap, touches)
-        alive = np.isfinite(prior + likelihood)
-        lost = bool(failed[alive].all() or not near[alive].any())
+        pusher, sight = self._checked(frame)
+        self._sights.append(sight)
+        self._measured.append(pusher)
+        self._smooth()
+        crowd, unknowns = self._crowd, self._unknowns
+        driven = self._driven_to_now()
+        path = np.stack((self._driven, driven), axis=1)
+        self._mechanics.advance(crowd, unknowns, self._sights[-2:], path, self._shake)
+        self._driven = driven
+        surprise, near = self._surprise(sight.seen)
+        failed = int(crowd.failed.sum())
+        alive = normalised(self._log_weight) > 0.0
+        lost = bool(crowd.failed[alive].all() or not near[alive].any())
         if lost:
-            self._start_again(seen, random)
-            touching = self._touching()
+            self._start_again(sight, pusher)
         else:
             self._losses = 0
-            least = LEAST_SHARE * options.n_particles
-            self._weight = tempered(prior, likelihood, least)
-        self.estimate = self._estimated(touching, int(failed.sum()), lost)
+            self._move()
+            self._weigh()
+        self.estimate = self._estimated(surprise, failed, lost)
         return self.estimate
 
     # --- the parts of a step --------------------------------------------------------------------
 
-    def _checked(self, frame: Frame) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-        if not self._time < frame.time < math.inf:
+    def _checked(self, frame: Frame) -> tuple[FloatArray, Sight]:
+        before = self._sights[-1].time
+        if not before < frame.time < math.inf:
             raise InvalidInput(
-                "frame.time", found=frame.time, expected=f"an instant after {self._time:g} s"
+                "frame.time", found=frame.time, expected=f"an instant after {before:g} s"
             )
         pusher = vector(frame.pusher, "frame.pusher", POSE)
         # The nearest of angles that differ by whole turns: a head does not spin between frames.
-        last = self._pusher[2]
+        last = self._measured[-1][2]
         turn = math.remainder(float(pusher[2] - last), 2.0 * math.pi)
         pusher = np.array([pusher[0], pusher[1], last + turn])
         seen = None if frame.seen is None else vector(frame.seen, "frame.seen", POSE)
-        if frame.touches is None:
-            return pusher, seen, None
-        touches = np.asarray(frame.touches, np.float64)
-        known = touches[~np.isnan(touches)]
-        if touches.shape != (self._gaps.n_fixel,) or not np.isin(known, (0.0, 1.0)).all():
-            raise InvalidInput(
-                "frame.touches",
-                found=frame.touches,
-                expected=f"{self._gaps.n_fixel} readings, one a fixel, each 0, 1 or NaN",
-            )
-        return pusher, seen, touches
-
-    def _note(self, pushed: BoolArray, touching: BoolArray, stalled: BoolArray) -> None:
-        """Which parameters each particle's motion has depended on up to now."""
-        depends = {
-            "mu_pusher": pushed,
-            "tripod_radius": pushed,
-            "mu_fixel": pushed & touching,
-            # Friction of the plane scales all forces and no path, until a drive gives way.
-            "mu_support": pushed & stalled,
-        }
-        for k, name in enumerate(self.prior.names):
-            self._told[:, k] |= depends[name]
-
-    def _resample(self) -> Indices:
-        """Choose who goes on; new parameters, equal weights. Poses are left to the caller."""
-        chosen = systematic(self._weight, self._random)
-        values = shrunk(
-            self.prior, self._values, self._weight, chosen, self.options.discount, self._random
-        )
-        # What nothing has depended on yet is as it was before: drawn anew, lest it drifts.
-        self._told = self._told[chosen]
-        self._values = np.where(self._told, values, self.prior.drawn(len(chosen), self._random))
-        self._weight = np.full(len(chosen), 1.0 / len(chosen))
-        return chosen
-
-    def _spread(self, pose: FloatArray, position: float, angle: float) -> FloatArray:
-        noise = self._random.standard_normal(pose.shape)
-        return np.asarray(pose + noise * (position, position, angle))
-
-    def _simulated(
-        self, start: FloatArray, pusher: FloatArray, duration: float
-    ) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Poses (n, 3) after a frame, which particles have none, and whose drive stalled (n,)."""
-        path = np.array([[0.0, *self._pusher], [duration, *pusher]])
-        turn = abs(float(pusher[2] - self._pusher[2]))
-        way = float(np.hypot(*(pusher - self._pusher)[:2])) + self._reach * turn
-        result = simulate_batch(
-            self.scene,
-            self.prior.columns(self._values) or None,
-            start=start,
-            waypoints=np.broadcast_to(path, (len(start), 2, 4)),
-            motion=self.options.motion,
-            stepper=StewartTrinkle(step=duration / max(1, math.ceil(way / self._stride))),
-            duration=duration,
-            threads=self.options.threads,
-        )
-        assert isinstance(result, BatchResult)
-        pose = result.final[:, 0]
-        # The engine ends a rollout that throws a body by more than its size. What noise has
-        # squeezed between head and fixel may still come out a good way off, unexplained by a push.
-        farthest = FARTHEST * (way + 6.0 * self.options.position_noise) + self._stride
-        away = np.hypot(*(pose - start)[:, :2].T)
-        return pose, ~result.converged | (away > farthest), result.stalled[:, 0]
-
-    def _touching(self) -> BoolArray:
-        return np.asarray(self._gaps.of(self._pose) < self.options.touch_gap)
-
-    def _likelihood(
-        self, seen: FloatArray | None, gap: FloatArray, touches: FloatArray | None
-    ) -> tuple[FloatArray, BoolArray]:
-        """Its logarithm (n,), and which particles (n,) are not far from what was seen."""
-        options, n = self.options, len(self._pose)
-        likelihood, near = np.zeros(n), np.ones(n, np.bool_)
+        now = len(self._sights)
+        sight = Sight(float(frame.time), fold=now % FOLD == 0)
         if seen is not None:
-            away = squared_distance(
-                self._pose, seen, options.position_deviation, options.angle_deviation
-            )
-            likelihood, near = -0.5 * away, away < LOST**2
-        if touches is not None:
-            likelihood = likelihood + tactile_log_likelihood(
-                contact_probability(gap, options.touch_gap),
-                touches,
-                options.no_contact_reliability,
-                options.contact_reliability,
-            )
-        return likelihood, near
+            sight = sight._replace(seen=seen, seen_at=sight.time, number=1)
+        if frame.touches is not None:
+            touches = np.asarray(frame.touches, np.float64)
+            known = touches[~np.isnan(touches)]
+            n_fixel = self._mechanics.gaps.n_fixel
+            if touches.shape != (n_fixel,) or not np.isin(known, (0.0, 1.0)).all():
+                raise InvalidInput(
+                    "frame.touches",
+                    found=frame.touches,
+                    expected=f"{n_fixel} readings, one a fixel, each 0, 1 or NaN",
+                )
+            sight = sight._replace(ones=1.0 * (touches == 1.0), zeros=1.0 * (touches == 0.0))
+        return pusher, sight
+
+    def _begin(self, free: FloatArray, time: float, pusher: FloatArray) -> None:
+        """Place particles at the start, before anything was measured."""
+        self._sights = [Sight(time)]
+        self._measured = [pusher]
+        self._path = np.array([pusher])
+        self._shake = np.zeros(2)
+        self._driven = np.tile(pusher, (len(free), 1))
+        self._crowd = self._mechanics.begun(self._unknowns, free)
+        self._log_weight = np.zeros(len(free))
+        self._reached = np.zeros(len(free))
+        self._power = COARSE
+        self._propose()
+
+    def _smooth(self) -> None:
+        """Of the latest frames; what is older stays as it was."""
+        recent = slice(-LONGEST, None)
+        time = np.array([sight.time for sight in self._sights[recent]])
+        path, rate = smoothed(time, np.array(self._measured[recent]))
+        self._shake = np.array([0.5 * (rate[0] + rate[1]), rate[2]])
+        self._path = np.concatenate((self._path[: len(self._sights) - len(path)], path))
+
+    def _driven_to_now(self) -> FloatArray:
+        """(n, 3) where each particle believes the pusher to be."""
+        return np.tile(self._path[-1], (len(self._crowd.free), 1))
+
+    def _surprise(self, seen: FloatArray | None) -> tuple[float, BoolArray]:
+        """Of what was seen, and which particles (n,) are not far from it."""
+        crowd, options = self._crowd, self.options
+        if seen is None:
+            return 0.0, np.ones(len(crowd.free), np.bool_)
+        noise = np.array([options.position_deviation, options.angle_deviation])[[0, 0, 1]] ** 2
+        away = seen - crowd.expected
+        away[:, 2] = wrapped(away[:, 2])
+        near = np.sum(away**2 / (noise + crowd.doubt[:, [0, 0, 1]]), axis=1) < LOST**2
+        weight = normalised(self._log_weight)
+        mean = np.sum(weight[:, None] * away, axis=0)
+        about = away - mean
+        total = np.einsum("i,ij,ik->jk", weight, about, about)
+        total += np.diag(noise + np.sum(weight[:, None] * crowd.doubt, axis=0)[[0, 0, 1]])
+        return float(mean @ np.linalg.solve(total, mean)), near
+
+    def _weigh(self) -> None:
+        score, reached = self._crowd.score, self._reached
+        least = LEAST_SHARE * len(score)
+        self._power = power(self._log_weight, score, reached, least)
+        self._log_weight = self._log_weight + self._power * score - reached
+        self._log_weight -= self._log_weight.max()
+        self._reached = self._power * score
+
+    def _propose(self) -> None:
+        weight = normalised(self._log_weight)
+        if effective_sample_size(weight) < self.options.resample_below * len(weight):
+            chosen = systematic(weight, self._random)
+            self._crowd = self._crowd.take(chosen)
+            self._log_weight, self._reached = np.zeros(len(weight)), self._reached[chosen]
+            weight = np.full(len(weight), 1.0 / len(weight))
+        own = self._crowd.free
+        there, self._prior_ratio = self._unknowns.proposed(
+            own, weight, self._crowd.depends(self.prior.names), self._random
+        )
+        both = self._mechanics.begun(self._unknowns, np.concatenate((own, there)))
+        parts = np.array_split(np.arange(2 * len(own)), self._parts)
+        self._moving = [both.take(part) for part in parts]
+        self._moving_at = [0] * self._parts
+        self._driven = self._driven_to_now()
+
+    def _move(self) -> None:
+        """Simulate proposals, and the particles with them, through a part of the past.
+
+        A part of them in every frame, through many frames: the first step of a simulation costs as
+        much as several more.
+        """
+        now = len(self._sights) - 1
+        behind = int(np.argmin(self._moving_at))
+        self._catch_up(behind, min(now, self._moving_at[behind] + BLOCK))
+        if min(self._moving_at) <= now - self._parts:
+            return
+        for part in range(self._parts):
+            self._catch_up(part, now)
+        n, both = len(self._log_weight), joined(self._moving)
+        # The particles themselves too: the pusher's path is known better now.
+        self._crowd = both.take(np.arange(n))
+        self._weigh()
+        ratio = self._power * (both.score[n:] - both.score[:n]) + self._prior_ratio
+        moves = accepted(ratio, self._random)
+        self._crowd = both.take(np.arange(n) + np.where(moves, n, 0))
+        self._reached = self._power * self._crowd.score
+        self._propose()
+
+    def _catch_up(self, part: int, end: int) -> None:
+        """Simulate a part of the proposals up to a frame."""
+        begun, crowd = self._moving_at[part], self._moving[part]
+        if begun == end:
+            return
+        knots = sorted({begun, end, *range(begun - begun % GROUP + GROUP, end, GROUP)})
+        sights = [self._sights[begun]]
+        sights += [gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
+        path = np.tile(self._path[knots], (len(crowd.free), 1, 1))
+        self._mechanics.advance(crowd, self._unknowns, sights, path, self._shake, coarse=True)
+        self._moving_at[part] = end
 
     @property
     def _start_spread(self) -> tuple[float, float]:
         options = self.options
         return options.start_position_deviation, options.start_angle_deviation
 
-    def _start_again(self, seen: FloatArray | None, random: np.random.Generator) -> None:
-        n = len(self._pose)
-        chosen = self._resample()
-        anew = random.permutation(n)[: n // 2]
-        self._values[anew] = self.prior.drawn(len(anew), random)
-        self._told[anew] = False
+    def _start_again(self, sight: Sight, pusher: FloatArray) -> None:
+        random, options = self._random, self.options
+        weight = normalised(self._log_weight)
+        n = len(weight)
         self._losses += 1
-        if seen is None:
+        free = self._unknowns.drawn(n, random)
+        keep = random.permutation(n)[: n - n // 2]
+        names = len(self.prior.names)
+        free[keep, :names] = self._crowd.free[systematic(weight, random)[keep], :names]
+        if sight.seen is None:
             wider = min(2.0**self._losses, MOST_WIDENED)
             position, angle = (wider * spread for spread in self._start_spread)
-            self._pose = self._spread(self._pose[chosen], position, angle)
+            centre = mean_pose(self._crowd.place, weight, self._angle)
         else:
-            options = self.options
-            about = np.tile(seen, (n, 1))
-            self._pose = self._spread(about, options.position_deviation, options.angle_deviation)
+            position, angle = options.position_deviation, options.angle_deviation
+            centre = sight.seen
+        self._unknowns = Unknowns(self.prior, centre, np.array([position, position, angle]))
+        self._begin(free, sight.time, pusher)
 
-    def _estimated(self, touching: BoolArray, failed: int, recovered: bool) -> Estimate:
-        weight = self._weight
-        pose = mean_pose(self._pose, weight, self._angle)
+    def _estimated(self, surprise: float, failed: int, recovered: bool) -> Estimate:
+        crowd, weight = self._crowd, normalised(self._log_weight)
+        values = self._unknowns.values(crowd.free)
+        pose = mean_pose(crowd.place, weight, self._angle)
         self._angle = float(pose[2])
+        own = np.sum(weight[:, None] * crowd.variance, axis=0)[[0, 0, 1]]
         return Estimate(
-            time=self._time,
+            time=self._sights[-1].time,
             pose=pose,
-            covariance=pose_covariance(self._pose, weight, pose),
+            covariance=pose_covariance(crowd.place, weight, pose) + np.diag(own),
             names=self.prior.names,
-            mean=np.sum(weight[:, None] * self._values, axis=0),
-            quantiles=quantiles(self._values, weight, QUANTILES),
-            touch=np.sum(weight[:, None] * touching, axis=0),
+            mean=np.sum(weight[:, None] * values, axis=0),
+            quantiles=quantiles(values, weight, QUANTILES),
+            touch=np.sum(weight[:, None] * crowd.touch, axis=0),
             ess=effective_sample_size(weight),
             failed=failed,
+            surprise=surprise,
             recovered=recovered,
         )

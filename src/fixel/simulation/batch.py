@@ -93,7 +93,24 @@ def simulate_batch(
     variation, n = _variation(scene, parameters, start, waypoints)
     seconds = positive_time("duration", scene.duration if duration is None else duration)
     packed = pack_with(scene, motion, stepper, variation, n, seconds)
-    moments = _moments(times, seconds)
+    return simulate_packed(scene, packed, method, _moments(times, seconds), threads)
+
+
+def simulate_packed(
+    scene: Scene, packed: Packed, method: Method, moments: FloatArray, threads: int | None
+) -> BatchResult:
+    """Simulate rollouts of a scene that are packed already, for callers that keep a template.
+
+    Parameters
+    ----------
+    scene : Scene
+    packed : Packed
+    method : Method
+    moments : (n_sample,) float64
+        When to sample poses, increasing [s].
+    threads : int, optional
+        All cores where left out.
+    """
     record = empty_record(packed, len(moments), 0, moments)
     roll(packed.batch, method, record, threads)
     return _unpack(scene, packed, record, moments)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any, Final, final
 
@@ -13,7 +14,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import FilterEstimates, Progress, run_filter
 from fixel.model import Experiment, Provenance
 from fixel.model.fields import FloatArray
-from fixel.model.records import FilterParameters, FilterRun
+from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
 
 NAME: Final = "particle"  # of the settings, in the project
 
@@ -33,12 +34,15 @@ class FilterAnswer:
     estimates : FilterEstimates
     run_id : int or None
         In the project; none where it was not kept.
+    calibrations : mapping from int to CalibrationRecord
+        Those of the project in which the experiment is a member, by id.
     """
 
     experiment_id: int
     experiment: Experiment
     estimates: FilterEstimates
     run_id: int | None = None
+    calibrations: Mapping[int, CalibrationRecord] = field(default_factory=dict)
 
     def rms(self, hidden: bool) -> tuple[float, float] | None:
         """Root mean square of errors [m, rad] inside or outside the occlusion; none for no pose."""
@@ -71,6 +75,16 @@ class FilterAnswer:
                 "estimated": found.contact_mode,
                 "touch_probability": found.touch[-1].tolist(),
             },
+            "misfit": {
+                "residual_m": found.misfit.residual_m,
+                "residual_rad": found.misfit.residual_rad,
+                "noise_m": found.misfit.noise_m,
+                "noise_rad": found.misfit.noise_rad,
+                "ratio": found.misfit.ratio,
+                "warns": found.misfit.warns,
+            },
+            "mean_surprise": _mean(found.surprise[1:][found.seen[1:]]),
+            "calibrations": self.compared(),
             "recovered_frames": int(found.recovered.sum()),
             "failed_particles": int(found.failed.sum()),
             "mean_ess": float(found.ess.mean()),
@@ -91,8 +105,26 @@ class FilterAnswer:
                 "q50": float(middle),
                 "q95": float(high),
                 "excited": found.excited[name],
+                "at_bound": found.at_bound[name],
             }
             for name, mean, (low, middle, high) in rows
+        }
+
+    def compared(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """By calibration's id and parameter: the value, its interval, and the verdict."""
+        names = self.estimates.prior.names
+        return {
+            str(number): {
+                one.label: {
+                    "value": one.value,
+                    "low": one.low,
+                    "high": one.high,
+                    "verdict": one.verdict,
+                }
+                for one in record.estimates
+                if one.label in names
+            }
+            for number, record in self.calibrations.items()
         }
 
     def record(self, filter_parameters_id: int, command: str = "") -> FilterRun:
@@ -136,6 +168,10 @@ def _provenance(found: FilterEstimates, command: str) -> Provenance:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _mean(values: FloatArray) -> float | None:
+    return float(np.mean(values)) if len(values) else None
 
 
 def _named(errors: tuple[float, float] | None) -> dict[str, float] | None:
@@ -187,11 +223,16 @@ def filter_experiment(
             seed=seed,
             progress=progress,
         )
-        answer = FilterAnswer(experiment_id=number, experiment=experiment, estimates=estimates)
+        of_it = {
+            key: record
+            for key, record in store.calibration_summaries().items()
+            if number in {member.experiment_id for member in record.members}
+        }
+        answer = FilterAnswer(
+            experiment_id=number, experiment=experiment, estimates=estimates, calibrations=of_it
+        )
         if not save:
             return answer
         settings = store.add_filter_parameters(answer.settings(command))
         run = store.add_filter_run(answer.record(settings, command))
-    return FilterAnswer(
-        experiment_id=number, experiment=experiment, estimates=estimates, run_id=run
-    )
+    return replace(answer, run_id=run)

@@ -1,0 +1,286 @@
+"""Particles that live through the frames of a run: simulated, corrected and scored together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.filtering.observation import (
+    CLEAR,
+    FixelGaps,
+    contact_probability,
+    lasting,
+    told,
+)
+from fixel.filtering.unknowns import Unknowns
+from fixel.model import Scene, wrapped
+from fixel.model.fields import BoolArray, FloatArray
+from fixel.simulation import Newton, StewartTrinkle
+from fixel.simulation.batch import simulate_packed
+from fixel.simulation.pack import Template, Variation
+from fixel.simulation.simulate import method_of
+
+if TYPE_CHECKING:
+    from fixel.filtering.particle_filter import ParticleFilter
+
+FRAME: Final = 1.0 / 30.0  # [s] for which model error is given
+GROUP: Final = 4  # frames of the past that are simulated in one step
+FOLD: Final = 8  # frames after which what the camera has corrected goes into the simulated pose
+STRIDE: Final = 0.01  # of the object's size: how far the pusher goes in one step of a simulation
+LEVER: Final = 0.05  # [m]: a radian of model error counts as this way
+AT_REST: Final = 1e-9  # of the object's size: motion below is rounding
+SIDES: Final = [0, 0, 1]  # which variance is that of x, y and the angle
+MOST_CONTACTS: Final = 24  # in one rollout
+FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was not pushed there
+
+
+class Sight(NamedTuple):
+    """What was measured in one frame, or in a few of them together, apart from the pusher."""
+
+    time: float  # [s] of the last frame
+    seen: FloatArray | None = None  # (3,) mean pose of the object
+    seen_at: float = 0.0  # [s] mean time of the frames in which it was seen
+    number: int = 0  # of these frames
+    ones: FloatArray | None = None  # (n_fixel,) how often each fixel has read 1
+    zeros: FloatArray | None = None  # (n_fixel,) how often 0
+    fold: bool = False  # whether the camera's correction goes into the simulated pose now
+
+
+def gathered(sights: Sequence[Sight]) -> Sight:
+    """Return sights in a row as one."""
+    seen = [(sight.seen, sight.seen_at) for sight in sights if sight.seen is not None]
+    felt = [(s.ones, s.zeros) for s in sights if s.ones is not None and s.zeros is not None]
+    last = Sight(sights[-1].time, fold=sights[-1].fold)
+    if seen:
+        pose = np.array([pose for pose, _ in seen])
+        pose[:, 2] = pose[0, 2] + wrapped(pose[:, 2] - pose[0, 2])
+        moment = sum(time for _, time in seen) / len(seen)
+        last = last._replace(seen=pose.mean(axis=0), seen_at=moment, number=len(seen))
+    if felt:
+        ones, zeros = (np.sum(part, axis=0) for part in zip(*felt, strict=True))
+        last = last._replace(ones=ones, zeros=zeros)
+    return last
+
+
+@final
+@dataclass(slots=True)
+class Crowd:
+    """Particles at one instant. Arrays have one row for each particle.
+
+    Attributes
+    ----------
+    free : (n, size) float64
+        Unknowns, see `Unknowns`.
+    pose : (n, 3) float64
+        As simulated [m, m, rad].
+    shift : (n, 3) float64
+        What the camera has added to it since the last block's end.
+    variance : (n, 2) float64
+        Of the pose, coordinates and angle, for the model's own error [m^2, rad^2].
+    score : (n,) float64
+        Logarithm of the likelihood of all that was measured.
+    touch : (n, n_fixel) float64
+        Probability that the object touches each fixel [-].
+    expected, doubt : (n, 3), (n, 2) float64
+        Pose before the last sight corrected it, and its variance.
+    failed : (n,) bool
+        Which could not be simulated last.
+    pushed, stalled, touched : (n,) bool
+        Whether the pusher has moved the object, the drive has given way, and a fixel was touched.
+    """
+
+    free: FloatArray
+    pose: FloatArray
+    shift: FloatArray
+    variance: FloatArray
+    score: FloatArray
+    touch: FloatArray
+    expected: FloatArray
+    doubt: FloatArray
+    failed: BoolArray
+    pushed: BoolArray
+    stalled: BoolArray
+    touched: BoolArray
+
+    @property
+    def place(self) -> FloatArray:
+        """(n, 3) poses, as corrected by the camera [m, m, rad]."""
+        return self.pose + self.shift
+
+    def depends(self, names: Sequence[str]) -> FloatArray:
+        """(n_name,) share of the particles whose path has depended on each parameter [-]."""
+        # Friction of the plane scales all forces and no path, until a drive gives way.
+        on = {
+            "mu_support": self.pushed & self.stalled,
+            "mu_fixel": self.pushed & self.touched,
+        }
+        return np.array([np.mean(on.get(name, self.pushed)) for name in names])
+
+    def take(self, which: np.ndarray) -> Crowd:
+        """Return a copy of some particles."""
+        return Crowd(*(np.array(getattr(self, name)[which]) for name in Crowd.__slots__))
+
+
+def joined(crowds: Sequence[Crowd]) -> Crowd:
+    """Return the particles of all."""
+    names = Crowd.__slots__
+    return Crowd(*(np.concatenate([getattr(crowd, n) for crowd in crowds]) for n in names))
+
+
+@final
+class Mechanics:
+    """Moves crowds through frames.
+
+    Parameters
+    ----------
+    options : ParticleFilter
+    scene : Scene
+        With a drive that stalls.
+    """
+
+    def __init__(self, options: ParticleFilter, scene: Scene) -> None:
+        self.options, self.scene = options, scene
+        self.gaps = FixelGaps(scene)
+        body = scene.bodies[0]
+        self._reach = float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
+        self._stride = STRIDE * self._reach
+        motion, stepper = options.motion, StewartTrinkle(step=FRAME)
+        self._method = method_of(motion, stepper, Newton(), MOST_CONTACTS)
+        self._template = Template(scene, motion.kind, step=FRAME, tolerance=None, largest=math.inf)
+
+    def begun(self, unknowns: Unknowns, free: FloatArray) -> Crowd:
+        """Return particles at the start."""
+        n = len(free)
+        crowd = Crowd(
+            free=free,
+            pose=unknowns.start(free),
+            shift=np.zeros((n, 3)),
+            variance=np.zeros((n, 2)),
+            score=np.zeros(n),
+            touch=np.zeros((n, self.gaps.n_fixel)),
+            expected=unknowns.start(free),
+            doubt=np.zeros((n, 2)),
+            failed=np.zeros(n, np.bool_),
+            pushed=np.zeros(n, np.bool_),
+            stalled=np.zeros(n, np.bool_),
+            touched=np.zeros(n, np.bool_),
+        )
+        crowd.touch, _ = self._contact(crowd)
+        return crowd
+
+    def advance(
+        self,
+        crowd: Crowd,
+        unknowns: Unknowns,
+        sights: Sequence[Sight],
+        path: FloatArray,
+        shake: FloatArray,
+        coarse: bool = False,
+    ) -> None:
+        """Move particles through frames.
+
+        Parameters
+        ----------
+        crowd : Crowd
+            At frame `first`; changed in place.
+        unknowns : Unknowns
+        sights : sequence of Sight
+            At the frame where the particles are, and at those to come.
+        path : (n, n_sight, 3) float64
+            Of the pusher [m, m, rad], likewise.
+        shake : (2,) float64
+            Variance by which the error of that path changes in a second [m^2/s, rad^2/s].
+        coarse : bool
+            Whether steps may be as long as a group of frames.
+        """
+        time = np.array([sight.time for sight in sights])
+        poses, crowd.failed, stalled = self._simulated(
+            crowd.pose, unknowns.columns(crowd.free), path, coarse
+        )
+        walk = unknowns.walk(crowd.free)
+        before = crowd.pose
+        moved = np.abs(poses[:, -1] - before).max(axis=1) > AT_REST * self._reach
+        crowd.pushed, crowd.stalled = crowd.pushed | moved, crowd.stalled | stalled
+        for k, sight in enumerate(sights[1:], 1):
+            crowd.pose = poses[:, k - 1]
+            back = 0.0
+            if sight.seen is not None:
+                back = (sight.time - sight.seen_at) / (time[k] - time[k - 1])
+            behind = back * (crowd.pose - before)
+            before = crowd.pose
+            self._grow(crowd, walk, time[k] - time[k - 1], shake)
+            self._weigh(crowd, sight, behind)
+            if sight.fold:
+                before = crowd.place
+                crowd.pose, crowd.shift = crowd.place, np.zeros_like(crowd.shift)
+
+    def _simulated(
+        self, start: FloatArray, values: dict[str, FloatArray], path: FloatArray, coarse: bool
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Poses (n, n_frame, 3) at all but the first instant, which have no simulation, and whose
+        drive has given way."""
+        options = self.options
+        move = np.diff(path, axis=1)
+        way = np.hypot(move[:, :, 0], move[:, :, 1]) + self._reach * np.abs(move[:, :, 2])
+        stride = self._stride * (GROUP if coarse else 1)
+        # Pushing does not depend on its speed: a step takes a frame, however long the way is.
+        steps = np.maximum(1.0, np.ceil(np.median(way, axis=0) / stride))
+        clock = FRAME * np.cumsum(np.concatenate(([0.0], steps)))
+        times = np.broadcast_to(clock[:, None], (*path.shape[:2], 1))
+        variation = Variation(values, start[:, None], np.concatenate((times, path), axis=2))
+        packed = self._template.packed(variation, len(start), float(clock[-1]))
+        result = simulate_packed(self.scene, packed, self._method, clock[1:], options.threads)
+        pose = result.pose[:, :, 0]
+        # The engine ends a rollout that throws a body by more than its size. What was squeezed
+        # between head and fixel may still come out a good way off, unexplained by a push.
+        away = np.hypot(
+            *np.moveaxis(np.diff(pose[:, :, :2], axis=1, prepend=start[:, None, :2]), 2, 0)
+        )
+        thrown = (away > FARTHEST * way + self._stride).any(axis=1)
+        thrown |= ~np.isfinite(pose).all(axis=(1, 2))
+        failed = np.asarray(~result.converged | thrown)
+        pose = np.where(thrown[:, None, None], start[:, None], pose)
+        return pose, failed, result.stalled[:, 0]
+
+    def _grow(self, crowd: Crowd, walk: FloatArray, seconds: float, shake: FloatArray) -> None:
+        model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
+        pusher = np.where(crowd.pushed[:, None], shake, 0.0)
+        crowd.variance = crowd.variance + seconds * (model + pusher)
+
+    def _weigh(self, crowd: Crowd, sight: Sight, behind: FloatArray) -> None:
+        """Weigh by a sight that lies `behind` the poses (n, 3) on their way."""
+        options = self.options
+        crowd.expected, crowd.doubt = crowd.place, crowd.variance
+        if sight.seen is not None:
+            noise = np.array([options.position_deviation, options.angle_deviation]) ** 2
+            noise = noise / sight.number
+            away = sight.seen - crowd.place + behind
+            away[:, 2] = wrapped(away[:, 2])
+            total = crowd.variance + noise
+            gain = crowd.variance / total
+            square = away**2 / total[:, SIDES]
+            crowd.score -= 0.5 * np.sum(square + np.log(total / noise)[:, SIDES], axis=1)
+            crowd.shift = crowd.shift + gain[:, SIDES] * away
+            crowd.variance = crowd.variance * (1.0 - gain)
+        contact, memory = self._contact(crowd)
+        crowd.touch = lasting(contact, crowd.touch, memory)
+        crowd.touched = crowd.touched | (contact > CLEAR).any(axis=1)
+        if sight.ones is not None and sight.zeros is not None:
+            likelihood, crowd.touch = told(
+                crowd.touch,
+                sight.ones,
+                sight.zeros,
+                options.no_contact_reliability,
+                options.contact_reliability,
+            )
+            crowd.score += likelihood
+
+    def _contact(self, crowd: Crowd) -> tuple[FloatArray, FloatArray]:
+        """Probabilities of contact by the gaps, and how much of the old ones still holds."""
+        gap, variance = self.gaps.of(crowd.place), crowd.variance[:, :1]
+        contact = contact_probability(gap, self.options.touch_gap, np.sqrt(variance))
+        return contact, variance / (variance + (0.25 * self.options.touch_gap) ** 2)
