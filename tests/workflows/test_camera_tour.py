@@ -51,6 +51,20 @@ def test_the_film_gives_the_parameters_that_true_poses_give(tmp_path: Path) -> N
     assert "side_by_side" in tour.report.page.read_text(encoding="utf-8")
 
 
+def test_the_first_sentence_comes_before_the_engine_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def simulated(*_: object) -> None:
+        raise RuntimeError(said[-1])
+
+    monkeypatch.setattr(camera_tour, "engine_is_cold", lambda: True)
+    monkeypatch.setattr(camera_tour.SimulatedTestbed, "run", simulated)
+    with pytest.raises(RuntimeError, match=r"simulating 1 pushes; the engine is compiled first"):
+        run_camera_tour(tmp_path / "tour", pushes=(0,), say=said.append)
+
+
 class Bench:
     """Stands in for filming, recording and tracking, and counts them."""
 

@@ -29,7 +29,7 @@ def demo(
         typer.Option(
             "--camera",
             help="Instead: film simulated pushes, record the films off a network camera, track,"
-            " calibrate, and compare with the truth.",
+            " calibrate, and compare with the truth. Takes minutes; the same command resumes it.",
         ),
     ] = False,
 ) -> None:

@@ -29,6 +29,7 @@ from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
 from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.emulated_bench import record_film
+from fixel.workflows.engine import engine_is_cold
 from fixel.workflows.film import Progress, Shooting, film
 from fixel.workflows.film_truth import ARRAYS
 from fixel.workflows.pictures import Picture
@@ -307,6 +308,8 @@ def _filmed(
     missing = [one.name for one in planned if not _is_film(films / one.name)]
     if not missing:
         return [films / one.name for one in planned]
+    compiling = "; the engine is compiled first, once: about a minute" if engine_is_cold() else ""
+    tell(f"simulating {len(pushes)} pushes{compiling}")
     with project.store() as store:
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
