@@ -12,6 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.exchange.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
+LONGEST: Final = 80  # characters of a banner that fit across the picture of one column
 
 
 class Picture(NamedTuple):
@@ -27,7 +28,8 @@ def banner_of(banners: Sequence[str]) -> str:
     """One banner for several experiments, from that of each; those of real ones are empty."""
     some = [banner for banner in banners if banner]
     if len(some) in (0, len(banners)):
-        return " and ".join(dict.fromkeys(some))
+        joined = " and ".join(dict.fromkeys(some))
+        return joined if len(joined) <= LONGEST else f"SIMULATED: all {len(some)} experiments"
     return f"{len(some)} of {len(banners)} experiments SIMULATED"
 
 

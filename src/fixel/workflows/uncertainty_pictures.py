@@ -21,7 +21,7 @@ from fixel.model import Disk
 from fixel.uncertainty.bands import LEVELS
 from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.pictures import Picture
+from fixel.workflows.pictures import Picture, banner_of
 from fixel.workflows.uncertainty import Predicted, Uncertainty
 
 MOST_PICTURED: Final = 3  # experiments
@@ -108,12 +108,8 @@ def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]
 
 
 def _banner(predicted: tuple[Predicted, ...]) -> str:
-    makers = [one.experiment.simulated_by for one in predicted if not one.experiment.real]
-    if not makers:
-        return ""
-    if len(makers) < len(predicted):
-        return f"{len(makers)} of {len(predicted)} experiments SIMULATED"
-    return "SIMULATED by " + " and ".join(dict.fromkeys(str(maker) for maker in makers))
+    every = [one.experiment for one in predicted]
+    return banner_of(["" if one.real else f"SIMULATED by {one.simulated_by}" for one in every])
 
 
 def what_of(found: Uncertainty) -> str:
