@@ -225,3 +225,19 @@ def test_speeds_that_no_pusher_has_are_no_mistake_of_ours(bench, speed):
     assert answer.status_code == (422 if speed > 1.0 else 200), answer.text
     if speed > 1.0:
         assert "fastest motion" in answer.json()["sentence"]
+
+
+def test_a_body_of_very_many_keys_is_one_complaint(bench):
+    """Unknown keys are not told one by one: 120,000 took 1.5 s before the first was answered."""
+    taking = [
+        path
+        for path, kinds in project_api(bench.desk).openapi()["paths"].items()
+        if "requestBody" in kinds.get("post", {})
+    ]
+    assert "/simulate" in taking
+    for path in taking:
+        answer = bench.post(
+            path.format(number=1, name="grasp"), {f"key{k}": k for k in range(1001)}
+        )
+        assert answer.status_code == 422
+        assert "1001 keys" in answer.json()["sentence"], path

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import base64
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Path
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 LARGEST = 2**31 - 1  # what a database counts with
+MOST_KEYS = 100  # of a request's body; those that are known are about ten
 
 # Ids, as they stand in addresses and in bodies.
 Number = Annotated[int, Path(ge=1, le=LARGEST)]
@@ -25,6 +26,20 @@ def plain_text(text: str) -> str:
 
 
 Text = Annotated[str, AfterValidator(plain_text)]
+
+
+class RequestBody(BaseModel):
+    """The body of a request: unknown keys are refused, very many of them at once."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _few_keys(cls, body: Any) -> Any:
+        """Refuse before each unknown key becomes a complaint."""
+        if isinstance(body, dict) and len(body) > MOST_KEYS:
+            raise ValueError(f"{len(body)} keys; at most {MOST_KEYS} are read")
+        return body
 
 
 class Array(BaseModel):

@@ -7,9 +7,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 
-from fixel.web.api._values import Array, Id, Number, Text
+from fixel.web.api._values import Array, Id, Number, RequestBody, Text
 from fixel.workflows import job_board, jobs
 from fixel.workflows.calibration import begin, told
 from fixel.workflows.calibration.commands import command_of, python_of
@@ -210,10 +210,8 @@ class OfferOut(BaseModel):
     optimisers: list[OptimiserOut]
 
 
-class UnknownIn(BaseModel):
+class UnknownIn(RequestBody):
     """A parameter to search for, in SI units."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: Annotated[Text, Field(min_length=1, max_length=80)]
     low: Finite
@@ -221,10 +219,8 @@ class UnknownIn(BaseModel):
     start: Finite
 
 
-class BeginIn(BaseModel):
+class BeginIn(RequestBody):
     """A calibration to begin."""
-
-    model_config = ConfigDict(extra="forbid")
 
     filter: Filter = Field(default="", description="as on the page Experiments")
     experiments: list[Id] = Field(

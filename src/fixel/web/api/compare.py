@@ -6,10 +6,10 @@ import threading
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from fixel.exchange.trajectory_file import plain_numbers
-from fixel.web.api._values import Id, Number
+from fixel.web.api._values import Id, Number, RequestBody
 from fixel.web.api.motion import MotionOut
 from fixel.workflows import compare
 
@@ -54,10 +54,8 @@ class DeskOut(BaseModel):
     sets: list[SetOut]
 
 
-class CompareIn(BaseModel):
+class CompareIn(RequestBody):
     """What to simulate the experiment with."""
-
-    model_config = ConfigDict(extra="forbid")
 
     parameters: dict[str, Value] = Field(default_factory=dict, max_length=64)
     motion: MotionName = "dynamic"
@@ -78,10 +76,8 @@ class ComparedOut(BaseModel):
     wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
 
 
-class SimulateIn(BaseModel):
+class SimulateIn(RequestBody):
     """Experiments to simulate."""
-
-    model_config = ConfigDict(extra="forbid")
 
     ids: list[Id] = Field(min_length=1, max_length=MOST_AT_ONCE)
 

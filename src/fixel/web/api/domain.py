@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from fixel.applicability.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
-from fixel.web.api._values import Text
+from fixel.web.api._values import RequestBody, Text
 from fixel.workflows import job_board, jobs
 from fixel.workflows.domain import work
 from fixel.workflows.domain.commands import command_of
@@ -180,10 +180,8 @@ class FitOut(BaseModel):
     seconds: float = Field(description="for how long it has been fitted to these axes")
 
 
-class BeginIn(BaseModel):
+class BeginIn(RequestBody):
     """A map to make."""
-
-    model_config = ConfigDict(extra="forbid")
 
     by: list[Annotated[Text, Field(min_length=1, max_length=80)]] = Field(
         default_factory=list, max_length=3, description="conditions with a map of their own each"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final
 
 from fastapi import APIRouter
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 
+from fixel.web.api._values import RequestBody
 from fixel.workflows.project import import_texts
 
 if TYPE_CHECKING:
@@ -27,10 +28,8 @@ def _writable(text: str) -> str:
 FileText = Annotated[str, AfterValidator(_writable)]
 
 
-class TableIn(BaseModel):
+class TableIn(RequestBody):
     """The text of a CSV table, and of the scene file it belongs to."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .()+-]{0,99}\.csv$", description="of the table's file"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from fixel.model import Flag
-from fixel.web.api._values import Id, Text
+from fixel.web.api._values import Id, RequestBody, Text
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -16,17 +16,15 @@ if TYPE_CHECKING:
 MOST_MARKED: Final = 20_000  # in one act
 
 
-class _Asked(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
+class _MarkBody(RequestBody):
     ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
 
 
-class Marked(_Asked):
+class Marked(_MarkBody):
     """Which experiments."""
 
 
-class FlagIn(_Asked):
+class FlagIn(_MarkBody):
     """A flag for experiments."""
 
     name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
@@ -34,13 +32,13 @@ class FlagIn(_Asked):
     fault: bool = Field(default=True, description="whether analyses leave them out")
 
 
-class UnflagIn(_Asked):
+class UnflagIn(_MarkBody):
     """A flag to take off."""
 
     name: Text = Field(max_length=100)
 
 
-class NoteIn(_Asked):
+class NoteIn(_MarkBody):
     """A note beside experiments."""
 
     text: Text = Field(min_length=1, max_length=10_000)

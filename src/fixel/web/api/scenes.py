@@ -8,9 +8,9 @@ import threading
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Request
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 
-from fixel.web.api._values import Number, Text
+from fixel.web.api._values import Number, RequestBody, Text
 from fixel.web.api.motion import StoryOut
 from fixel.workflows import scene_desk
 from fixel.workflows.bounded import Cancelled
@@ -31,20 +31,16 @@ def _writable(scene: dict[str, Any]) -> dict[str, Any]:
     return scene
 
 
-class SceneIn(BaseModel):
+class SceneIn(RequestBody):
     """A scene, as the keys of a scene file."""
-
-    model_config = ConfigDict(extra="forbid")
 
     scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
         description="as in a scene file: fixel scene files are the same"
     )
 
 
-class FileIn(BaseModel):
+class FileIn(RequestBody):
     """The text of a scene file."""
-
-    model_config = ConfigDict(extra="forbid")
 
     text: Text = Field(max_length=scene_desk.MOST_TEXT)
     is_json: bool = Field(False, description="JSON; else YAML")
