@@ -12,10 +12,11 @@ from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.lemke import RAY, SOLVED, allocate_tableau
 from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR, solve_linear_form
 from fixel.kernels.measure_lcp import solve_problem
+from fixel.model import Body, Polygon, Scene, UniformPressure
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
 from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import Lemke
-from fixel.simulation.stepper import Midpoint
+from fixel.simulation.stepper import Midpoint, StewartTrinkle
 from fixel.testing.scenes import grasp
 
 FloatArray = npt.NDArray[np.float64]
@@ -102,7 +103,7 @@ def test_pushed_block(
     sides: int, quasi_static: bool, slide: float, drive_limit: float | None
 ) -> None:
     problem, work = pushed_block(sides, quasi_static, slide, drive_limit)
-    off, code = solve_problem(problem, work, 0, PIVOTS)
+    off, code, _ = solve_problem(problem, work, 0, PIVOTS)
     assert code == SOLVED
     assert off <= STEP_TOLERANCE
     p_n, p_t = problem.impulse[0]
@@ -123,7 +124,7 @@ def test_block_slides_to_rest_in_the_closed_form() -> None:
         problem, work = pushed_block(16, False, 0.0, None)
         problem.size[1] = 0
         problem.momentum[0] = speed
-        off, code = solve_problem(problem, work, 0, PIVOTS)
+        off, code, _ = solve_problem(problem, work, 0, PIVOTS)
         assert code == SOLVED
         assert off <= STEP_TOLERANCE
         assert problem.velocity[:3] == pytest.approx([left, 0.0, 0.0], abs=1e-12)
@@ -188,9 +189,42 @@ def test_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
     random = np.random.default_rng(sides)
     for _ in range(50):
         problem, work = random_problem(random, sides, quasi_static, driven)
-        off, code = solve_problem(problem, work, 0, PIVOTS)
+        off, code, _ = solve_problem(problem, work, 0, PIVOTS)
         assert code == SOLVED
         assert off <= STEP_TOLERANCE
+
+
+@pytest.mark.parametrize("sides", [4, 16])
+@pytest.mark.parametrize("quasi_static", [False, True])
+def test_pivots_of_a_step_are_bounded(sides: int, quasi_static: bool) -> None:
+    """In all, not for each call; ten a row are enough for all but one step in a hundred."""
+    random = np.random.default_rng(40 + sides)
+    n_failed = 0
+    for _ in range(250):
+        problem, work = random_problem(random, sides, quasi_static, True)
+        rows = 4 * problem.size[1] + 3 * (problem.size[3] // 3) * (sides + 1) + 3
+        off, code, pivots = solve_problem(problem, work, 0, 10 * rows)
+        assert pivots <= 10 * rows + 1 + rows // 3
+        assert code != SOLVED or off <= STEP_TOLERANCE
+        n_failed += code != SOLVED
+    assert n_failed <= 2
+
+
+def test_too_many_rows_are_left_to_newton() -> None:
+    """64 points of support with 16 directions each are 1,088 rows: a second of pivots a step."""
+    block = Body(
+        name="block",
+        shape=Polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]),
+        mass=1.0,
+        pose=(0.0, 0.0, 0.0),
+        velocity=(0.3, 0.0, 1.0),
+        support=UniformPressure(friction=0.3, n_points=64),
+    )
+    scene = Scene(bodies=(block,), duration=0.02, support_directions=16)
+    run = simulate(scene, stepper=StewartTrinkle(step=0.01), solver=Lemke())
+    assert run.status == "converged"
+    assert run.max_residual <= STEP_TOLERANCE
+    assert run.fallbacks == run.steps == 2
 
 
 @pytest.mark.soak
@@ -203,7 +237,7 @@ def test_many_random_steps(sides: int, quasi_static: bool, driven: bool) -> None
     n_failed = 0
     for _ in range(5000):
         problem, work = random_problem(random, sides, quasi_static, driven)
-        off, code = solve_problem(problem, work, 0, PIVOTS)
+        off, code, _ = solve_problem(problem, work, 0, PIVOTS)
         n_failed += code != SOLVED
         assert code != SOLVED or off <= STEP_TOLERANCE
     assert n_failed < 5
@@ -244,7 +278,7 @@ def test_squeezed_block_ends_on_a_ray() -> None:
 def test_discs_are_refused_or_approximated() -> None:
     problem, work = pushed_block(0, False, 0.1, None)
     assert solve_problem(problem, work, 0, PIVOTS)[1] == NOT_LINEAR
-    off, code = solve_problem(problem, work, 16, PIVOTS)
+    off, code, _ = solve_problem(problem, work, 16, PIVOTS)
     assert code == SOLVED
     # The polygon lies inside the disc by 1 - cos(pi / 16) of the limit, 2 %; the turn of its
     # impulse is up to half a wedge, 20 %.
@@ -268,6 +302,6 @@ def test_a_free_body_has_no_rows() -> None:
     problem.inertia[range(3), range(3)] = 2.0
     problem.stiffness[:3] = 2.0
     problem.momentum[:3] = 1.0, 2.0, 3.0
-    off, code = solve_problem(problem, work, 0, PIVOTS)
+    off, code, _ = solve_problem(problem, work, 0, PIVOTS)
     assert (off, code) == (0.0, SOLVED)
     assert problem.velocity[:3] == pytest.approx([0.5, 1.0, 1.5])

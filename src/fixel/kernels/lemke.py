@@ -45,6 +45,7 @@ class Tableau(NamedTuple):
     block: IntArray  # (n, 2) first degree of freedom of these blocks, -1 for none
     bias: FloatArray  # (n,) velocity of a row at rest; limit of a slip row
     scale: FloatArray  # (n,) unit of each unknown
+    spent: IntArray  # (1,) work done so far, in pivots; counted up by `lemke` and `resolve`
 
 
 @allocating_kernel
@@ -67,6 +68,7 @@ def allocate_tableau(n: int) -> Tableau:
         block=np.zeros((n, 2), np.int64),
         bias=np.zeros(n),
         scale=np.zeros(n),
+        spent=np.zeros(1, np.int64),
     )
 
 
@@ -111,6 +113,7 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
             return RAY
         leaving = tableau.row_label[row]
         _exchange(tableau, n, row, column)
+        tableau.spent[0] += 1
         if leaving == artificial:
             return SOLVED if _finish(tableau, n) else INACCURATE
         entering = leaving + n if leaving < n else leaving - n
@@ -262,6 +265,7 @@ def resolve(tableau: Tableau, n: int) -> bool:
         if tableau.active[i] == 1:
             tableau.column_label[k] = i
             k += 1
+    tableau.spent[0] += 1 + k // 3  # k^3 / 3 multiplications, where a pivot has n^2
     for i in range(k):
         order[i] = tableau.column_label[i]
         for j in range(k):

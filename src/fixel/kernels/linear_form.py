@@ -18,7 +18,7 @@ from typing import Final
 
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
-from fixel.kernels.lemke import SOLVED, Tableau, lemke, resolve
+from fixel.kernels.lemke import MAX_PIVOTS, SOLVED, Tableau, lemke, resolve
 
 # How a solve ended, besides the codes of `lemke`.
 NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
@@ -29,6 +29,7 @@ UNSETTLED: Final = 6  # the proximal iteration did not come to rest
 PULLS = (1e-2, 1.0, 1e-4)
 MAX_PULLS = 100
 ATTEMPTS = 2
+ENOUGH = 10  # pivots for each row with which a step may be begun; one or two are the rule
 SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum residual
 
 
@@ -76,7 +77,8 @@ def solve_linear_form(
         Sides of the polygon that stands in for an exact disc, whose answer is then a starting
         point for another solver; 0 refuses discs with NOT_LINEAR.
     max_pivots : int
-        Of each call of `lemke`.
+        Of this step in all; `tableau.spent` counts them, and ends above by one solve of a basis at
+        most.
 
     Source: Stewart & Trinkle (1996), condensed; Anitescu & Potra (1997), theorem 3.1.
     """
@@ -86,12 +88,13 @@ def solve_linear_form(
     if n > tableau.vector.size:
         return NO_ROOM
     _write_rows(problem, tableau, sides_for_discs)
+    tableau.spent[0] = 0
     code = UNSETTLED
     for share in PULLS:
         pulled = _invert_blocks(problem, work, share)
         _write_matrix(problem, work, tableau, n, sides_for_discs)
         code = _settle(problem, work, tableau, n, sides_for_discs, max_pivots)
-        if code == SOLVED or not pulled:
+        if code == SOLVED or not pulled or tableau.spent[0] >= max_pivots:
             break
     return code
 
@@ -116,6 +119,8 @@ def _settle(
         _read_impulses(problem, tableau, sides_for_discs)
         if _read_velocity(problem, work, tableau, n) <= SETTLED:
             return SOLVED
+        if tableau.spent[0] >= max_pivots:
+            return MAX_PIVOTS
     return UNSETTLED
 
 
@@ -133,8 +138,8 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
             tableau.cover[i] = (
                 1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
             )
-        code = lemke(tableau, n, max_pivots)
-        if code == SOLVED:
+        code = lemke(tableau, n, max_pivots - tableau.spent[0])
+        if code == SOLVED or tableau.spent[0] >= max_pivots:
             break
     return code
 

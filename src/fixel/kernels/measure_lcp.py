@@ -35,11 +35,12 @@ def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[
 @entry
 def solve_problem(
     problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int
-) -> tuple[float, int]:
-    """`solve_linear_form` with a tableau of its own; returns the judge's residual and the code."""
+) -> tuple[float, int, int]:
+    """`solve_linear_form` with a tableau of its own; returns the judge's residual, the code and the
+    pivots spent."""
     n = tableau_size(problem, sides_for_discs)
     if n < 0:
-        return residual(problem, work.right), NOT_LINEAR
+        return residual(problem, work.right), NOT_LINEAR, 0
     tableau = allocate_tableau(n)
     code = solve_linear_form(problem, work, tableau, sides_for_discs, max_pivots)
-    return residual(problem, work.right), code
+    return residual(problem, work.right), code, tableau.spent[0]

@@ -6,7 +6,7 @@ from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau
-from fixel.kernels.linear_form import solve_linear_form, tableau_size
+from fixel.kernels.linear_form import ENOUGH, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
 from fixel.kernels.solve import locked, solve
 from fixel.kernels.step import creates_energy, move, prepare_bodies, prepare_contacts, prepare_rows
@@ -108,9 +108,13 @@ def solve_problem(
 
 @entry
 def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> float:
-    """Solve a step by `linear_form.solve_linear_form`; returns the judge's residual."""
-    tableau = allocate_tableau(max(0, tableau_size(problem, 0)))
-    solve_linear_form(problem, work, tableau, 0, max_pivots)
+    """Solve a step by `linear_form.solve_linear_form`; returns the judge's residual.
+
+    That of the guess where the pivots would not be enough for so many rows.
+    """
+    rows = tableau_size(problem, 0)
+    if ENOUGH * rows <= max_pivots:
+        solve_linear_form(problem, work, allocate_tableau(max(0, rows)), 0, max_pivots)
     return residual(problem, work.right)
 
 

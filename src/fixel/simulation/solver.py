@@ -100,6 +100,12 @@ class Lemke(AbstractSolver):
     Pivots to the answer without a guess, so it never depends on the step before. A hundred times
     slower than `Newton`, which takes over the steps where it ends on a ray; runs in the plain loop.
 
+    Parameters
+    ----------
+    max_pivots : int
+        In each step; after so many, `Newton` takes over, as it does at once where the step has more
+        than a tenth as many rows (four a contact, one more than its directions a point of support).
+
     Source: Cottle, Pang & Stone (1992), section 4.4; the linear form is the thesis's eqs. 2.13-14.
     """
 
