@@ -19,7 +19,7 @@ from fixel.model import (
 )
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.uneven_table import TABLE_NAMES
-from fixel.simulation.vary import composed, infeasible, inverted
+from fixel.simulation.vary import composed, infeasible, inverted, pressure_shares
 from fixel.testing.scenes import grasp
 
 POINTS = np.array([(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.025)])
@@ -126,6 +126,16 @@ def _moved_path(scene, registration):
             lambda s: _with_body(s, support=Tripod(radius=0.05, friction=0.2)),
         ),
         (
+            _scene(Tripod(radius=0.04, friction=0.3)),
+            {"pressure_spread": 0.0},
+            lambda s: _with_body(s, support=UniformPressure(friction=0.3, n_points=24)),
+        ),
+        (
+            _scene(Ellipsoid(force=0.8, torque=0.02)),
+            {"pressure_spread": 0.0, "mu_support": 0.2},
+            lambda s: _with_body(s, support=UniformPressure(friction=0.2, n_points=24)),
+        ),
+        (
             _pushed_by_hand(),
             {"mass": 0.4},
             lambda s: _with_body(s, mass=0.4),
@@ -193,6 +203,7 @@ def test_an_outline_elsewhere_in_the_tracked_frame_is_a_shifted_polygon():
         (None, {"ellipsoid_force": 1.0}, "no body on an ellipsoidal"),
         (None, {"contact_offset": 1e-3}, "not round"),
         (SupportPoints(points=POINTS, friction=0.3), {"support_1_x": -0.04}, "outside"),
+        (None, {"pressure_spread": 0.0, "tripod_radius": 0.03}, "tripod_radius beside it"),
     ],
 )
 def test_a_parameter_without_a_meaning_is_refused(support, values, found):
@@ -209,6 +220,33 @@ def test_a_flat_table_changes_no_bit():
 def test_a_table_spreads_even_pressure_too():
     scene = _scene(UniformPressure(friction=0.3))
     assert np.abs(_end(scene, table_bend=1.5) - _end(scene)).max() > 1e-4
+
+
+@pytest.mark.parametrize("spread", [-1.2, 0.0, 1.2])
+def test_pressure_spreads_over_a_disc_as_the_integral_says(spread):
+    """The torque of a disc that turns on the spot, by integration over rings, and no centre but its
+    own where the centre of mass is elsewhere."""
+    radius, weight = 0.05, 3.0
+    ring = (np.arange(20000) + 0.5) / 20000
+    share = np.exp(0.5 * spread * (2.0 * ring**2 - 1.0)) * ring
+    arm = radius * (share * ring).sum() / share.sum()
+    scene = _scene()
+    body = replace(scene.bodies[0], shape=Disk(radius), centre_of_mass=(0.0, 0.0))
+    disc = replace(scene, bodies=(body,))
+    points, loads = pressure_shares(disc, np.array([spread]))
+    assert weight * loads[0] @ np.hypot(*points.T) == pytest.approx(weight * arm, rel=0.02)
+    off = replace(disc, bodies=(replace(body, centre_of_mass=(0.006, -0.004)),))
+    points, loads = pressure_shares(off, np.array([spread]))
+    assert loads.sum() == pytest.approx(1.0)
+    assert loads[0] @ points == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_pressure_that_would_have_to_pull_has_no_simulation():
+    scene = _scene()
+    far = _with_body(scene, centre_of_mass=scene.bodies[0].shape.centroid + 0.03)
+    values = {"pressure_spread": np.array([0.0, 1.0])}
+    assert infeasible(scene, values) == ["", ""]
+    assert "too far from the centroid" in infeasible(far, values)[0]
 
 
 def test_infeasible_sets_have_their_reasons():

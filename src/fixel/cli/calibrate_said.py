@@ -12,7 +12,7 @@ import numpy as np
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
-from fixel.workflows.calibration.commands import enlarged_command
+from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
 from fixel.workflows.calibration.outcome import ALONE, Found, length_of, outliers
 from fixel.workflows.calibration.run import Calibration
 
@@ -130,7 +130,12 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
     if one.misfit and one.estimates:
         lines.append(BEST_FIT)
     larger = enlarged_command(done.command, done.request) if one.misfit_ratio >= WARNED else ""
-    return [*lines, "Next, let the centre of pressure free:", f"  {larger}"] if larger else lines
+    if not larger:
+        return lines
+    what = "let the centre of pressure free"
+    if PRESSURE in larger:
+        what = "with pressure under the whole body and its centre free"
+    return [*lines, f"Next, {what}:", f"  {larger}"]
 
 
 def _outlier_lines(done: Calibration, one: Found) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
@@ -61,6 +61,13 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         "friction_centre_y": ParameterInfo(
             "m", "shift of all supports along the body's y", _ANY, stands_for=_CENTRE
         ),
+        "pressure_spread": ParameterInfo(
+            "-",
+            "pressure under the whole body instead of the scene's support: even at 0, more of it"
+            " towards the rim above 0, towards the middle below 0",
+            _ANY,
+            stands_for=_LOADS,
+        ),
         "ellipsoid_force": ParameterInfo(
             "N", "largest friction force of an ellipsoid", above=True, stands_for=_LOADS
         ),
@@ -112,6 +119,8 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
 )
 
 _LOAD = re.compile(r"load_[1-9]\d{0,4}")
+# Parameters of supports that pressure under the whole body replaces.
+_REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torque)|load_\d+")
 
 
 def info_of(name: str) -> ParameterInfo:
@@ -129,6 +138,19 @@ def info_of(name: str) -> ParameterInfo:
         expected="one of " + ", ".join(KNOWN_PARAMETERS) + ", load_1, load_2, ...",
         hint=f"did you mean {close[0]!r}?" if close else None,
     )
+
+
+def refuse_two_supports(names: Iterable[str]) -> None:
+    """Refuse `pressure_spread` beside a parameter of the support that it replaces."""
+    known = tuple(names)
+    replaced = [name for name in known if _REPLACED.fullmatch(name)]
+    if "pressure_spread" in known and replaced:
+        raise InvalidInput(
+            "parameters.pressure_spread",
+            found=f"{', '.join(replaced)} beside it",
+            expected="one of them: it replaces the support that they describe",
+            hint="leave out pressure_spread, or " + ", ".join(replaced),
+        )
 
 
 @final

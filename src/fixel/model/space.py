@@ -20,7 +20,7 @@ from fixel.model.fields import (
     positive,
     settle,
 )
-from fixel.model.parameters import info_of
+from fixel.model.parameters import info_of, refuse_two_supports
 
 # Of the range between its bounds: the scale of a parameter without one, as in Dakota.
 SHARE_OF_RANGE: Final = 0.1
@@ -125,6 +125,7 @@ class ParameterSpace(Comparable):
         for label in labels:
             if labels.count(label) > 1:
                 raise InvalidInput("space", found=f"{label} twice", expected="each unknown once")
+        refuse_two_supports(u.name for u in self.unknowns if not u.where)
         if not self.free:
             raise InvalidInput(
                 "space",

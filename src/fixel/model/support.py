@@ -276,13 +276,10 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArray:
-    """Shares of the weight under p0 (1 + a . r), with a such that their centre is the origin."""
-    centroid = share @ points
-    r = points - centroid
-    tilt = np.linalg.solve((share[:, None] * r).T @ r, -centroid)
-    tilted = share * (1.0 + r @ tilt)
+    """Shares of the weight that balance it, refused where one of them would be negative."""
+    tilted = tilted_shares(share, points)
     if tilted.min() < -LOAD_ROUNDING:
-        x, y = -centroid
+        x, y = -(share @ points)
         raise InvalidInput(
             "support.uniform",
             found=f"a centre of mass at ({com[0]:g}, {com[1]:g}),"
@@ -291,6 +288,24 @@ def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArra
             hint="give support points instead",
         )
     return np.maximum(tilted, 0.0)
+
+
+def tilted_shares(share: FloatArray, points: FloatArray) -> FloatArray:
+    """Shares (..., n) of the weight under p0 (1 + a . r), with a such that their centre is the
+    origin; negative where the pressure would have to be.
+
+    Parameters
+    ----------
+    share : (..., n) float64
+        Of the weight under p0 [-].
+    points : (n, 2) float64
+        From the centre of mass [m].
+    """
+    centroid = share @ points
+    r = points - centroid[..., None, :]
+    moment = np.swapaxes(share[..., None] * r, -1, -2) @ r
+    tilt = np.linalg.solve(moment, -centroid[..., None])
+    return np.asarray(share * (1.0 + (r @ tilt)[..., 0]))
 
 
 def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArray:

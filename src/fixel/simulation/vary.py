@@ -18,13 +18,15 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
-from fixel.model.parameters import info_of
-from fixel.model.support import LOAD_ROUNDING, triangle_shares
-from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
+from fixel.model.parameters import info_of, refuse_two_supports
+from fixel.model.quadrature import cells
+from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
+from fixel.simulation.uneven_table import LARGEST_EXPONENT, TABLE_NAMES, factors_on_table
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
 
 LEAST_FACTOR = 0.05  # of the plane's friction in one direction, of its mean
+PRESSURE_POINTS = 24  # about so many stand for pressure under the whole body
 
 _CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 
@@ -59,6 +61,9 @@ def varied_elements(
         Poses of the outlines at the start, as `varied_start` answers [m, m, rad]; the scene's where
         left out.
     """
+    refuse_two_supports(values)
+    if "pressure_spread" in values:
+        elements = _under_pressure(scene, elements, values["pressure_spread"])
     if any(name in values for name in _CORNERS):
         elements = _on_three_points(scene, elements, values)
     if any(name.startswith("load_") for name in values):
@@ -84,6 +89,50 @@ def varied_elements(
             point[:, :, axis] += values[name][:, None]
             elements = elements._replace(point=point)
     return elements
+
+
+def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (k, 2) under the one body from its centre of mass [m], and their shares (n, k) of the
+    weight; negative where the pressure would have to be.
+
+    Even pressure times exp(spread/2 (r^2/g^2 - 1)), with the distance r from the centroid and its
+    root mean square g, and tilted until the weight balances it.
+    """
+    if len(scene.bodies) != 1:
+        raise InvalidInput(
+            "parameters.pressure_spread", found=f"{len(scene.bodies)} bodies", expected="one"
+        )
+    body = scene.bodies[0]
+    points, share = cells(body.shape, PRESSURE_POINTS)
+    square = ((points - body.shape.centroid) ** 2).sum(axis=1)
+    exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
+    # Beyond that it is all or nothing already.
+    load = share * np.exp(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))
+    load /= load.sum(axis=1, keepdims=True)
+    return points - body.com, tilted_shares(load, points - body.com)
+
+
+def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Elements:
+    """Supports all over the underside, with as much friction in all as the scene's."""
+    points, share = pressure_shares(scene, spread)
+    if not (share >= -LOAD_ROUNDING).all():
+        raise InvalidInput(
+            "parameters.pressure_spread",
+            found="pressure that would be negative at one end",
+            expected="a centre of mass nearer to the centroid",
+        )
+    weight = scene.bodies[0].mass * scene.gravity
+    force = float(elements.load @ elements.friction)
+    k = len(points)
+    return Elements(
+        body=np.zeros(k, np.int64),
+        kind=np.full(k, codes.POINT, np.int64),
+        point=points,
+        load=weight * np.maximum(share, 0.0),
+        friction=np.full(k, force / weight if weight > 0.0 else 0.0),
+        arm=np.zeros(k),
+        unit=np.zeros((k, 2)),
+    )
 
 
 def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
@@ -377,6 +426,10 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         _note(reasons, ~inside, "a support point outside the outline")
         carried = np.all(share >= -LOAD_ROUNDING, axis=1)
         _note(reasons, ~carried, "the centre of mass outside the support triangle")
+    if "pressure_spread" in values:
+        _, share = pressure_shares(scene, values["pressure_spread"])
+        tipped = np.any(share < -LOAD_ROUNDING, axis=1)
+        _note(reasons, tipped, "the centre of mass too far from the centroid for pressure all over")
     loads = [v for name, v in values.items() if name.startswith("load_")]
     if loads:
         _note(reasons, np.asarray(np.sum(loads, axis=0) <= 0.0), "no load on any support point")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 
 from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.unknowns import in_si
 
 
 def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
@@ -47,8 +48,10 @@ def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
     return shlex.join(words if request.verdicts else [*words, "--no-verdicts"])
 
 
-# Unknowns that let a model fit better where it is wrong: pressure is hardly ever centred.
-ENLARGED: Final = ("friction_centre_x", "friction_centre_y")
+# Unknowns that let a model fit better where it is wrong: pressure is hardly ever centred...
+CENTRE: Final = ("friction_centre_x", "friction_centre_y")
+PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
+IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # that it stands in for
 # Options that say which unknowns there are; others cannot be added beside them.
 _ELSEWHERE: Final = ("--space", "--dakota")
 
@@ -62,14 +65,35 @@ def enlarged_command(command: str, request: Request) -> str:
         What was typed for the calibration.
     request : Request
     """
-    words = shlex.split(command)
+    words = _separated(shlex.split(command))
     known = {unknown.name for unknown in request.unknowns}
-    if words[:2] != ["fixel", "calibrate"] or known & {*ENLARGED} or {*words} & {*_ELSEWHERE}:
+    replaced = known & {*IDEAL}
+    more = [*([PRESSURE] if replaced else []), *(() if known & {*CENTRE} else CENTRE)]
+    if words[:2] != ["fixel", "calibrate"] or not more or {*words} & {*_ELSEWHERE}:
         return ""
     free = () if "--fit" in words else [u.name for u in request.unknowns if not u.frozen]
-    for name in (*free, *ENLARGED):
+    words = _without(words, replaced)
+    for name in (*(name for name in free if name not in replaced), *more):
         words += ["--fit", name]
     return shlex.join(words)
+
+
+def _separated(words: Sequence[str]) -> list[str]:
+    """Words with `--fit` and `--set` apart from what they set."""
+    joined = ("--fit=", "--set=")
+    return [part for w in words for part in (w.split("=", 1) if w.startswith(joined) else (w,))]
+
+
+def _without(words: Sequence[str], names: Collection[str]) -> list[str]:
+    """Words without the `--fit` and `--set` of some parameters."""
+    left: list[str] = []
+    for word in words:
+        setting = left and left[-1] in ("--fit", "--set")
+        if setting and in_si(word.partition("=")[0].strip())[0] in names:
+            left.pop()
+        else:
+            left.append(word)
+    return left
 
 
 def python_of(folder: Path, number: int) -> str:

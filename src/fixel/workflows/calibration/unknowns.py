@@ -26,6 +26,7 @@ LEAST_FRICTION: Final = 0.01  # of the plane: without any nothing holds the body
 _AROUND_ZERO: Final = {
     "friction_centre_x": 5e-3,
     "friction_centre_y": 5e-3,
+    "pressure_spread": 2.0,
     "anisotropy_xy": 0.3,
     "anisotropy_diagonal": 0.3,
     "registration_x": 5e-3,
@@ -133,7 +134,7 @@ def fitted(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
 
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     written, _, limits = setting.partition("=")
-    name, factor = _in_si(written.strip())
+    name, factor = in_si(written.strip())
     # An experiment that can inform it, if there is one: fixels may stand in some only.
     scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
     unknown = usual(name, scene)
@@ -157,7 +158,7 @@ def held(settings: Sequence[str]) -> list[Unknown]:
     found = []
     for setting in settings:
         written, _, text = setting.partition("=")
-        name, factor = _in_si(written.strip())
+        name, factor = in_si(written.strip())
         try:
             value = factor * float(text)
         except ValueError:
@@ -190,7 +191,7 @@ _KEYS: Final = {"low", "high", "start", "scale", "frozen", "prior", "where"}
 
 
 def _entry(written: str, entry: Any, path: Path) -> Unknown:
-    name, factor = _in_si(written)
+    name, factor = in_si(written)
     where = f"{path}: {written}"
     if not isinstance(entry, Mapping) or not set(entry) <= _KEYS:
         raise InvalidInput(
@@ -222,7 +223,7 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
     )
 
 
-def _in_si(written: str) -> tuple[str, float]:
+def in_si(written: str) -> tuple[str, float]:
     """Name of a parameter and the factor from the unit in its written name to SI."""
     for ending, factor in _UNITS.items():
         name = written.removesuffix(ending)
