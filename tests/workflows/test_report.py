@@ -26,7 +26,7 @@ from fixel.workflows.calibration import run
 from fixel.workflows.calibration.request import Choice, Request, entry_of
 from fixel.workflows.calibration.unknowns import fitted
 from fixel.workflows.pictures import Picture
-from fixel.workflows.report.bibliography import WORKS, bibtex, works
+from fixel.workflows.report.bibliography import WORKS, bibtex, line, works
 from fixel.workflows.report.of_calibration import calibration_warnings
 from fixel.workflows.report.write import write_report
 
@@ -243,3 +243,14 @@ def test_a_real_browser_shows_and_prints_it(report, tmp_path):
     assert (pixels.max(axis=2) < 90).mean() > 0.005
     assert printed.read_bytes().startswith(b"%PDF")
     assert printed.stat().st_size > 50_000
+
+
+def test_the_two_sources_are_cited_with_their_titles():
+    """Titles and authors as on the title pages, where a description in brackets stood before."""
+    cited = works(["rpi2011", "asme2006"])
+    thesis, paper = line(cited["rpi2011"]), line(cited["asme2006"])
+    assert thesis.startswith("Macaluso, W. (2012). Exploring the domain of applicability")
+    assert paper.startswith("Cappelleri, D. J., Fink, J. et al. (2006). Modeling uncertainty")
+    assert "DETC2006-99687" in paper
+    assert not any("[" in work.title for work in WORKS.values())
+    assert "@mastersthesis{rpi2011," in bibtex(cited)
