@@ -1,4 +1,4 @@
-"""Maps of made-up errors: right where the truth is known, never green without evidence."""
+"""Maps of made-up errors: right where the truth is known, never trusted without evidence."""
 
 import math
 
@@ -84,7 +84,7 @@ def test_counting_decides_where_members_are_enough():
     assert colours(mapped(line(bad, repetitions=claim.needed)), claim)[0][0] == NOT_TRUSTED
 
 
-def test_no_cell_is_green_without_experiments_of_its_own():
+def test_no_cell_is_trusted_without_experiments_of_its_own():
     evidence = line(np.full(11, 0.1)).rows([0, 1, 2, 4, 5, 6, 8, 9])
     other = line(np.full(11, 0.1), group=("other",) * 11)
     both = Evidence(

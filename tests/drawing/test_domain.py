@@ -1,8 +1,14 @@
 """Charts of maps: what is drawn is what the table says."""
 
+from pathlib import Path
+
+import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from tests.drawing.collisions import collisions
 
+from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.domain import FILLS, MapChart, Panel, SizeChart, Strip
 
@@ -74,3 +80,52 @@ def test_sizes_against_thresholds(tmp_path):
     assert table.columns == ("threshold_mm", "cells_square", "cells_pentagon")
     assert len(table.rows) == 12
     assert table.rows[3][1:] == (3.0, 8.0)
+
+
+def _named(rows, columns, panels, name):
+    ticks = [name.format(k) for k in range(max(rows, columns))]
+    return MapChart(
+        across=Strip("offset y [mm]", tuple(ticks[:columns])),
+        up=Strip("offset theta [deg]", tuple(ticks[:rows])) if rows > 1 else Strip("", ("",)),
+        panels=tuple(_panel(rows, columns, f"{name.format(k)} on plywood") for k in range(panels)),
+        heading="held-out error within 2 mm",
+        head=HEAD,
+    )
+
+
+@pytest.mark.parametrize("name", ["{}", "-{}.25", "collinear-tight-{}"])
+@pytest.mark.parametrize(
+    ("rows", "columns", "panels"),
+    [(1, 3, 4), (6, 3, 4), (1, 11, 2), (2, 40, 1), (20, 4, 2)],
+)
+def test_numbers_and_titles_of_a_map_do_not_collide(rows, columns, panels, name):
+    with mpl.rc_context(palette.STYLE):
+        figure = _named(rows, columns, panels, name).figure()
+    assert not collisions(figure)
+
+
+def test_what_is_called_blue_is_blue():
+    """A trusted cell has the palette's blue, in the cells and in the legend."""
+    figure = _chart(1, 5, 1).figure()
+    cells = [to_hex(patch.get_facecolor()) for patch in figure.axes[0].patches]
+    assert cells[0] == palette.BODY.lower()
+    (legend,) = figure.legends
+    shown = {
+        text.get_text(): handle
+        for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)
+    }
+    assert to_hex(shown["trusted"].get_facecolor()) == palette.BODY.lower()
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "docs/how-to/domain-of-applicability.md",
+        "docs/theory/domain-of-applicability.md",
+        "src/fixel/applicability/domain.py",
+        "src/fixel/drawing/domain.py",
+    ],
+)
+def test_no_text_calls_a_trusted_cell_green(file):
+    root = Path(__file__).parents[2]
+    assert "green" not in (root / file).read_text(encoding="utf-8").lower()

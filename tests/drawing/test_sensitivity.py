@@ -1,9 +1,12 @@
 """Pictures of fans, indices and repetitions, and the numbers behind them."""
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from tests.drawing.collisions import collisions
 from tests.uncertainty.forks import fork, grid
 
+from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.repeats import RepeatPicture, RepeatPoint
 from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
@@ -60,3 +63,16 @@ def test_a_fan_names_its_outcomes_and_keeps_every_start():
 def test_only_what_is_wider_than_predicted_is_marked():
     labels = repeat_picture().figure().axes[0].get_legend_handles_labels()[1]
     assert labels.count("measured, wider than predicted") == 1
+
+
+@pytest.mark.parametrize("turn", [1e-9, 1.0])
+@pytest.mark.parametrize("size", [2e-9, 3e-4, 0.2])
+def test_numbers_of_a_fan_do_not_collide(size, turn):
+    drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3)) * (size, size, turn)
+    end = drawn * (1.0, 0.01, 1.0) + np.array([0.06, 0.0, -1e-9])
+    chart = FanChart(title="a push", scene=fork(), drawn=drawn, end=end, nominal=end[0],
+                     outcome=np.zeros(60, int), share=(1.0,))  # fmt: skip
+    with mpl.rc_context(palette.STYLE):
+        figure = chart.figure()
+    assert not collisions(figure)
+    assert "from -0.0" not in figure.axes[3].get_xlabel()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from tests.drawing.collisions import collisions
 
+from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.drawing.uncertainty import (
@@ -15,6 +18,7 @@ from fixel.drawing.uncertainty import (
     FinalRegion,
     PathBand,
 )
+from fixel.workflows.uncertainty_pictures import _priors
 
 DICE = np.random.default_rng(0)
 POSES = DICE.standard_normal((80, 3)) * np.array([1e-3, 2e-3, 0.02]) + np.array([0.1, 0.0, 0.5])
@@ -81,3 +85,50 @@ def test_bands_have_their_ends_in_the_table(tmp_path):
     assert "high_90_theta_rad" in table.columns
     k = table.columns.index("low_50_x_m")
     assert table.rows[0][k] == pytest.approx(chart.best[0, 0] - 5e-4)
+
+
+NARROW = np.array([2e-3, 3e-4, 2e-4, 1e-3])
+TINY = np.array([2e-5, 1e-6, 1e-6, 1e-5])
+WIDE = np.array([0.25, 0.012, 3e-3, 0.6])
+
+
+def _corner_of(scale):
+    """A posterior of four unknowns, at least as wide a prior about it."""
+    axes = [
+        Axis("mu_pusher", "-", 0.0, 1.0),
+        Axis("tripod_radius", "m", 0.01, 0.06),
+        Axis("model error", "m", 5e-5, 2e-2, logarithmic=True),
+        Axis("registration_theta", "rad", -0.5 * np.pi, 0.5 * np.pi),
+    ]
+    low, high = np.array([(axis.low, axis.high) for axis in axes]).T
+    centre = np.array([0.265, 0.031, 1e-3, 0.4])
+    samples = np.clip(centre + scale * DICE.standard_normal((500, 4)), 1.0001 * low, high)
+    return CornerChart(axes=axes, samples=samples, mode=np.zeros(500, int), weights=(1.0,))
+
+
+@pytest.mark.parametrize("scale", [NARROW, TINY, WIDE])
+def test_axes_of_a_corner_are_as_wide_as_the_samples(scale):
+    chart = _corner_of(scale)
+    panels = chart.figure().axes
+    factors = (1.0, 1e3, 1e3, 180.0 / np.pi)
+    for k, factor in enumerate(factors):
+        own = factor * chart.samples[:, k]
+        low, high = panels[5 * k].get_xlim()  # on the diagonal
+        assert low <= np.quantile(own, 0.0005)
+        assert high >= np.quantile(own, 0.9995)
+        if chart.axes[k].logarithmic:
+            assert high / low < 1.5 * own.max() / own.min()
+        else:
+            assert high - low < 1.2 * np.ptp(own)
+
+
+@pytest.mark.parametrize("scale", [NARROW, TINY, WIDE])
+def test_numbers_and_names_of_a_corner_do_not_collide(scale):
+    with mpl.rc_context(palette.STYLE):
+        figure = _corner_of(scale).figure()
+    assert not collisions(figure)
+
+
+def test_the_caption_of_a_corner_names_the_prior():
+    said = _priors(_corner_of(NARROW).axes)
+    assert said.startswith("mu_pusher 0 to 1, tripod_radius 10 to 60 mm, model error 0.05 to 20 mm")

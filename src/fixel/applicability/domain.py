@@ -36,7 +36,7 @@ LEAST_EXPERIMENTS: Final = 6  # below, not even the scatter of the errors is kno
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """What a green cell says.
+    """Claim that a trusted (blue) cell meets.
 
     Parameters
     ----------

@@ -39,6 +39,8 @@ LIGHT: Final = ("trusted", "not trusted")  # cells whose letters are white
 COLUMNS: Final = 5
 MOST_PANELS: Final = 30
 MOST_LETTERS: Final = 400  # cells with their members' count in one panel
+LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], its width
+LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], its height with the space to the next
 
 
 class Strip(NamedTuple):
@@ -85,7 +87,7 @@ class MapChart(AbstractChart):
     panels : tuple of Panel
         The first 30 are drawn.
     heading : str
-        What green means.
+        The claim that blue cells meet.
     rows : sequence of tuple
         The numbers behind, one a cell.
     head : tuple of str
@@ -104,8 +106,12 @@ class MapChart(AbstractChart):
         lines = math.ceil(len(shown) / columns)
         n_up, n_across = len(self.up.ticks), len(self.across.ticks)
         width = WIDE if columns > 1 or n_across > 8 else palette.COLUMN + 0.6
-        side = min(0.42, (width - 0.9) / columns / n_across)
-        height = lines * (max(side, 0.17) * n_up + 0.42) + 0.75
+        left = 0.6 + LETTER * _longest(self.up)
+        room = (width - left) / columns
+        side = min(0.42, room / n_across)
+        upwards = LETTER * (_longest(self.across) + 1) > room / n_across
+        below = LETTER * _longest(self.across) if upwards else 0.0
+        height = lines * (max(side, 0.17) * n_up + 0.42) + 0.75 + below
         figure = sheet(width, max(height, 1.3), self._title(shown))
         table = figure.subplots(lines, columns, squeeze=False)
         for k, axes in enumerate(table.flat):
@@ -114,6 +120,11 @@ class MapChart(AbstractChart):
                 continue
             last = k + columns >= len(shown)
             _draw_panel(axes, shown[k], self, first=k % columns == 0, last=last)
+            places = range(0, n_across, math.ceil(LINE * n_across / room))
+            axes.set_xticks(list(places), [self.across.ticks[j] if last else "" for j in places],
+                            rotation=90 if upwards else 0)  # fmt: skip
+            axes.set_title(shortened(shown[k].title, int(room / LETTER)),
+                           fontsize=palette.FONT_SIZE, pad=2.5)  # fmt: skip
         _legend(figure, shown)
         return figure
 
@@ -157,21 +168,16 @@ def _draw_panel(axes: Axes, panel: Panel, chart: MapChart, *, first: bool, last:
     axes.set_ylim(-0.5, n_up - 0.5)
     axes.tick_params(length=0.0, pad=1.5)
     axes.spines[:].set_visible(False)
-    every = max(1, math.ceil(n_across / 12))
-    places = range(0, n_across, every)
-    axes.set_xticks(list(places), [chart.across.ticks[j] if last else "" for j in places],
-                    rotation=90 if n_across > 3 and _long(chart.across) else 0)  # fmt: skip
     labelled = first and n_up > 1
     axes.set_yticks(range(n_up), [tick if labelled else "" for tick in chart.up.ticks])
     if last:
         axes.set_xlabel(chart.across.name)
     if labelled:
         axes.set_ylabel(chart.up.name)
-    axes.set_title(shortened(panel.title, 34), fontsize=palette.FONT_SIZE, pad=2.5)
 
 
-def _long(strip: Strip) -> bool:
-    return max(len(tick) for tick in strip.ticks) > 5
+def _longest(strip: Strip) -> int:
+    return max(len(tick) for tick in strip.ticks)
 
 
 def _outline(axes: Axes, inside: Any) -> None:

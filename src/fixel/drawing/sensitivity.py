@@ -89,6 +89,7 @@ class FanChart(AbstractChart):
             axes.set(xlabel=f"{label}, x [{unit.name}]", ylabel=f"y [{unit.name}]")
             _no_narrower(axes, float(np.ptp(cloud[:, :2], axis=0).max()) * unit.per_metre)
             clean(axes)
+            _few_numbers(axes)
         _angles(panels["angles"], self)
         legend_below(figure, [panels["scene"]])
         return figure
@@ -135,7 +136,7 @@ def _scene(axes: Axes, chart: FanChart) -> None:
             axes.plot(*outline, color=_colour(k), linewidth=0.5, alpha=0.35)
         axes.plot([], [], color=_colour(k), linewidth=1.2, label=name)
     axes.plot(*closed(chart.nominal, corners), color=palette.INK, linewidth=1.4, label="nominal")
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")  # a flat panel has no room for numbers
     axes.margins(0.05)
     axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
     axes.spines[["top", "right"]].set_visible(False)
@@ -151,9 +152,16 @@ def _angles(axes: Axes, chart: FanChart) -> None:
     colours = [_colour(k) for k in range(len(groups))]
     axes.hist(groups, bins=edges.tolist(), color=colours, stacked=True)
     axes.axvline(0.0, color=palette.INK, linewidth=1.0)
-    axes.locator_params(axis="x", nbins=5)
-    axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):.1f} [deg]", ylabel="starts")
+    axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):z.1f} [deg]", ylabel="starts")
     clean(axes)
+    _few_numbers(axes)
+
+
+def _few_numbers(axes: Axes) -> None:
+    """So few that ten letters a number stand side by side in a small panel."""
+    axes.locator_params(axis="x", nbins=3)
+    axes.locator_params(axis="y", nbins=4)
+    axes.tick_params(axis="x", pad=4.0)  # below the lowest number of the other axis
 
 
 def _no_narrower(axes: Axes, size: float) -> None:

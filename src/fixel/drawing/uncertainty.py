@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CELL: Final = 1.05  # [inch] of a corner
+CELL: Final = 1.2  # [inch] of a corner
+DECADES: Final = 30.0  # least ratio of the ends of a logarithmic axis
+LONG: Final = 5  # letters of a number that is written upwards below a corner
 MODES: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.CONE, palette.PUSHER)
 BINS: Final = 30
 
@@ -37,7 +39,7 @@ class Axis(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornerChart(AbstractChart):
-    """Samples of unknowns against one another, modes in colours, over the whole prior range.
+    """Samples of unknowns against one another, modes in colours, over the range of the samples.
 
     Parameters
     ----------
@@ -79,12 +81,26 @@ class CornerChart(AbstractChart):
         return np.asarray(readable(self.axes[k].unit).factor * self.samples[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
-        factor = readable(self.axes[k].unit).factor
-        return factor * self.axes[k].low, factor * self.axes[k].high
+        """Ends of all samples and the truth, with a margin, within the prior."""
+        axis = self.axes[k]
+        known = [*self.samples[:, k], *([] if axis.truth is None else [axis.truth])]
+        low, high = float(np.min(known)), float(np.max(known))
+        if axis.logarithmic:
+            wide = (low / 1.1, 1.1 * high)
+        else:
+            margin = max(0.05 * (high - low), 1e-6 * (axis.high - axis.low))
+            wide = (low - margin, high + margin)
+        factor = readable(axis.unit).factor
+        ends = min(max(wide[0], axis.low), low), max(min(wide[1], axis.high), high)
+        return factor * ends[0], factor * ends[1]
+
+    def _logarithmic(self, k: int) -> bool:
+        low, high = self._ends(k)
+        return self.axes[k].logarithmic and high > DECADES * low
 
     def _alone(self, axes: Axes, k: int) -> None:
         low, high = self._ends(k)
-        log = self.axes[k].logarithmic
+        log = self._logarithmic(k)
         edges = np.geomspace(low, high, BINS + 1) if log else np.linspace(low, high, BINS + 1)
         values = self._values(k)
         parts = [values[self.mode == m] for m in range(len(self.weights))]
@@ -100,8 +116,6 @@ class CornerChart(AbstractChart):
             axes.plot(across[own], up[own], ".", markersize=1.6, alpha=0.35, rasterized=True,
                       markeredgewidth=0.0, color=MODES[m % len(MODES)])  # fmt: skip
         axes.set_ylim(*self._ends(y))
-        if self.axes[y].logarithmic:
-            axes.set_yscale("log")
         self._truth(axes.axvline, x)
         self._truth(axes.axhline, y)
 
@@ -112,15 +126,10 @@ class CornerChart(AbstractChart):
             draw(value, color=palette.INK, linewidth=0.7, linestyle=(0, (3, 2)))
 
     def _edges(self, axes: Axes, row: int, column: int, n: int) -> None:
-        from matplotlib.ticker import MaxNLocator
-
         axes.set_xlim(*self._ends(column))
-        if self.axes[column].logarithmic:
-            axes.set_xscale("log")
-        else:
-            axes.xaxis.set_major_locator(MaxNLocator(3))
-        if row != column and not self.axes[row].logarithmic:
-            axes.yaxis.set_major_locator(MaxNLocator(3))
+        self._number(axes, "x", column)
+        if row != column:
+            self._number(axes, "y", row)
         axes.tick_params(pad=1.0, labelsize=palette.FONT_SIZE - 1.5, which="both")
         axes.spines[["top", "right"]].set_visible(False)
         if row == n - 1:
@@ -132,9 +141,24 @@ class CornerChart(AbstractChart):
         elif column > 0:
             axes.tick_params(labelleft=False, which="both")
 
+    def _number(self, axes: Axes, which: Literal["x", "y"], k: int) -> None:
+        """Few numbers on an axis, upwards where they are too long to stand side by side."""
+        from matplotlib.ticker import MaxNLocator, NullFormatter
+
+        axis = getattr(axes, f"{which}axis")
+        if self._logarithmic(k):
+            getattr(axes, f"set_{which}scale")("log")
+            axis.set_minor_formatter(NullFormatter())
+            return
+        axis.set_major_locator(MaxNLocator(2, steps=(1, 2, 5, 10)))
+        axes.ticklabel_format(axis=which, useOffset=False)
+        texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
+        if which == "x" and max(map(len, texts), default=0) > LONG:
+            axes.tick_params(axis="x", labelrotation=90.0)
+
     def _label(self, k: int) -> str:
         own = self.axes[k]
-        return readable(own.unit).on(own.label.replace("[", "\n["))
+        return readable(own.unit).on(own.label).replace(" [", "\n[")
 
     def _legend(self, figure: Figure) -> None:
         from matplotlib.lines import Line2D

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
+from fixel.drawing.chart import readable
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.drawing.uncertainty import (
     Axis,
@@ -43,7 +44,7 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
                          title=f"What {what_of(found)} leaves open")  # fmt: skip
     yield Picture("corner", corner, _banner(found.predicted),
-                  "Samples of the posterior over the whole range of the prior.")  # fmt: skip
+                  f"Samples of the posterior. The prior was uniform: {_priors(axes)}.")  # fmt: skip
     chosen = [*found.predicted[:1], *found.held_out][:MOST_PICTURED]
     for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
         one = next(p for p in chosen if p.id == predicted)
@@ -51,6 +52,16 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     both = curves_of(found)
     if both is not None:
         yield _curve_picture(found, both)
+
+
+def _priors(axes: Sequence[Axis]) -> str:
+    """Ranges of priors, which are mostly much wider than what is drawn."""
+    parts = []
+    for axis in axes:
+        unit = readable(axis.unit)
+        ends = f"{unit.text(axis.low)} to {unit.text(axis.high)} {unit.name}".rstrip()
+        parts.append(f"{axis.label} {ends}{' (of its logarithm)' * axis.logarithmic}")
+    return ", ".join(parts)
 
 
 def shown(label: str) -> str:
