@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 FRAME: Final = 1.0 / 30.0  # [s] for which model error is given
 GROUP: Final = 4  # frames of the past that are simulated in one step
-FOLD: Final = 8  # frames after which what the camera has corrected goes into the simulated pose
+FOLD: Final = 8  # frames: where a block ends at one, the correction goes into the simulated pose
 STRIDE: Final = 0.01  # of the object's size: how far the pusher goes in one step of a simulation
 LEVER: Final = 0.05  # [m]: a radian of model error counts as this way
 AT_REST: Final = 1e-9  # of the object's size: motion below is rounding
@@ -78,7 +78,7 @@ class Crowd:
     pose : (n, 3) float64
         As simulated [m, m, rad].
     shift : (n, 3) float64
-        What the camera has added to it since the last block's end.
+        What the camera has added to it since it last went into it.
     variance : (n, 2) float64
         Of the pose, coordinates and angle, for the model's own error [m^2, rad^2].
     score : (n,) float64
@@ -214,9 +214,9 @@ class Mechanics:
             before = crowd.pose
             self._grow(crowd, walk, time[k] - time[k - 1], shake)
             self._weigh(crowd, sight, behind)
-            if sight.fold:
-                before = crowd.place
-                crowd.pose, crowd.shift = crowd.place, np.zeros_like(crowd.shift)
+        # Not in between: the poses after it are simulated already, without the correction.
+        if sights[-1].fold:
+            crowd.pose, crowd.shift = crowd.place, np.zeros_like(crowd.shift)
 
     def _simulated(
         self, start: FloatArray, values: dict[str, FloatArray], path: FloatArray, coarse: bool

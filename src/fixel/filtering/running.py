@@ -291,13 +291,14 @@ class RunningFilter:
         """Simulate proposals, and the particles with them, through a part of the past.
 
         A part of them in every frame, through many frames: the first step of a simulation costs as
-        much as several more.
+        much as several more. Where there are several parts, one frame is for their last steps.
         """
         now = len(self._sights) - 1
-        behind = int(np.argmin(self._moving_at))
-        self._catch_up(behind, min(now, self._moving_at[behind] + BLOCK))
-        if min(self._moving_at) <= now - self._parts:
-            return
+        if min(self._moving_at) < now - self._parts:
+            behind = int(np.argmin(self._moving_at))
+            self._catch_up(behind, min(now, self._moving_at[behind] + BLOCK))
+            if self._parts > 1 or self._moving_at[behind] < now:
+                return
         for part in range(self._parts):
             self._catch_up(part, now)
         n, both = len(self._log_weight), joined(self._moving)
