@@ -60,7 +60,7 @@ def test_what_the_camera_has_corrected_stays_while_it_sees_nothing():
     """An object creeps that nobody pushes; then it is hidden, and most likely where it was."""
     running = FEW.start(SCENE)
     for k in range(1, 46):
-        seen = START + [0.0, 0.0004 * k, 0.0]
+        seen = START + np.array([0.0, 0.0004 * k, 0.0])
         last = running.step(Frame(k / 30, HEAD, seen)).pose
 
     assert last[1] - START[1] > 0.015
