@@ -89,7 +89,7 @@ def test_in_place(bench, capsys):
     assert out.startswith("In place")
     assert "allowed: 1 mm, 1 deg" in out
     setting = f"--camera {bench}/placed.mp4 --rig {bench}/rig.yaml --scene {bench}/scene.yaml"
-    assert f"Next: fixel record {setting} --out FOLDER" in out
+    assert f"Next: fixel record {setting} --out recording" in out
     assert (bench / "placed.mp4.png").read_bytes()[:4] == b"\x89PNG"
 
 

@@ -420,5 +420,5 @@ def test_experiments_that_cannot_be_compared(project, experiments):
         assert "no measured pose" in found.left_out["testbed/one"]
         with pytest.raises(InvalidInput, match="no scene"):
             run.choose(store, ("lost",), Query())
-        with pytest.raises(InvalidInput, match="none to calibrate with"):
+        with pytest.raises(InvalidInput, match="expected one of testbed"):
             run.choose(store, (), Query(dataset="nowhere"))

@@ -725,5 +725,5 @@ def _sample_contacts(
             record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
         record.contact[row, 8] = problem.impulse[i, 0] / span
         record.contact[row, 9] = problem.impulse[i, 1] / span
-        record.contact[row, 10] = span
+        record.contact[row, 10] = step
         record.count[1] += 1
