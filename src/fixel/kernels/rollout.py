@@ -20,7 +20,7 @@ from fixel.kernels.contacts import place_bodies
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE, locked, solve
-from fixel.kernels.step import RECOVERY, creates_energy, move, prepare_step
+from fixel.kernels.step import ALONG, RECOVERY, creates_energy, move, prepare_step
 
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
@@ -642,7 +642,7 @@ def write_samples(
                 model, before, state, from_time, to_time, span, problem, record, sample, d, share
             )
         if to_time > from_time:
-            _sample_contacts(problem, record, sample, to_time - from_time, span)
+            _sample_contacts(before.velocity, problem, record, sample, to_time - from_time, span)
         sample += 1
         if every_step:
             break
@@ -700,9 +700,32 @@ def _sample_driven(
 
 
 @kernel
+def _is_impact(velocity: FloatArray, problem: Problem, i: int, step: float) -> bool:
+    """Whether a contact changed the velocities of its bodies at once, and not as forces do."""
+    along = 0.0
+    size = 0.0
+    for side in range(2):
+        o = problem.contact_dof[i, side]
+        if 0 <= o < problem.size[3]:
+            changed = 0.0
+            moving = 0.0
+            for k in range(3):
+                change = problem.velocity[o + k] - velocity[o + k]
+                along += problem.normal[i, 3 * side + k] * change
+                changed += abs(change)
+                moving += abs(problem.velocity[o + k])
+            size = max(size, changed, moving)
+    return along * step > TOUCHING and along > ALONG * size
+
+
+@kernel
 def _sample_contacts(
-    problem: Problem, record: Record, sample: int, step: float, span: float
+    velocity: FloatArray, problem: Problem, record: Record, sample: int, step: float, span: float
 ) -> None:
+    """Write the contacts of a step: force times step is the impulse of the whole step.
+
+    `velocity` is that at its start. Forces act on after `span`; an impact acts once.
+    """
     for i in range(problem.size[1]):
         row = record.count[1]
         if row == record.contact.shape[0]:
@@ -715,6 +738,7 @@ def _sample_contacts(
             if b >= 0:
                 gap += problem.normal[i, 3 + k] * problem.velocity[b + k]
         gap *= step
+        acted = step if _is_impact(velocity, problem, i, step) else span
         if problem.impulse[i, 0] <= 0.0 and gap > TOUCHING:
             continue
         record.contact[row, 0] = sample
@@ -723,7 +747,7 @@ def _sample_contacts(
         record.contact[row, 3] = gap
         for k in range(4):
             record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
-        record.contact[row, 8] = problem.impulse[i, 0] / span
-        record.contact[row, 9] = problem.impulse[i, 1] / span
+        record.contact[row, 8] = problem.impulse[i, 0] / acted
+        record.contact[row, 9] = problem.impulse[i, 1] / acted
         record.contact[row, 10] = step
         record.count[1] += 1
