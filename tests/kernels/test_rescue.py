@@ -118,31 +118,3 @@ def test_an_island_is_solved_as_if_it_were_alone():
         one.momentum[:3] = many.momentum[3 * b : 3 * b + 3]
         single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT)
         assert many.velocity[3 * b : 3 * b + 3] == pytest.approx(one.velocity[:3], abs=1e-9)
-
-
-def test_nothing_is_tried_where_prescribed_motions_squeeze():
-    """Two walls that close in on a disc from both sides: no solution, and the guess is untouched.
-
-    A rigid drive that jams asks some thirty such steps; every means there is cost ten rollouts.
-    """
-    problem, work = single.empty(3, 2, 0, 0, 0, 0, 0)
-    problem.size[:] = 3, 2, 0, 3
-    problem.inertia[range(3), range(3)] = 1.0
-    problem.stiffness[:3] = 1.0
-    for i, x in enumerate((-1.0, 1.0)):
-        problem.contact_dof[i] = 0, -1
-        problem.normal[i, :3] = -x, 0.0, 0.0
-        problem.tangent[i, :3] = 0.0, -x, -1.0
-        problem.bias[i, 0] = -1.0
-        problem.friction[i] = 0.3
-    began = np.array([0.3, -0.2, 0.1])
-    problem.velocity[:3] = began
-    residual, fell_back = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)
-    assert residual > 0.1
-    assert fell_back == 1
-    assert single.has_no_solution(problem, work, np.zeros(5))
-    assert np.array_equal(problem.velocity[:3], began)
-    assert not problem.impulse.any()
-    # The same with walls that leave: there is a solution, and it is found.
-    problem.bias[:, 0] = 0.5
-    assert single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)[0] <= 1e-9

@@ -35,7 +35,7 @@ ITERATIONS = 12  # Newton from where the recovery got to
 PATIENT = 98
 HASTY = 8
 TURNS = 6  # of pivoting; one to three are the rule
-GIVE_UP = 5  # after this trial of many contacts ask whether there is anything to find
+GIVE_UP = 5  # after this trial ask whether there is anything to find
 CLOSE = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
 SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
@@ -127,9 +127,6 @@ def recover(
     else:
         restore(problem, work)
     small = is_small(problem)
-    # Cheap where there are few contacts, and it spares everything below where a rigid drive jams.
-    if small and locked(problem, work, guess):
-        return residual(problem, work.right), 1
     stiffness = 100.0
     worst = math.inf
     for trial in range(trials):
@@ -159,7 +156,7 @@ def recover(
                 return worst, 1
             if not more:
                 break
-        if not small and trial == GIVE_UP and locked(problem, work, guess):
+        if trial == GIVE_UP and locked(problem, work, guess):
             break
         stiffness = min(stiffness, 1e4)
     return worst, 1
