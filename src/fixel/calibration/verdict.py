@@ -13,7 +13,7 @@ nothing could be evaluated                                       not identified
 another value explains the data as well, and the interval over   not identified
 both is not narrow
 a prior was given, and the interval is hardly narrower           not identified
-closed and narrow, but the parameter stands for a property of    effective
+narrow, but the parameter stands for a property of               effective
 the object that the model has not got, and the model misfits
 closed on both sides, and narrow                                 identified
 closed and narrow as far as noise goes, but not when misfit is   precise, but the model
@@ -325,11 +325,12 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
         )
     stands_for = info_of(case.unknown.name).stands_for
     closed = case.narrow and case.open_sides == 0
-    if case.misfits and stands_for and (closed or case.precise):
+    one_sided = case.narrow and case.open_sides == 1
+    if case.misfits and stands_for and (closed or one_sided or case.precise):
         return _of(case, "effective", f"it stands for {stands_for}, which the model has not got")
     if closed:
         return _of(case, "identified", _extent(case))
-    if case.narrow and case.open_sides == 1:
+    if one_sided:
         if case.bound is not None:
             return _of(case, "at bound", _at_bound(case))
         return _of(case, "at least" if case.high is None else "at most", _one_sided(case))
