@@ -36,7 +36,7 @@ FRONT: Final = 0.0145  # [m] of the head
 NEARER: Final = {"slip": 0.075, "seated": 0.035}  # [m] by which pegs stand nearer than in `grasp`
 
 
-class Held(NamedTuple):
+class RunCoverage(NamedTuple):
     """Ranks and coverage of one run."""
 
     rank: dict[str, float]  # share of the particles' weight below the truth
@@ -47,7 +47,7 @@ class Held(NamedTuple):
 
 
 def run(size: Size) -> list[Figure]:
-    """How even the ranks are, and how many truths lie in the 90 % intervals and ellipsoids."""
+    """Measure how even ranks are and how often 90 % intervals and ellipsoids hold the truth."""
     full = size.rollouts >= 500
     return figures_of(_rows(TRUTHS if full else 4, ROWS if full else None))
 
@@ -100,7 +100,7 @@ def figures_of(rows: list[dict[str, str]]) -> list[Figure]:
     ]
 
 
-def held(seed: int, particles: int = PARTICLES) -> Held:
+def held(seed: int, particles: int = PARTICLES) -> RunCoverage:
     """Draw a truth, record it, filter it."""
     truth, exact, measured = drawn(seed)
     found = run_filter(measured, ParticleFilter(n_particles=particles), seed=seed)
@@ -113,7 +113,7 @@ def held(seed: int, particles: int = PARTICLES) -> Held:
     names = found.prior.names
     last = found.quantiles[-1]
     below = np.mean(found.draws < [truth[name] for name in names], axis=0)
-    return Held(
+    return RunCoverage(
         rank=dict(zip(names, below.tolist(), strict=True)),
         low=dict(zip(names, last[:, 0].tolist(), strict=True)),
         high=dict(zip(names, last[:, 2].tolist(), strict=True)),

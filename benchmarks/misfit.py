@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
 from benchmarks.report import RESULTS
-from fixel.calibration.assess import Fitted, Frames, conducted_here, fitting
+from fixel.calibration.assess import BestFit, Frames, conducted_here, fitting
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
@@ -83,8 +83,8 @@ def design(seed: int) -> list[PlannedExperiment]:
     return chosen
 
 
-def calibrated(experiments: Sequence[Experiment]) -> tuple[Comparer, Fitted]:
-    """What `fixel calibrate --optimiser least-squares` does, up to its profiles."""
+def calibrated(experiments: Sequence[Experiment]) -> tuple[Comparer, BestFit]:
+    """Run `fixel calibrate --optimiser least-squares` up to its profiles."""
     targets = targets_of(experiments)
     scenes = [target.case.scene for target in targets]
     space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.calibration.assess import assess, conducted_here, fitting
-from fixel.calibration.honest import Honest, Mixed, Shifted, _Probes
+from fixel.calibration.honest import Honest, MixedFit, ShiftModel, _Probes
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace
@@ -118,7 +118,7 @@ def test_one_experiment_gives_wider_intervals_than_seven():
 
 
 def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
-    mixed = Mixed(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
+    mixed = MixedFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
     apart = Honest.of(mixed, np.array([0.26]))
     assert apart.sd == pytest.approx(0.05)
     few = Honest.of(mixed._replace(effective=np.array([1.2])), np.array([0.3]))
@@ -129,7 +129,7 @@ def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
 
 def test_shifts_are_of_what_is_searched_and_of_where_the_object_rests():
     comparer, _, _ = _fitted("one")
-    shifted = Shifted(comparer)
+    shifted = ShiftModel(comparer)
     own = set(shifted.columns[0])
     assert {"mu_pusher", "mu_fixel", "friction_centre_x", "start_theta"} <= own
     row = np.concatenate(([0.0], shifted.space.nominal))
@@ -141,7 +141,7 @@ def test_shifts_are_of_what_is_searched_and_of_where_the_object_rests():
 
 def test_a_probe_without_a_simulation_has_no_slope():
     comparer, found, _ = _fitted("one")
-    shifted = Shifted(comparer)
+    shifted = ShiftModel(comparer)
     probes = _Probes(shifted, 0, ["mu_pusher"], found.point, np.zeros(1))
     rows = np.random.default_rng(0).normal(size=(len(probes.points), 3, 4))
     whole, _ = probes.slopes(rows, comparer.space.scale, np.ones(1))

@@ -32,7 +32,7 @@ PART: Final = "part"
 
 
 class Contacts(NamedTuple):
-    """Where, and how fast, pushers touch parts.
+    """Places and speeds at which pushers touch parts.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ def contacts_of(asked: Configurations, speed: FloatArray) -> Contacts:
 
 
 class Novelty(NamedTuple):
-    """What is new about contacts.
+    """Kind of novelty of each contact, with its reason.
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.calibration.cost import Prior
 from fixel.calibration.descent import Fit
-from fixel.calibration.honest import Honest, Mixed, Shifted, mixed_study
+from fixel.calibration.honest import Honest, MixedFit, ShiftModel, mixed_study
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
@@ -156,7 +156,7 @@ def assessing(
     return Assessment(verdicts, found, noise, dispersion, fitted.misfit)
 
 
-class Fitted(NamedTuple):
+class BestFit(NamedTuple):
     """The likeliest point, and how well the model fits there.
 
     Attributes
@@ -184,7 +184,7 @@ class Fitted(NamedTuple):
 
 def fitting(
     comparer: Comparer, members: Sequence[int], point: FloatArray, *, noise: Noise | None = None
-) -> Asking[Fitted]:
+) -> Asking[BestFit]:
     """Fit by least squares, and where the model misfits also with mixed effects.
 
     The parameters are those of `assess`. A wrong valley looks like misfit: where there is any,
@@ -206,7 +206,7 @@ def fitting(
     honest = None
     if misfit is not None and misfit.noted:
         white = camera or misfit.noise
-        mixed = yield from _mixed(Shifted(comparer), own.tolist(), best.point, white)
+        mixed = yield from _mixed(ShiftModel(comparer), own.tolist(), best.point, white)
         again = yield from _least_squares(chosen, mixed.value, noise, options)
         if again.deviance < best.deviance:
             best = again
@@ -223,7 +223,7 @@ def fitting(
         ratio = noise.standard_deviations / left.standard_deviations
         residual = (best.residual.reshape(-1, 3) * ratio).ravel()
         noise, dispersion = left, chosen.dispersion(left, residual, count)
-    return Fitted(best.point, noise, dispersion, misfit, honest, fit)
+    return BestFit(best.point, noise, dispersion, misfit, honest, fit)
 
 
 def _coarse(noise: Noise, count: int) -> LeastSquares:
@@ -252,15 +252,15 @@ def _least_squares(
 
 
 def _mixed(
-    shifted: Shifted, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Asking[Mixed]:
+    shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
+) -> Asking[MixedFit]:
     study = mixed_study(shifted, members, point, noise)
     try:
         rows = next(study)
         while True:
             rows = study.send((yield Ask("shifted", rows, "fit of each experiment's own shifts")))
     except StopIteration as end:
-        mixed: Mixed = end.value
+        mixed: MixedFit = end.value
         return mixed
 
 
@@ -307,7 +307,7 @@ def _noise_left(comparer: Comparer, members: IntArray, points: FloatArray) -> Fl
 
 def _shifted(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
     """(k, m) differences of single experiments with shifts of their own [mm]."""
-    return Shifted(comparer).differences(points)
+    return ShiftModel(comparer).differences(points)
 
 
 def _excited(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
@@ -371,7 +371,7 @@ class Frames:
 
     @property
     def space(self) -> ParameterSpace:
-        """Where the points lie."""
+        """Space of the parameters that are fitted."""
         return self._comparer.space
 
     def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:

@@ -54,7 +54,7 @@ LEAST_FREEDOM: Final = 1.5
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
-class Mixed(NamedTuple):
+class MixedFit(NamedTuple):
     """Result of a mixed fit.
 
     Attributes
@@ -98,7 +98,7 @@ class Honest(NamedTuple):
     clusters: int
 
     @classmethod
-    def of(cls, mixed: Mixed, best: FloatArray) -> Honest:
+    def of(cls, mixed: MixedFit, best: FloatArray) -> Honest:
         """A mixed fit beside the best (n_free,) of least squares."""
         freedom = np.maximum(mixed.effective - 1.0, LEAST_FREEDOM)
         sd = np.hypot(mixed.sd, mixed.value - best)
@@ -112,7 +112,7 @@ class Honest(NamedTuple):
         return self.value - reach, self.value + reach
 
 
-class Shifted:
+class ShiftModel:
     """Experiments with shifts of their own, for the rollouts of a mixed fit.
 
     Parameters
@@ -154,13 +154,13 @@ class Shifted:
 
 
 def mixed_study(
-    shifted: Shifted, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Generator[FloatArray, FloatArray, Mixed]:
-    """Rollouts of a mixed fit: yields rows, and is sent `Shifted.differences` of them.
+    shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
+) -> Generator[FloatArray, FloatArray, MixedFit]:
+    """Rollouts of a mixed fit: yields rows, and is sent `ShiftModel.differences` of them.
 
     Parameters
     ----------
-    shifted : Shifted
+    shifted : ShiftModel
     members : sequence of int
         Numbers of the experiments.
     point : (n_free,) array
@@ -216,7 +216,7 @@ def mixed_study(
         theta = np.clip(theta + step, space.low, space.high)
     left_out = jackknife(fit.information, fit.gradient, fit.covariance, cluster)
     variance = np.maximum(np.diag(fit.covariance), np.diag(left_out.covariance))
-    return Mixed(
+    return MixedFit(
         value=theta,
         sd=np.sqrt(variance) * space.scale,
         effective=left_out.effective,
@@ -230,7 +230,7 @@ class _Probes:
 
     def __init__(
         self,
-        shifted: Shifted,
+        shifted: ShiftModel,
         member: int,
         names: Sequence[str],
         theta: FloatArray,
@@ -304,7 +304,7 @@ def _instants(length: int) -> IntArray:
     return np.asarray(np.round(np.linspace(length / count, length, count)) - 1, np.int64)
 
 
-def _share(shifted: Shifted, member: int) -> FloatArray:
+def _share(shifted: ShiftModel, member: int) -> FloatArray:
     """(INSTANTS,) share of the time that has passed; zero beyond the last."""
     own, times = shifted.instants[member], shifted.targets[member].case.times
     out = np.zeros(INSTANTS)

@@ -3,7 +3,19 @@
 import math
 
 from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.kernels.jit import large_kernel
+from fixel.kernels.jit import kernel, large_kernel
+
+
+@kernel
+def _waypoint_before(path: FloatArray, low: int, high: int, time: float) -> int:
+    """Return the last waypoint at or before a time, between two of which one is and one is not."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        if path[middle, 0] <= time:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 @large_kernel
@@ -18,14 +30,8 @@ def path_pose(
         return path[first, 1], path[first, 2], path[first, 3]
     if time >= path[last, 0]:
         return path[last, 1], path[last, 2], path[last, 3]
-    low = first
-    high = last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if path[middle, 0] <= time:
-            low = middle
-        else:
-            high = middle
+    low = _waypoint_before(path, first, last, time)
+    high = low + 1
     u = (time - path[low, 0]) / (path[high, 0] - path[low, 0])
     return (
         path[low, 1] + u * (path[high, 1] - path[low, 1]),
@@ -78,19 +84,12 @@ def straight_time(
     if path[last, 0] <= time or path[first, 0] >= time + step:
         return step
     x, y, a = path_pose(path_start, path, driven, time)
-    low = first - 1  # the last waypoint that is not ahead
-    high = last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if path[middle, 0] <= time:
-            low = middle
-        else:
-            high = middle
+    ahead_of = _waypoint_before(path, first - 1, last, time) + 1
     low_x = low_y = low_a = -math.inf
     high_x = high_y = high_a = math.inf
     longest = step
     found = False
-    for k in range(high, last + 1):
+    for k in range(ahead_of, last + 1):
         ahead = path[k, 0] - time
         if ahead >= step:
             break

@@ -701,7 +701,7 @@ def _sample_driven(
 
 @kernel
 def _is_impact(velocity: FloatArray, problem: Problem, i: int, step: float) -> bool:
-    """Whether a contact changed the velocities of its bodies at once, and not as forces do."""
+    """Return whether a contact changed the velocities of its bodies at once, unlike forces."""
     along = 0.0
     size = 0.0
     for side in range(2):
@@ -738,9 +738,11 @@ def _sample_contacts(
             if b >= 0:
                 gap += problem.normal[i, 3 + k] * problem.velocity[b + k]
         gap *= step
-        acted = step if _is_impact(velocity, problem, i, step) else span
         if problem.impulse[i, 0] <= 0.0 and gap > TOUCHING:
             continue
+        acted = span
+        if span < step and _is_impact(velocity, problem, i, step):
+            acted = step
         record.contact[row, 0] = sample
         record.contact[row, 1] = problem.contact_body[i, 0]
         record.contact[row, 2] = problem.contact_body[i, 1]

@@ -183,7 +183,7 @@ def _errors(group: PushGroup, fit: FittedPushes) -> FloatArray:
 # --- bounds ---------------------------------------------------------------------------------------
 
 
-class Counted(NamedTuple):
+class CoverageCount(NamedTuple):
     """Bounds on left-out pushes, and their errors."""
 
     group: list[str]
@@ -215,7 +215,7 @@ def _beyond(
 
 def _counted(
     bench: Bench, left: Sequence[LeftOut], beyond: dict[str, Promise | None], column: int
-) -> Counted | None:
+) -> CoverageCount | None:
     """Bounds and errors of all left-out pushes; None where too few are left to judge any."""
     plates: dict[Key, list[LeftOut]] = {}
     for own in left:
@@ -243,7 +243,7 @@ def _counted(
                           promise.bounds(table, name, asked), np.array(kind) != ""))  # fmt: skip
     if not parts:
         return None
-    return Counted(
+    return CoverageCount(
         [name for part in parts for name in part[0]],
         *(np.concatenate([part[j] for part in parts]) for j in range(1, 5)),
     )
@@ -265,7 +265,7 @@ def _spread(
 # --- what is reported -----------------------------------------------------------------------------
 
 
-def _overall(name: str, kind: str, counted: Counted) -> list[Row]:
+def _overall(name: str, kind: str, counted: CoverageCount) -> list[Row]:
     return [
         {"error": name, "left_out": kind, "contacts": what, **_row(name, counted, which)}
         for what, which in (
@@ -277,7 +277,7 @@ def _overall(name: str, kind: str, counted: Counted) -> list[Row]:
     ]
 
 
-def _by_group(name: str, kind: str, counted: Counted) -> list[Row]:
+def _by_group(name: str, kind: str, counted: CoverageCount) -> list[Row]:
     group = np.array(counted.group)
     return [
         {"error": name, "left_out": kind, "group": own, **_row(name, counted, group == own)}
@@ -285,7 +285,7 @@ def _by_group(name: str, kind: str, counted: Counted) -> list[Row]:
     ]
 
 
-def _row(name: str, counted: Counted, which: BoolArray) -> Row:
+def _row(name: str, counted: CoverageCount, which: BoolArray) -> Row:
     """Shares of the pushes that have a bound; the worst group of these."""
     unit, factor = ERRORS[name]
     group = np.array(counted.group)
