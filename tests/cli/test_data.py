@@ -1,9 +1,11 @@
 """`fixel data`, with a server on this machine in place of the world's."""
 
 import functools
+import gc
 import hashlib
 import http.server
 import json
+import socket
 import threading
 
 import pytest
@@ -87,3 +89,21 @@ def test_addresses_that_lead_nowhere(site, tmp_path, capsys, url, code, says):
     found, _, err = fixel(capsys, "data", url.format(site=site), "-o", tmp_path / "data")
     assert found == code
     assert says in err
+
+
+def test_a_refused_download_leaves_no_connection_open(site, tmp_path, capsys):
+    server = ("127.0.0.1", int(site.rpartition(":")[2]))
+    gc.disable()  # or the collector hides what was left open
+    try:
+        fixel(capsys, "data", f"{site}/nothing.csv", "-o", tmp_path / "data")
+        sockets = [each for each in gc.get_objects() if isinstance(each, socket.socket)]
+        assert not [each for each in sockets if each.fileno() >= 0 and _peer(each) == server]
+    finally:
+        gc.enable()
+
+
+def _peer(connection):
+    try:
+        return connection.getpeername()
+    except OSError:  # not connected, or already gone
+        return None

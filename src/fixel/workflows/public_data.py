@@ -68,6 +68,8 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> Fetched:
             hint="check the address and the checksum; nothing was kept",
         ) from None
     except Exception as problem:  # whatever the network library under pooch raises
+        if (answer := getattr(problem, "response", None)) is not None:
+            answer.close()  # pooch leaves the connection of a refusal open
         raise StoreRefused(
             f"{url} could not be fetched: {_one_line(problem)}", hint="check address and network"
         ) from None
