@@ -103,6 +103,38 @@ def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
     np.testing.assert_allclose(back.pose[:2], START[:2], atol=0.02)
 
 
+def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
+    """Cost is even: a third of 300 particles have theirs simulated beside the 300 themselves."""
+    from fixel.filtering import crowd as module
+
+    real, rollouts = module.simulate_packed, []
+
+    def counted(*args, **kwargs):
+        result = real(*args, **kwargs)
+        rollouts[-1] += len(result.pose)
+        return result
+
+    monkeypatch.setattr(module, "simulate_packed", counted)
+    rollouts.append(0)
+    running = ParticleFilter(n_particles=300).start(SCENE)
+    for k in range(1, 10):
+        rollouts.append(0)
+        running.step(Frame(k / 30, forward(k), START))
+    assert rollouts[1:] == [300 + 2 * 100] * 9
+
+
+def test_an_island_that_alone_is_lost_is_replaced():
+    running = ParticleFilter(n_particles=250).start(SCENE)
+    running._crowd.pose[125:] += (0.05, 0.03, 1.0)
+    estimate = running.step(Frame(1 / 30, HEAD, START))
+
+    assert not estimate.recovered
+    poses, _, weight = running.particles
+    assert np.abs(poses - START)[weight > 0.0].max() < 0.2
+    np.testing.assert_allclose(weight[125:].sum(), 0.5)
+    np.testing.assert_allclose(estimate.pose[:2], START[:2], atol=2e-3)
+
+
 def test_squeezed_particles_never_give_nan():
     """The head runs the object into the fixels, and on: what no real head could do."""
     running = FEW.start(SCENE)

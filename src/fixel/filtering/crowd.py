@@ -124,11 +124,12 @@ class Crowd:
         """Return a copy of some particles."""
         return Crowd(*(np.array(getattr(self, name)[which]) for name in Crowd.__slots__))
 
-
-def joined(crowds: Sequence[Crowd]) -> Crowd:
-    """Return the particles of all."""
-    names = Crowd.__slots__
-    return Crowd(*(np.concatenate([getattr(crowd, n) for crowd in crowds]) for n in names))
+    def put(self, which: np.ndarray, other: Crowd) -> None:
+        """Replace some particles by others."""
+        for name in Crowd.__slots__:
+            column = getattr(self, name).copy()  # two columns may be the same array
+            column[which] = getattr(other, name)
+            setattr(self, name, column)
 
 
 @final

@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, Mechanics, Sight, gathered, joined
+from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, Mechanics, Sight, gathered
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.prior import Prior, prior_for
-from fixel.filtering.resampling import COARSE, effective_sample_size, normalised, power, systematic
+from fixel.filtering.resampling import (
+    Indices,
+    effective_sample_size,
+    normalised,
+    power,
+    systematic,
+)
 from fixel.filtering.statistics import mean_pose, pose_covariance, quantiles
 from fixel.filtering.unknowns import Unknowns, accepted
 from fixel.model import Scene, wrapped
@@ -30,8 +36,8 @@ LOST: Final = 6.0
 # Of all particles, in effective number, that a frame leaves at least: see `resampling.power`.
 LEAST_SHARE: Final = 0.5
 MOST_WIDENED: Final = 8.0  # times the spread at the start
-CROWD: Final = 125  # particles whose proposals are simulated in one frame
-BLOCK: Final = 40  # frames of the past through which it is
+ISLAND: Final = 125  # particles at most that are weighed, resampled and moved among themselves
+BLOCK: Final = 40  # frames of the past through which proposals are simulated in one frame
 LONGEST: Final = 600  # frames of the pusher's path that are smoothed again with every new one
 POSE: Final = "x [m], y [m], angle [rad]"
 
@@ -89,6 +95,14 @@ class Estimate:
     recovered: bool
 
 
+class Move(NamedTuple):
+    """Proposals for the particles of an island, on their way from the start to now."""
+
+    both: Crowd  # the island's particles, and after them a proposal for each
+    frame: int  # at which they are
+    prior_ratio: FloatArray  # (n,) see `Unknowns.proposed`
+
+
 @final
 class RunningFilter:
     """A particle filter at work: `step` once a frame.
@@ -99,6 +113,10 @@ class RunningFilter:
     simulated from the start on, a few frames of the past for every new one; once it has caught up,
     it takes the particle's place by Metropolis' rule. So no value dies out for good.
 
+    Particles form *islands* of at most 125, each a filter of its own. The estimate is the mean over
+    them. The proposals of one island are simulated in each frame, in turns. An island that alone
+    has lost the object is replaced by particles of the others.
+
     A particle whose simulation fails, or ends where no push can have brought it, stays where it
     was: it is squeezed between head and fixel. The object is *lost* when all of them fail, or when
     the nearest lies further than six standard deviations from what was seen. Then the filter starts
@@ -108,11 +126,13 @@ class RunningFilter:
 
     Made by `ParticleFilter.start`.
 
-    Source: Chopin (2002), A sequential particle filter method for static models.
+    Source: Chopin (2002), A sequential particle filter method for static models; Vergé, Dubarry,
+    Del Moral & Moulines (2015), On parallel implementation of sequential Monte Carlo methods: the
+    island particle model, for islands.
     """
 
     _crowd: Crowd
-    _driven: FloatArray  # (n, 3) where the pusher was last
+    _driven: FloatArray  # (3,) where the particles believe the pusher to be
     _path: FloatArray  # (n_frame, 3) of the pusher, smoothed
     _shake: FloatArray  # see `Mechanics.advance`
     _log_weight: FloatArray
@@ -132,7 +152,8 @@ class RunningFilter:
         self.prior: Prior = prior_for(scene, options.priors)
         self._mechanics = Mechanics(options, scene)
         self._random = np.random.default_rng(seed)
-        self._parts = -(-options.n_particles // CROWD)
+        n_island = -(-options.n_particles // ISLAND)
+        self._islands = np.array_split(np.arange(options.n_particles), n_island)
         self._losses = 0  # in a row
         self._angle = float(pose[2])
         self._unknowns = Unknowns(self.prior, pose, np.array(self._start_spread)[[0, 0, 1]])
@@ -173,21 +194,25 @@ class RunningFilter:
         self._measured.append(pusher)
         self._smooth()
         crowd, unknowns = self._crowd, self._unknowns
-        driven = self._driven_to_now()
-        path = np.stack((self._driven, driven), axis=1)
+        path = np.tile((self._driven, self._path[-1]), (len(crowd.free), 1, 1))
         self._mechanics.advance(crowd, unknowns, self._sights[-2:], path, self._shake)
-        self._driven = driven
+        self._driven = self._path[-1]
         surprise, near = self._surprise(sight.seen)
         failed = int(crowd.failed.sum())
         alive = normalised(self._log_weight) > 0.0
-        lost = bool(crowd.failed[alive].all() or not near[alive].any())
-        if lost:
+        adrift = [
+            bool(crowd.failed[own].all() or not near[own].any())
+            for own in (island[alive[island]] for island in self._islands)
+        ]
+        if all(adrift):
             self._start_again(sight, pusher)
         else:
             self._losses = 0
+            self._replace(adrift)
             self._move()
-            self._weigh()
-        self.estimate = self._estimated(surprise, failed, lost)
+            for island in self._islands:
+                self._weigh(island)
+        self.estimate = self._estimated(surprise, failed, all(adrift))
         return self.estimate
 
     # --- the parts of a step --------------------------------------------------------------------
@@ -227,12 +252,11 @@ class RunningFilter:
         self._measured = [pusher]
         self._path = np.array([pusher])
         self._shake = np.zeros(2)
-        self._driven = np.tile(pusher, (len(free), 1))
+        self._driven = pusher
         self._crowd = self._mechanics.begun(self._unknowns, free)
-        self._log_weight = np.zeros(len(free))
+        self._log_weight = np.full(len(free), -math.log(len(free)))
         self._reached = np.zeros(len(free))
-        self._power = COARSE
-        self._propose()
+        self._moves = [self._proposed(island) for island in self._islands]
 
     def _smooth(self) -> None:
         """Of the latest frames; what is older stays as it was."""
@@ -241,10 +265,6 @@ class RunningFilter:
         path, rate = smoothed(time, np.array(self._measured[recent]))
         self._shake = np.array([0.5 * (rate[0] + rate[1]), rate[2]])
         self._path = np.concatenate((self._path[: len(self._sights) - len(path)], path))
-
-    def _driven_to_now(self) -> FloatArray:
-        """(n, 3) where each particle believes the pusher to be."""
-        return np.tile(self._path[-1], (len(self._crowd.free), 1))
 
     def _surprise(self, seen: FloatArray | None) -> tuple[float, BoolArray]:
         """Of what was seen, and which particles (n,) are not far from it."""
@@ -262,66 +282,82 @@ class RunningFilter:
         total += np.diag(noise + np.sum(weight[:, None] * crowd.doubt, axis=0)[[0, 0, 1]])
         return float(mean @ np.linalg.solve(total, mean)), near
 
-    def _weigh(self) -> None:
-        score, reached = self._crowd.score, self._reached
-        least = LEAST_SHARE * len(score)
-        self._power = power(self._log_weight, score, reached, least)
-        self._log_weight = self._log_weight + self._power * score - reached
-        self._log_weight -= self._log_weight.max()
-        self._reached = self._power * score
+    def _weigh(self, island: Indices) -> float:
+        """Weigh the particles of an island, and return the power of their likelihood.
 
-    def _propose(self) -> None:
+        All islands weigh the same: their likelihoods belong to different versions of the path.
+        """
+        score, reached = self._crowd.score[island], self._reached[island]
+        log_weight = self._log_weight[island]
+        found = power(log_weight, score, reached, LEAST_SHARE * len(island))
+        weight = normalised(log_weight + found * score - reached)
+        with np.errstate(divide="ignore"):
+            self._log_weight[island] = np.log(weight / len(self._islands))
+        self._reached[island] = found * score
+        return found
+
+    def _replace(self, adrift: list[bool]) -> None:
+        """Replace the particles of some islands by those of the others."""
         weight = normalised(self._log_weight)
+        for k, island in enumerate(self._islands):
+            if adrift[k]:
+                weight[island] = 0.0
+        for k, island in enumerate(self._islands):
+            if adrift[k]:
+                chosen = self._random.choice(len(weight), len(island), p=weight / weight.sum())
+                self._put(island, chosen)
+                self._moves[k] = self._proposed(island)
+
+    def _put(self, island: Indices, chosen: Indices) -> None:
+        """Make the particles of an island equal copies of chosen ones."""
+        self._crowd.put(island, self._crowd.take(chosen))
+        self._reached[island] = self._reached[chosen]
+        self._log_weight[island] = -math.log(len(island) * len(self._islands))
+
+    def _proposed(self, island: Indices) -> Move:
+        """Resample an island where its weights ask for it, and return its next move."""
+        weight = normalised(self._log_weight[island])
         if effective_sample_size(weight) < self.options.resample_below * len(weight):
-            chosen = systematic(weight, self._random)
-            self._crowd = self._crowd.take(chosen)
-            self._log_weight, self._reached = np.zeros(len(weight)), self._reached[chosen]
+            self._put(island, island[systematic(weight, self._random)])
             weight = np.full(len(weight), 1.0 / len(weight))
-        own = self._crowd.free
-        there, self._prior_ratio = self._unknowns.proposed(
-            own, weight, self._crowd.depends(self.prior.names), self._random
+        own = self._crowd.take(island)
+        there, prior_ratio = self._unknowns.proposed(
+            own.free, weight, own.depends(self.prior.names), self._random
         )
-        both = self._mechanics.begun(self._unknowns, np.concatenate((own, there)))
-        parts = np.array_split(np.arange(2 * len(own)), self._parts)
-        self._moving = [both.take(part) for part in parts]
-        self._moving_at = [0] * self._parts
-        self._driven = self._driven_to_now()
+        both = np.concatenate((own.free, there))
+        return Move(self._mechanics.begun(self._unknowns, both), 0, prior_ratio)
 
     def _move(self) -> None:
-        """Simulate proposals, and the particles with them, through a part of the past.
+        """Simulate the proposals of one island, and its particles with them, through the past.
 
-        A part of them in every frame, through many frames: the first step of a simulation costs as
-        much as several more. Where there are several parts, one frame is for their last steps.
+        Through many frames of it: the first step of a simulation costs as much as several more.
         """
         now = len(self._sights) - 1
-        if min(self._moving_at) < now - self._parts:
-            behind = int(np.argmin(self._moving_at))
-            self._catch_up(behind, min(now, self._moving_at[behind] + BLOCK))
-            if self._parts > 1 or self._moving_at[behind] < now:
-                return
-        for part in range(self._parts):
-            self._catch_up(part, now)
-        n, both = len(self._log_weight), joined(self._moving)
-        # The particles themselves too: the pusher's path is known better now.
-        self._crowd = both.take(np.arange(n))
-        self._weigh()
-        ratio = self._power * (both.score[n:] - both.score[:n]) + self._prior_ratio
-        moves = accepted(ratio, self._random)
-        self._crowd = both.take(np.arange(n) + np.where(moves, n, 0))
-        self._reached = self._power * self._crowd.score
-        self._propose()
-
-    def _catch_up(self, part: int, end: int) -> None:
-        """Simulate a part of the proposals up to a frame."""
-        begun, crowd = self._moving_at[part], self._moving[part]
-        if begun == end:
+        turn = now % len(self._islands)
+        island, move = self._islands[turn], self._moves[turn]
+        end = min(now, move.frame + max(BLOCK, 2 * len(self._islands)))
+        self._catch_up(move, end)
+        if end < now:
+            self._moves[turn] = move._replace(frame=end)
             return
+        n, both = len(island), move.both
+        # The particles themselves too: the pusher's path is known better now.
+        self._crowd.put(island, both.take(np.arange(n)))
+        found = self._weigh(island)
+        ratio = found * (both.score[n:] - both.score[:n]) + move.prior_ratio
+        moved = accepted(ratio, self._random)
+        self._crowd.put(island, both.take(np.arange(n) + np.where(moved, n, 0)))
+        self._reached[island] = found * self._crowd.score[island]
+        self._moves[turn] = self._proposed(island)
+
+    def _catch_up(self, move: Move, end: int) -> None:
+        """Simulate an island's move up to a frame."""
+        begun, crowd = move.frame, move.both
         knots = sorted({begun, end, *range(begun - begun % GROUP + GROUP, end, GROUP)})
         sights = [self._sights[begun]]
         sights += [gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
         path = np.tile(self._path[knots], (len(crowd.free), 1, 1))
         self._mechanics.advance(crowd, self._unknowns, sights, path, self._shake, coarse=True)
-        self._moving_at[part] = end
 
     @property
     def _start_spread(self) -> tuple[float, float]:
