@@ -14,15 +14,22 @@ from fixel.testing.scenes import grasp
 MU_PUSHER, MU_FIXEL, TRIPOD_RADIUS = 0.35, 0.3, 0.04
 
 
-def push(seed: int = 1, aside: float = 0.004, duration: float = 7.0) -> Experiment:
+def push(
+    seed: int = 1,
+    aside: float = 0.004,
+    duration: float = 7.0,
+    noise: tuple[float, float] = (5e-5, 0.002),
+    ahead: float = -0.012,
+) -> Experiment:
     """A square pushed against three fixels, seen and felt as in the laboratory; nothing else.
 
-    The model is right, and its parameters are those above: only the sensors err.
+    The model is right, and its parameters are those above: only the sensors err, the camera by
+    `noise` [m, rad].
     """
     scene = grasp("seated")
     body = replace(
         scene.bodies[0],
-        pose=scene.bodies[0].pose + np.array([-0.012, aside, 0.0]),
+        pose=scene.bodies[0].pose + np.array([ahead, aside, 0.0]),
         support=Tripod(radius=TRIPOD_RADIUS, friction=0.25, angle=pi / 2),
     )
     scene = replace(
@@ -34,8 +41,8 @@ def push(seed: int = 1, aside: float = 0.004, duration: float = 7.0) -> Experime
     )
     bench = replace(
         SimulatedTestbed.ideal(seed=seed),
-        position_noise=5e-5,
-        angle_noise=0.002,
+        position_noise=noise[0],
+        angle_noise=noise[1],
         dropped_frames=0.01,
         false_contact=0.0425,
         missed_contact=0.0125,

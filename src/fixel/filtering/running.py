@@ -15,6 +15,7 @@ from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, Mechanics, Sight, g
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.prior import Prior, prior_for
 from fixel.filtering.resampling import (
+    COARSE,
     Indices,
     effective_sample_size,
     normalised,
@@ -383,20 +384,33 @@ class RunningFilter:
         self._unknowns = Unknowns(self.prior, centre, np.array([position, position, angle]))
         self._begin(free, sight.time, pusher)
 
+    def _whole_weight(self) -> FloatArray:
+        """(n,) weights for the pose, in which the likelihood is not coarsened.
+
+        The camera sees the pose itself. Only conclusions from the path to parameters suffer from
+        errors that all particles share.
+        """
+        log_weight = self._log_weight + (1.0 / COARSE - 1.0) * self._reached
+        weight = np.empty(len(log_weight))
+        for island in self._islands:
+            weight[island] = normalised(log_weight[island]) / len(self._islands)
+        return weight
+
     def _estimated(self, surprise: float, failed: int, recovered: bool) -> Estimate:
         crowd, weight = self._crowd, normalised(self._log_weight)
         values = self._unknowns.values(crowd.free)
-        pose = mean_pose(crowd.place, weight, self._angle)
+        whole = self._whole_weight()
+        pose = mean_pose(crowd.place, whole, self._angle)
         self._angle = float(pose[2])
-        own = np.sum(weight[:, None] * crowd.variance, axis=0)[[0, 0, 1]]
+        own = np.sum(whole[:, None] * crowd.variance, axis=0)[[0, 0, 1]]
         return Estimate(
             time=self._sights[-1].time,
             pose=pose,
-            covariance=pose_covariance(crowd.place, weight, pose) + np.diag(own),
+            covariance=pose_covariance(crowd.place, whole, pose) + np.diag(own),
             names=self.prior.names,
             mean=np.sum(weight[:, None] * values, axis=0),
             quantiles=quantiles(values, weight, QUANTILES),
-            touch=np.sum(weight[:, None] * crowd.touch, axis=0),
+            touch=np.sum(whole[:, None] * crowd.touch, axis=0),
             ess=effective_sample_size(weight),
             failed=failed,
             surprise=surprise,

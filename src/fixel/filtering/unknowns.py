@@ -12,11 +12,13 @@ from fixel.model.fields import BoolArray, FloatArray
 
 N_POSE: Final = 3
 N_NORMAL: Final = N_POSE
-# Model error in one frame of 1/30 s [m], logarithms uniform in between: from what no camera sees in
-# a run to what carries the object wherever the camera sees it.
 TREMBLE: Final = 1e-3  # [-] of a proposal, where two particles are the same
+# Model error in one frame of 1/30 s [m], from what no camera sees in a run to what carries the
+# object wherever the camera sees it. The least with the probability that the model is right;
+# otherwise the logarithm is uniform in between.
 LEAST_WALK: Final = 3e-6
 MOST_WALK: Final = 5e-4
+RIGHT: Final = 0.5  # [-]
 
 
 @final
@@ -69,7 +71,8 @@ class Unknowns:
 
     def walk(self, free: FloatArray) -> FloatArray:
         """(n,) standard deviations of the model error in one frame [m]."""
-        share = 0.5 * (1.0 + np.tanh(0.5 * free[:, -1]))
+        place = 0.5 * (1.0 + np.tanh(0.5 * free[:, -1]))  # uniform from 0 to 1
+        share = np.maximum(0.0, place - RIGHT) / (1.0 - RIGHT)
         return np.asarray(LEAST_WALK * (MOST_WALK / LEAST_WALK) ** share)
 
     def log_density(self, free: FloatArray) -> FloatArray:
