@@ -6,12 +6,16 @@ import os
 import shutil
 import time
 from itertools import chain, pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.web.client import Client
 from tests.web.conftest import unpacked
+from typer.testing import CliRunner
 
+from fixel.calibration.study import OUT_OF_BUDGET
+from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import JobRefused
 from fixel.web.app import create_app
@@ -163,6 +167,26 @@ def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
         begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)["stored"]
         == (seen["stored"])
     )
+
+
+def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, project):
+    ids = [6, 7, 8, 9, 10, 11]
+    asked = {"optimiser": "least-squares", "sample": 2, "seed": 5, "budget_s": 1e-3}
+    job = begun(bench, experiments=ids, name="few", **asked)
+    seen = awaited(bench, job["name"], lambda seen: seen["stored"])
+    one = bench.get(f"/calibrations/{seen['stored'][0]}")
+    assert len(one["residuals"]) == 2
+    assert one["ended"] == OUT_OF_BUDGET
+    assert (one["method"]["sample_of"], one["method"]["budget_s"]) == (6, 1e-3)
+    typed = f"calibrate {' '.join(map(str, ids))} --project {project} --fit mu_pusher --name typed"
+    typed += " --sample 2 --seed 5 --budget 1e-3 --no-verdicts --prepare --json"
+    shown = json.loads(CliRunner().invoke(app, typed.split()).stdout)
+    drawn = [project / "jobs" / job["name"], Path(shown["job"])]
+    assert len({(d / "inputs" / "experiments.json").read_bytes() for d in drawn}) == 1
+    requests = [json.loads((d / "inputs" / "request.json").read_bytes()) for d in drawn]
+    assert requests[0]["sample_of"] == requests[1]["sample_of"] == 6
+    assert requests[0]["budget"] == requests[1]["budget"] == 1e-3
+    bench.post("/calibrations", {"unknowns": UNKNOWNS, "mode": "each", "budget_s": 9.0}, 422)
 
 
 def test_one_is_stopped_and_goes_on(bench, project):

@@ -93,6 +93,24 @@ def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
     assert page.is_enabled("#begin")
 
 
+def test_a_sample_and_a_budget_are_fields_of_the_form(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "calibrations/new?experiments=6,7,8,9")
+    page.wait_for_selector("#form[data-ready]", timeout=30_000)
+    page.check("[name=mode][value=each]")
+    assert page.is_disabled("#budget")
+    page.check("[name=mode][value=joint]")
+    page.select_option("#optimiser", "least-squares")
+    page.fill("#sample", "2")
+    page.fill("#budget", "0.1")
+    page.fill("#name", "short")
+    with page.expect_request("**/api/v1/calibrations") as sent:
+        page.click("#begin")
+    asked = sent.value.post_data_json
+    assert (asked["sample"], asked["budget_s"], asked["most_evaluations"]) == (2, 0.1, None)
+    page.wait_for_url("**/calibrations/running/short-*")
+
+
 def test_reasons_on_demand_and_the_worst_lead_to_their_experiments(one):
     assert one.locator("#rows tr").count() == 2
     button = one.locator(".verdict-button").first

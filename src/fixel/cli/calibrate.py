@@ -157,7 +157,6 @@ def calibrate(
     query = query_of(dataset=dataset, where=where or (), flagged=flagged)
     with project.store() as store:
         chosen = run.choose(store, experiments or (), query)
-    every = len(chosen.ids)
     if sample is not None:
         chosen = run.sampled(chosen, sample, seed)
     scenes = [target.case.scene for target in chosen.targets]
@@ -194,7 +193,7 @@ def calibrate(
         level=level,
         verdicts=verdicts,
         budget=budget,
-        sample_of=every if len(scenes) < every else None,
+        sample_of=chosen.sample_of,
     )
     if request.mode == "stored":
         with project.store() as store:

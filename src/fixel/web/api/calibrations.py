@@ -14,6 +14,7 @@ from fixel.workflows import job_board, jobs
 from fixel.workflows.calibration import begin, told
 from fixel.workflows.calibration.commands import command_of, python_of
 from fixel.workflows.calibration.request import UnknownEntry
+from fixel.workflows.calibration.run import sampled
 from fixel.workflows.calibration.watch import Watch
 
 if TYPE_CHECKING:
@@ -234,6 +235,12 @@ class BeginIn(RequestBody):
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
     most_evaluations: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     verdicts: bool = True
+    budget_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
+        default=None, description="computing time of search and verdicts; mode joint only"
+    )
+    sample: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = Field(
+        default=None, description="size of a random sample, spread over the conditions"
+    )
 
 
 class BegunOut(BaseModel):
@@ -301,9 +308,12 @@ def router(desk: Desk) -> APIRouter:
         request = begin.request_from(
             wanted.name, wanted.mode, entries, wanted.optimiser, wanted.most_evaluations,
             starts=wanted.starts, seed=wanted.seed, verdicts=wanted.verdicts,
+            budget=wanted.budget_s,
         )  # fmt: skip
         request.check()
         chosen = begin.chosen_from(desk.store, wanted.filter, wanted.experiments)
+        if wanted.sample is not None:
+            chosen = sampled(chosen, wanted.sample, wanted.seed)
         with job_board.room(desk.project.folder):
             folder = begin.begin(desk.project, desk.store, chosen, request)
         seen = watch.look(folder)

@@ -91,18 +91,20 @@ async function begin(event) {
   button.disabled = true;
   button.textContent = "Beginning\u2026";
   const optimiser = /** @type {HTMLSelectElement} */ (at("optimiser")).value;
-  const most = input("most").value;
+  const mode = chosenMode();
   try {
     const begun = await send("/calibrations", {
       filter: ids.length ? "" : input("filter").value,
       experiments: ids,
       name: input("name").value || "calibration",
-      mode: /** @type {HTMLInputElement | null} */ (form.querySelector("input[name=mode]:checked"))?.value ?? "joint",
+      mode,
       unknowns: unknowns(),
       optimiser,
       starts: Number(input("starts").value),
       seed: Number(input("seed").value),
-      most_evaluations: most && LIMITED.includes(optimiser) ? Number(most) : null,
+      most_evaluations: LIMITED.includes(optimiser) ? limit("most") : null,
+      budget_s: mode === "joint" ? limit("budget") : null,
+      sample: limit("sample"),
       verdicts: input("verdicts").checked,
     });
     location.assign(begun.stored.length
@@ -115,13 +117,23 @@ async function begin(event) {
   }
 }
 
+function chosenMode() {
+  return /** @type {HTMLInputElement | null} */ (form.querySelector("input[name=mode]:checked"))?.value ?? "joint";
+}
+
+/** Number in a field that may be empty. @param {string} id */
+function limit(id) {
+  return input(id).value ? Number(input(id).value) : null;
+}
+
 function limited() {
   const optimiser = /** @type {HTMLSelectElement} */ (at("optimiser")).value;
   input("most").disabled = !LIMITED.includes(optimiser);
+  input("budget").disabled = chosenMode() !== "joint";
 }
 
 form.addEventListener("submit", begin);
 input("filter").addEventListener("input", settled(offer, 250));
-at("optimiser").addEventListener("change", limited);
+form.addEventListener("change", limited);
 if (ids.length) toast(`${several(ids.length, "experiment")} chosen: ${ids.slice(0, 8).join(", ")}${ids.length > 8 ? "\u2026" : ""}`);
 void offer().then(limited);

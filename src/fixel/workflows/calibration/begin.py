@@ -98,6 +98,7 @@ def begin(project: Project, store: Store, chosen: Chosen, request: Request) -> P
 
     One that was begun before, and stopped, goes on.
     """
+    request = request.model_copy(update={"sample_of": chosen.sample_of})
     if request.mode == "stored":
         points = stored_points(store, request)
         request = request.model_copy(update={"stored": points, "verdicts": False})

@@ -53,11 +53,14 @@ class Chosen:
     targets : list of Target
     left_out : dict from key to reason
         Those that cannot be compared.
+    sample_of : int, optional
+        Number of experiments that these were drawn from at random; None where they are all.
     """
 
     ids: list[int]
     targets: list[Target]
     left_out: Mapping[str, str]
+    sample_of: int | None = None
 
 
 def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
@@ -124,6 +127,7 @@ def sampled(chosen: Chosen, count: int, seed: int) -> Chosen:
         ids=[chosen.ids[k] for k in kept],
         targets=[chosen.targets[k] for k in kept],
         left_out=chosen.left_out,
+        sample_of=n,
     )
 
 
