@@ -1,6 +1,7 @@
 """Calibrations of stored experiments: the whole way, interrupted, refused, and stored."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from fixel.database.query import Query
 from fixel.errors import InvalidInput
 from fixel.jobs.work import Stopped
 from fixel.model import Trajectory, UniformPressure
+from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
@@ -98,6 +100,35 @@ def test_the_box_that_was_searched_is_found_again(project, chosen):
     np.testing.assert_array_equal(space.low, request.space.low)
     np.testing.assert_array_equal(space.high, request.space.high)
     np.testing.assert_array_equal(space.nominal, done.outcome.found[-1].point)
+
+
+def test_the_box_that_was_searched_outlives_its_job(project, chosen):
+    request = _request(chosen, mode="joint")
+    scenes = [target.case.scene for target in chosen.targets]
+    kept = [entry_of(u) for u in held(["mu_support=0.4"])]
+    centre = [entry_of(u) for u in fitted(["friction_centre_x_mm=-2:3"], scenes)]
+    request = request.model_copy(update={"unknowns": [*request.unknowns, *kept, *centre]})
+    done = _done(project, chosen, request)
+    with project.store() as store:
+        one = calibrated(store, done.ids[-1])
+    shutil.rmtree(done.folder)
+    space = searched_space(project, one, scenes)
+    assert space.labels == ("mu_pusher", "tripod_radius", "friction_centre_x")
+    np.testing.assert_allclose(space.low, [0.0, 0.01, -2e-3])
+    np.testing.assert_allclose(space.high, [1.0, 0.06, 3e-3])
+    np.testing.assert_array_equal(space.nominal, done.outcome.found[-1].point)
+    assert [u.nominal for u in space.unknowns if u.frozen] == [0.4]
+
+    # Stored by an earlier version, without the box: its own parameters within their usual bounds.
+    method = {k: v for k, v in one.record.method.items() if k != "unknowns"}
+    earlier = replace(one, record=replace(one.record, method=method))
+    space = searched_space(project, earlier, scenes)
+    assert {u.name for u in space.unknowns} == {u.name for u in request.space.unknowns}
+    assert space.values(space.nominal) == {**one.record.parameters}
+    shared = Estimate(label="mu_pusher[shape=square]", unit="-", value=0.2)
+    parted = replace(earlier, record=replace(earlier.record, estimates=(shared,)))
+    with pytest.raises(InvalidInput, match="job folder that is gone"):
+        searched_space(project, parted, scenes)
 
 
 def test_verdicts_and_what_they_stand_on(project, chosen):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -15,12 +16,12 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import KNOWN_PARAMETERS
 from fixel.model.records import CalibrationRecord
-from fixel.model.space import ParameterSpace
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
-from fixel.workflows.calibration.outcome import ALONE, GROWTH, NEIGHBOUR
+from fixel.workflows.calibration.outcome import ALONE, GROWTH, NEIGHBOUR, SEARCHED
 from fixel.workflows.calibration.run import request_of
-from fixel.workflows.calibration.unknowns import default_unknowns
+from fixel.workflows.calibration.unknowns import fitted
 from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.jobs import JOBS
 
@@ -157,13 +158,41 @@ def newest(store: Store, experiment: int | None = None) -> int | None:
 
 
 def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -> ParameterSpace:
-    """The box that a calibration searched, started at what it found; the usual one of scenes where
-    its job is gone."""
+    """Return the box that a calibration searched, started at its result.
+
+    Calibrations stored by earlier versions have it in their job folder only. Where that is gone, it
+    is the usual box of the parameters they found.
+    """
+    searched = one.record.method.get(SEARCHED)
     folder = project.folder / JOBS / str(one.record.method.get("job", ""))
-    if (folder / "inputs" / REQUEST).is_file():
+    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+    if searched is not None:
+        unknowns = [Unknown(**entry) for entry in json.loads(str(searched))]
+        space = ParameterSpace(unknowns=tuple(unknowns))
+    elif (folder / "inputs" / REQUEST).is_file():
         space = request_of(folder).space
     else:
-        space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
-    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+        space = _usual_space(one, found, scenes)
     start = zip(space.labels, space.nominal.tolist(), strict=True)
     return space.started_at([found.get(label, value) for label, value in start])
+
+
+def _usual_space(
+    one: Calibrated, found: Mapping[str, float], scenes: Sequence[Scene]
+) -> ParameterSpace:
+    """Usual bounds, widened to the result; a refusal where a parameter has none."""
+    held = {e.label for e in one.record.estimates if e.verdict == "frozen"}
+    unknowns = []
+    for label, value in found.items():
+        name, where = parted(label)
+        if where:
+            raise InvalidInput(
+                f"calibration {one.id}",
+                found=f"a job folder that is gone, and {label}, shared by some experiments only",
+                expected="the job folder, which has the conditions and bounds",
+                hint="calibrate again, or name the parameters with --fit",
+            )
+        (unknown,) = fitted([name], scenes)
+        low, high = min(unknown.low, value), max(unknown.high, value)
+        unknowns.append(replace(unknown, low=low, high=high, nominal=value, frozen=label in held))
+    return ParameterSpace(unknowns=tuple(unknowns))

@@ -11,6 +11,7 @@ from fastapi import Request
 from fixel.errors import InvalidInput
 from fixel.web.app import Page
 from fixel.web.pages.experiment import Fact, number_in
+from fixel.workflows.calibration.outcome import SEARCHED
 from fixel.workflows.calibration.watch import Watch
 
 if TYPE_CHECKING:
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
     from fixel.web.project import Desk
 
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
-HIDDEN = ("how", "job", "nominal_error", "error_unit", "seconds", "ended")  # told elsewhere
+HIDDEN = (  # told elsewhere
+    "how", "job", "nominal_error", "error_unit", "seconds", "ended", SEARCHED,
+)  # fmt: skip
 
 
 def pages(desk: Desk) -> list[Page]:

@@ -21,6 +21,7 @@ WEIGHTED: Final = "weighted mean"
 SUBSET: Final = "weighted mean of a subset"
 DIRECT: Final = "direct minimisation"
 STORED: Final = "best of those stored"
+SEARCHED: Final = "unknowns"  # in the method of a record: what was searched, as JSON
 GROWTH: Final = "domain growth"  # a weighted mean that `workflows/growth` made on its way
 
 

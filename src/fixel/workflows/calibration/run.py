@@ -29,7 +29,7 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Evaluations, Member
 from fixel.workflows import jobs
 from fixel.workflows.calibration.inputs import read_targets, target_files
-from fixel.workflows.calibration.outcome import Found, Outcome, outcome_of
+from fixel.workflows.calibration.outcome import SEARCHED, Found, Outcome, outcome_of
 from fixel.workflows.calibration.request import Request
 from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.mistyped import refuse_mistyped
@@ -416,6 +416,7 @@ def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dic
         "starts": float(request.starts),
         "combine": request.combine,
         "job": folder.name,
+        SEARCHED: json.dumps([u.model_dump(exclude_defaults=True) for u in request.unknowns]),
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,
