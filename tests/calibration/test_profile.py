@@ -259,3 +259,17 @@ def test_refusals():
         ProfileLikelihood(descent=LeastSquares(), batch=0)
     with pytest.raises(InvalidInput, match="residuals"):
         ProfileLikelihood().start(DECAY_BOX, DECAY_BOX.start, 1.0).tell(np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("best", [(0.3, 0.6), (0.3, 1.2), (0.9, 0.05)])
+def test_profiles_and_slices_share_their_points(best):
+    """Also where a best lies on a bound, or an interval reaches one."""
+    search = ProfileLikelihood().start(box([0, 0], [1, 1]), np.clip(best, 0.0, 1.0), THRESHOLD)
+    met = set()
+    while not search.done:
+        points = search.ask()
+        if search.phase != "best fit":
+            assert not met & set(map(tuple, points))
+        met |= set(map(tuple, points))
+        search.tell((points - best) @ np.array([[1.0, 0.4], [0.4, 1.0]]) / 0.1)
+    assert len(met) > 20

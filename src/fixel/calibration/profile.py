@@ -190,6 +190,7 @@ class ProfileSearch:
         self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
         self._given: float | None = None
+        self._met: dict[bytes, float] = {}  # deviance of each point evaluated
         self._hessian = np.zeros((box.n, box.n))
         self._sides: list[Side] = []
         self._slicers: list[Slicer] = []
@@ -268,6 +269,7 @@ class ProfileSearch:
         )
 
     def _note(self, points: FloatArray, deviances: FloatArray) -> None:
+        self._met.update(zip(map(bytes, points), deviances.tolist(), strict=True))
         if self._given is None:
             self._given = float(deviances[0])
         k = int(np.argmin(deviances))
@@ -384,14 +386,14 @@ class ProfileSearch:
         pairs = [(k, near) for k, near in pairs if near < len(nodes)]
         points = np.array([nodes[near].point for _, near in pairs]).reshape(-1, self.box.n)
         points[:, side.index] = [nodes[k].value for k, _ in pairs]
-        deviances = self._cost.deviance(points, (yield points))
+        deviances = yield from self._deviances(points)
         for (k, _), point, deviance in zip(pairs, points, deviances, strict=True):
             if deviance < nodes[k].deviance - WORTH * self._threshold:
                 side.add((yield from self._fixed(side, point[None])))
 
     def _scan(self, side: Side) -> Task:
         """Look at the rest of the way to the bound."""
-        if side.crossing(self._threshold) is None:
+        if side.crossing(self._threshold) is None or side.nodes[-1].value == side.bound:
             return
         outer, options = side.nodes[-1], replace(self._fitting, most_iterations=SCAN_ITERATIONS)
         for share in np.arange(1, self._options.scan + 1) / max(1, self._options.scan):
@@ -413,10 +415,17 @@ class ProfileSearch:
         ]
         return list(map(self._slice, self._slicers))
 
+    def _deviances(self, points: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
+        """Deviances (k,) of points (k, n); those evaluated before are not asked for again."""
+        new = [point for point in points if bytes(point) not in self._met]
+        if new:
+            yield np.array(new)
+        return np.array([self._met[bytes(point)] for point in points])
+
     def _slice(self, slicer: Slicer) -> Task:
         while not slicer.done:
             points = slicer.ask()
-            slicer.tell(self._cost.deviance(points, (yield points)))
+            slicer.tell((yield from self._deviances(points)))
 
     def _hold(self, side: Side) -> Task:
         """At the end of the interval put each other parameter back, to see which one it needs."""
@@ -426,7 +435,7 @@ class ProfileSearch:
         others = np.array([k for k in range(self.box.n) if k != j and edge is not base], int)
         points = np.repeat(edge.point[None], len(others), axis=0)
         points[np.arange(len(others)), others] = base.point[others]
-        deviances = self._cost.deviance(points, (yield points))
+        deviances = yield from self._deviances(points)
         # One that fails says no less than one that fits badly; the largest number stands for it.
         rise = np.minimum((deviances - edge.deviance) / self._threshold, np.finfo(float).max)
         self._rise[j, others] = np.maximum(self._rise[j, others], rise)
