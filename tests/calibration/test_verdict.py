@@ -243,3 +243,33 @@ def test_an_interval_that_reaches_a_bound_is_open_there():
     told, _ = _misfitting(0.22)
     assert told[0].low is None
     assert told[0].high == pytest.approx(0.35 + 1.96 * 0.22, abs=1e-3)
+
+
+def _with_misfit(best, sd, value, honest_sd, misfits=True):
+    """Verdicts where noise alone puts every unknown at best +- sd, and misfit at others."""
+    honest = Honest(np.full(3, value), np.full(3, honest_sd), np.full(3, 1e6), 4)
+    return verdicts(lambda p: (p - best) / sd, honest=honest, misfits=misfits)
+
+
+def test_an_interval_that_misfit_makes_wide_does_not_identify():
+    """The film of the demo: 0.023 to 0.385 under residuals of 460 times the noise."""
+    pusher, fixel, support = _with_misfit(0.2, 1e-3, 0.204, 0.181 / 1.96)
+    for verdict in (pusher, fixel):
+        assert (verdict.low, verdict.high) == pytest.approx((0.023, 0.385), abs=1e-3)
+        assert str(verdict) == "precise, but the model misfits"
+        assert verdict.reason.startswith("noise alone would put it at 0.198 to 0.202")
+    assert str(support) == "effective"
+    # Half as wide it is identified, and so it is where the model hardly misfits.
+    assert words(_with_misfit(0.2, 1e-3, 0.204, 0.09 / 1.96)[:2]) == ["identified"] * 2
+    assert words(_with_misfit(0.2, 1e-3, 0.204, 0.181 / 1.96, misfits=False)) == ["identified"] * 3
+    # What noise alone leaves wide is not precise.
+    assert str(_with_misfit(0.4, 0.2, 0.4, 0.09)[0]) == "not identified"
+
+
+def test_one_sided_values_of_what_stands_for_something_else_are_effective():
+    """The demo's mu_support read "at least 0.648" where 0.276 was true."""
+    pusher, _, support = _with_misfit(0.9, 0.1, 0.9, 0.06)
+    assert (support.high, support.low) == (None, pytest.approx(0.9 - 1.96 * 0.06, abs=1e-3))
+    assert str(support) == "effective"
+    assert str(pusher) == "at least"  # which has a true value
+    assert str(_with_misfit(0.9, 0.1, 0.9, 0.06, misfits=False)[2]) == "at least"

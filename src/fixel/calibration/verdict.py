@@ -3,7 +3,7 @@
 The first rule that holds decides. An interval is *closed* on a side where the profile crosses the
 threshold inside the bounds; its *width* counts up to the bound on a side where it is open. *Narrow*
 is a width of at most `NARROW` of the range. Where the model misfits, the interval is that of
-`honest`, which allows for it.
+`honest`, which allows for it; it is *safe* if it would be narrow at `UNSURE` times the width.
 
 ================================================================ =======================
 rule                                                             verdict
@@ -15,11 +15,11 @@ both is not narrow
 a prior was given, and the interval is hardly narrower           not identified
 narrow, but the parameter stands for a property of               effective
 the object that the model has not got, and the model misfits
-closed on both sides, and narrow                                 identified
+closed on both sides, and safe                                   identified
 closed and narrow as far as noise goes, but not when misfit is   precise, but the model
 allowed for                                                      misfits
-narrow, but open on one side, and the best is on that bound      at bound
-narrow, but open on one side, and the best lies inside           at least, or at most
+safe, but open on one side, and the best is on that bound        at bound
+safe, but open on one side, and the best lies inside             at least, or at most
 best on a bound, closed on the other side, not flat              at bound
 narrow with the others held (slice), and some of them must move  trades off with them
 to reach the ends of the interval, which is far wider
@@ -62,6 +62,9 @@ WORDS: Final[tuple[Word, ...]] = get_args(Word)
 # Share of the range that an interval may cover. Random values in the range would be right half of
 # the time within half of it: less than that is something learnt.
 NARROW: Final = 0.5
+# How far an interval that allows for misfit is itself in doubt: it stands on one disagreement of
+# two fits, and on few experiments.
+UNSURE: Final = 2.0
 # A slice is narrow beside a profile that is so many times as wide. Twice is a correlation of 0.87.
 CLEARLY_WIDER: Final = 2.0
 # A partner of a trade-off: putting it back costs this share of the threshold...
@@ -181,6 +184,10 @@ class _Case(NamedTuple):
     @property
     def narrow(self) -> bool:
         return self.width <= NARROW * self.range
+
+    @property
+    def safe(self) -> bool:
+        return self.width * (UNSURE if self.misfits else 1.0) <= NARROW * self.range
 
     @property
     def bound(self) -> float | None:
@@ -324,13 +331,11 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
             case, "not identified", "its interval is that of the prior; the data add nothing"
         )
     stands_for = info_of(case.unknown.name).stands_for
-    closed = case.narrow and case.open_sides == 0
-    one_sided = case.narrow and case.open_sides == 1
-    if case.misfits and stands_for and (closed or one_sided or case.precise):
+    if case.misfits and stands_for and (case.precise or (case.narrow and case.open_sides < 2)):
         return _of(case, "effective", f"it stands for {stands_for}, which the model has not got")
-    if closed:
+    if case.safe and case.open_sides == 0:
         return _of(case, "identified", _extent(case))
-    if one_sided:
+    if case.safe and case.open_sides == 1:
         if case.bound is not None:
             return _of(case, "at bound", _at_bound(case))
         return _of(case, "at least" if case.high is None else "at most", _one_sided(case))
