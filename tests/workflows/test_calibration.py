@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +22,7 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.browse import view_of
 from fixel.workflows.calibrated import calibrated, searched_space
-from fixel.workflows.calibration import run
+from fixel.workflows.calibration import run, work
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.inputs import read_targets, target_files
 from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of, outliers
@@ -220,6 +223,36 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
         for mine, theirs in zip(a.profiles, b.profiles, strict=True):
             assert (mine.values == theirs.values).all()
             assert (mine.deviances == theirs.deviances).all()
+
+
+def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypatch):
+    """The journal has whole chunks of experiments, verdicts included; none is computed again."""
+    monkeypatch.setattr(work, "MEMBERS_A_CHUNK", 2)
+    request = _request(chosen, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    folder = run.prepare(project, chosen, request)
+    command = f"""
+from pathlib import Path
+from fixel.workflows.calibration import run, work
+work.MEMBERS_A_CHUNK = 2
+run.run(Path({str(folder)!r}))
+"""
+    with subprocess.Popen([sys.executable, "-c", command]) as running:
+        while status_of(folder).kept < 2:  # the nominal values, and the first two experiments
+            assert running.poll() is None
+            time.sleep(0.01)
+        running.kill()
+    computed = []
+    real = work.calibrate_alone
+    monkeypatch.setattr(
+        work,
+        "calibrate_alone",
+        lambda inputs, payload: computed.append(payload) or real(inputs, payload),
+    )
+    run.run(folder)
+    assert len(computed) == 1
+    done = run.collect(project, folder, "test", {})
+    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
+    assert all(one.estimates for one in done.outcome.alone)
 
 
 def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
