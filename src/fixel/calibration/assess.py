@@ -208,11 +208,12 @@ def fitting(
         white = camera or misfit.noise
         mixed = yield from _mixed(ShiftModel(comparer), own.tolist(), best.point, white)
         again = yield from _least_squares(chosen, mixed.value, noise, options)
+        fits = [best.point, again.point]
         if again.deviance < best.deviance:
             best = again
             misfit = chosen.misfit(best.residual, noise, scatter)
         if misfit is not None and misfit.noted:
-            honest = Honest.of(mixed, best.point)
+            honest = Honest.of(mixed, fits)
     count = len(best.point)
     dispersion = chosen.dispersion(noise, best.residual, count)
     fit: Fit | None = best

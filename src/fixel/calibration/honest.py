@@ -5,9 +5,10 @@ every experiment has shifts of its own (`mixed`). Of a right model they agree wi
 of a wrong one they do not, and how far they are apart is the only sign in the data of an error that
 all experiments share. The interval is that of the mixed fit, with the variance
 
-    max(model-based, jackknife over experiments) + (mixed - least squares)^2
+    max(model-based, jackknife over experiments) + mean of (mixed - least squares)^2
 
-and Student's t with the effective number of experiments.
+over the two descents of least squares, from the search's best and from the mixed fit, and Student's
+t with the effective number of experiments.
 
 Source: Hausman (1978) for what two estimators that disagree say; `clusters` and `mixed` have
 theirs. Measured on simulated laboratories: `python -m benchmarks misfit`.
@@ -49,7 +50,10 @@ SPAN: Final = math.log(30.0)
 STEP: Final = 0.2  # of the derivative of other parameters [scales]
 MOST_SCALES: Final = 3.0  # that one round may move a parameter
 MOST_SD: Final = 4.0  # of an own shift
-WEAK: Final = 0.5  # standard deviation of a prior about the best [ranges]
+# Standard deviations of priors about the best [ranges]: of the fit itself, which would wander off
+# where its own information is weak, and of its variance, which must not take that for information.
+NEAR: Final = 0.1
+WEAK: Final = 0.5
 LEAST_FREEDOM: Final = 1.5
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
@@ -98,10 +102,11 @@ class Honest(NamedTuple):
     clusters: int
 
     @classmethod
-    def of(cls, mixed: MixedFit, best: FloatArray) -> Honest:
-        """A mixed fit beside the best (n_free,) of least squares."""
+    def of(cls, mixed: MixedFit, fits: Sequence[FloatArray]) -> Honest:
+        """Combine a mixed fit with the ends (n_free,) of least squares."""
         freedom = np.maximum(mixed.effective - 1.0, LEAST_FREEDOM)
-        sd = np.hypot(mixed.sd, mixed.value - best)
+        gap = np.mean((mixed.value - np.array(fits)) ** 2, axis=0)
+        sd = np.sqrt(mixed.sd**2 + gap)
         return cls(mixed.value, sd, freedom, mixed.clusters)
 
     def ends(self, level: float) -> tuple[FloatArray, FloatArray]:
@@ -174,7 +179,7 @@ def mixed_study(
     n, p, q = len(members), len(space.free), len(names)
     cluster = numbered([_condition(shifted.targets[m]) for m in members])
     weight = 1.0 / np.bincount(cluster)[cluster]
-    precision, anchor = _prior(space, point)
+    precision, anchor = _prior(space, point, NEAR)
     theta, own, evaluations = np.array(point, np.float64), np.zeros((n, q)), 0
     log_sd = np.zeros(q + 3)
     bounds = Bounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
@@ -214,8 +219,10 @@ def mixed_study(
         own = np.clip(fit.shifts, -reach, reach)
         step = space.scale * np.clip(fit.step, -MOST_SCALES, MOST_SCALES)
         theta = np.clip(theta + step, space.low, space.high)
-    left_out = jackknife(fit.information, fit.gradient, fit.covariance, cluster)
-    variance = np.maximum(np.diag(fit.covariance), np.diag(left_out.covariance))
+    weak = _prior(space, point, WEAK)[0] * np.outer(space.scale, space.scale)
+    covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)
+    left_out = jackknife(fit.information, fit.gradient, covariance, cluster)
+    variance = np.maximum(np.diag(covariance), np.diag(left_out.covariance))
     return MixedFit(
         value=theta,
         sd=np.sqrt(variance) * space.scale,
@@ -318,9 +325,9 @@ def _condition(target: Target) -> object:
     return target.case.scene if same == target.key else same
 
 
-def _prior(space: ParameterSpace, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Precision (n, n) and mean (n,): of half the range about the best, and of priors given."""
-    weak = 1.0 / (WEAK * (space.high - space.low)) ** 2
+def _prior(space: ParameterSpace, point: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """Precision (n, n) and mean (n,): a share of the range about the best, and priors given."""
+    weak = 1.0 / (share * (space.high - space.low)) ** 2
     given = np.array([0.0 if u.prior is None else u.prior**-2 for u in space.free])
     mean = (weak * point + given * space.nominal) / (weak + given)
     return np.diag(weak + given), mean
