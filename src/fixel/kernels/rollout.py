@@ -265,6 +265,19 @@ def _run(
                 continue
             change = largest_change(problem, guess)
             jumped = change > JUMP * largest_speed(problem)
+            if (
+                not eventful
+                and guessed != RENEWED
+                and min(last_taken, trial) > pace.smallest
+                and 0.25 * last_taken * change > EVENT * pace.tolerance
+            ):
+                if trial <= last_taken:
+                    undo = True
+                    break
+                trial = last_taken
+                guessed = PREDICTED
+                predicting = True
+                continue
             error = 0.5 * trial * change
             if rate > 0.0 and not jumped:
                 error *= SECOND_ORDER
@@ -280,19 +293,6 @@ def _run(
                         predicting = True
                         continue
                     error = max(error, forced)
-            if (
-                not eventful
-                and guessed != RENEWED
-                and min(last_taken, trial) > pace.smallest
-                and 0.25 * last_taken * change > EVENT * pace.tolerance
-            ):
-                if trial <= last_taken:
-                    undo = True
-                    break
-                trial = last_taken
-                guessed = PREDICTED
-                predicting = True
-                continue
             if error <= pace.tolerance or trial <= pace.smallest:
                 growth = min(growth, CAUTION * (pace.tolerance / max(error, 1e-30)) ** EXPONENT)
                 growth = max(growth, 0.5)

@@ -263,14 +263,24 @@ class Adaptive(AbstractStepper):
                 trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
                 predicting = True
                 continue
-            change = apart = float(single.largest_change(problem, guess))
+            change = float(single.largest_change(problem, guess))
             jumped = change > JUMP * float(single.largest_speed(problem))
+            if (
+                not limits.eventful
+                and guessed != RENEWED
+                and min(past.last, trial) > limits.smallest
+                and 0.25 * past.last * change > EVENT * limits.tolerance
+            ):
+                if trial > past.last:
+                    trial = past.last
+                    predicting, guessed = True, PREDICTED
+                    continue
+                return Advance(codes.UNDO, trial, 0.5 * past.last, residual)
             error = 0.5 * trial * change
             if rate > 0.0 and not jumped:
                 error *= SECOND_ORDER
             if limits.inertial:
-                change = 2.0 * float(single.untouched_change(problem, past.reached))
-                error = max(error, 0.5 * trial * change)
+                error = max(error, trial * float(single.untouched_change(problem, past.reached)))
                 if jumped or guessed == RENEWED:
                     forced = trial * float(single.forced_change(problem, past.reached))
                     if forced > limits.tolerance and trial > limits.smallest:
@@ -280,17 +290,6 @@ class Adaptive(AbstractStepper):
                         guessed, predicting = PREDICTED, True
                         continue
                     error = max(error, forced)
-            if (
-                not limits.eventful
-                and guessed != RENEWED
-                and min(past.last, trial) > limits.smallest
-                and 0.25 * past.last * apart > EVENT * limits.tolerance
-            ):
-                if trial > past.last:
-                    trial = past.last
-                    predicting, guessed = True, PREDICTED
-                    continue
-                return Advance(codes.UNDO, trial, 0.5 * past.last, residual)
             if error <= limits.tolerance or trial <= limits.smallest:
                 ratio = limits.tolerance / max(error, 1e-30)
                 growth = min(growth, CAUTION * ratio**EXPONENT)
