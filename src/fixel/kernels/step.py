@@ -21,6 +21,7 @@ ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a n
 RUBBED = 1.0  # marks of a body: friction may stop it
 BLOCKED = 2.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
+GENTLY = 0.01  # of the characteristic time: an overlap with a pusher is taken back no faster
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
 
@@ -266,14 +267,18 @@ def _prepare_contact(
         gap += nx * mx + ny * my
     driven_n /= step
     overlap = 0.0
-    if motion == codes.DYNAMIC and not driven and gap < -CLOSE:
-        # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies. A
-        # pusher is where it is, or gives way at a velocity of its own.
+    room = step  # time in which the gap is to be closed, or an overlap taken back
+    if motion == codes.DYNAMIC and driven and gap < 0.0:
+        # A pusher may have to give way, at a velocity of its own. A short step must not turn the
+        # error of a long one into a blow.
+        room = max(step, GENTLY)
+    elif motion == codes.DYNAMIC and gap < -CLOSE:
+        # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies.
         overlap = min(-gap, RECOVERY * step)
         gap = 0.0
     # A deep overlap (a measured start, say) is taken back at no more than the characteristic speed,
     # or a body would be shot away.
-    bias_n = max(gap / step, -RECOVERY) - driven_n
+    bias_n = max(gap / room, -RECOVERY) - driven_n
     bounce = model.restitution[a, b]
     approach = before - driven_n
     given_back = 0.0
