@@ -24,6 +24,11 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "filter-coverage": ("filter_coverage", "run", "intervals of 200 filter runs with known truth"),
+    "filter-wrong": (
+        "filter_coverage",
+        "run_wrong",
+        "the same with other camera noise than believed, and in an imperfect laboratory",
+    ),
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
@@ -45,7 +50,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 }
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
-    *("camera", "other-camera", "web", "filter-coverage"),
+    *("camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
 }
 
 

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.model import Flag
+from fixel.model import Flag, Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,18 @@ def folder(tmp_path_factory):
     recorded = push(duration=3.0)
     flag = Flag("no-fixels", "nobody knows where", False)
     with Project.create(place).store() as store:
-        store.add_experiment(recorded)
+        number = store.add_experiment(recorded).id
+        store.add_calibration(
+            CalibrationRecord(
+                name="pushes",
+                parameters=Parameters({"mu_pusher": 0.35}),
+                members=(Member(number, 1.0, 0.01),),
+                provenance=Provenance(version="1"),
+                estimates=(
+                    Estimate(label="mu_pusher", unit="-", value=0.35, low=0.31, verdict="at least"),
+                ),
+            )
+        )
         store.add_experiment(
             replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
         )
@@ -58,6 +70,17 @@ def test_the_answer_for_people(folder, tmp_path):
         assert words in out
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --project")
+
+
+def test_doubts_come_first_and_calibrations_stand_beside(folder):
+    """The belief about the pusher leaves out its true friction, 0.35."""
+    out = good(folder, "push", "--prior", "mu_pusher=0.4:1", "--no-save")
+
+    assert out.index("model misfit: residuals of") < out.index("at the end")
+    (believed,) = [line for line in out.splitlines() if line.startswith("mu_pusher")]
+    assert "at the bound of its prior: choose a wider one with --prior" in believed
+    (calibrated,) = [line for line in out.splitlines() if line.startswith("calibration 1")]
+    assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
 
 
 def test_the_answer_for_programs(folder):
