@@ -5,6 +5,9 @@ import json
 import socket
 import subprocess
 import sys
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import pytest
 from tests.processes import line_of
@@ -186,6 +189,46 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
         out, err = process.communicate(timeout=5)
     assert process.returncode == 0
     assert token not in out + err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a terminal of Linux, and its list of programs")
+def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, tmp_path):
+    """A browser of ours reports its arguments, and where the file it was given leads."""
+    import os
+    import pty
+    import signal
+    import stat
+    import time
+
+    seen, browser = tmp_path / "seen", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\nprintf "%s" "$*" > {seen}.part; mv {seen}.part {seen}\n')
+    browser.chmod(0o700)
+    code = "from fixel.cli.main import run; run()"
+    main, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "serve", str(project)],
+        stdout=terminal,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "BROWSER": f"{browser} %s", "DISPLAY": ":0"},
+    )
+    try:
+        until = time.monotonic() + 60.0
+        while not seen.exists() and process.poll() is None and time.monotonic() < until:
+            time.sleep(0.05)
+        address = seen.read_text()
+        token = os.read(main, 100_000).decode().partition("?token=")[2].split()[0]
+        assert token not in address
+        door = Path(url2pathname(urlsplit(address).path))
+        assert stat.S_IMODE(door.stat().st_mode) == 0o600
+        assert f"?token={token}" in door.read_text()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == 0
+        assert not door.exists()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(main)
+        os.close(terminal)
 
 
 def test_for_others_it_answers_to_its_own_names_and_no_other(bench):

@@ -3,6 +3,8 @@
 import json
 import os
 import sys
+import tempfile
+from html import escape
 from pathlib import Path
 from typing import Annotated
 
@@ -49,14 +51,17 @@ def serve(
 
     desk = Desk(Project.open(project_at(place, folder)))
     server = project_server(desk, port=port, host=host).start()
+    door = None
     try:
         _announce(desk.name, server.link, host, as_json)
         if open_ and sys.stdout.isatty() and not as_json:
-            _open(server.link)
+            door = _open(server.link, desk.project.folder)
         server.wait()
     except KeyboardInterrupt:
         _say("fixel: stopped.")
     finally:
+        if door is not None:
+            door.unlink(missing_ok=True)
         server.stop()
         desk.close()
         # A computation that nobody waits for any more must not keep the program alive; records are
@@ -77,15 +82,26 @@ def _announce(name: str, link: str, host: str, as_json: bool) -> None:
     _say("Ctrl-C ends it.")
 
 
-def _open(link: str) -> None:
+def _open(link: str, folder: Path) -> Path | None:
+    """Open a link in a browser; return the file that redirects to it, to be removed at the end.
+
+    The browser receives the file, which only this user can read: every user of the machine can read
+    the arguments of a program, and the link holds the token.
+    """
     import webbrowser
 
     # A browser on a machine without a screen would run in this terminal.
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
-        return
-    webbrowser.open(link)
+        return None
+    where = folder if os.access(folder, os.W_OK) else None
+    handle, name = tempfile.mkstemp(prefix="open-", suffix=".html", dir=where)
+    door = Path(name).resolve()
+    with open(handle, "w", encoding="utf-8") as file:
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(link)}">\n')
+    webbrowser.open(door.as_uri())
+    return door
 
 
 def _say(sentence: str) -> None:
