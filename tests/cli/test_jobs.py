@@ -159,21 +159,32 @@ def test_a_place_that_is_none(folder):
 def _progress(**changes):
     usual = {
         "done": 18, "total": 18, "failed": 0, "rate": 0.5, "left_s": None, "note": "search",
-        "workers": 1, "share": None,
+        "workers": 1,
     }  # fmt: skip
     return Progress(**(usual | changes))
 
 
-def test_the_bar_is_empty_while_nobody_knows_how_much_follows(capsys):
-    job_bar(to_terminal=True)(_progress())
+@pytest.fixture
+def show_on(monkeypatch):
+    """The bar of a terminal, or of a file."""
+
+    def show(terminal):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+        return job_bar()
+
+    return show
+
+
+def test_the_bar_is_empty_while_nobody_knows_how_much_follows(capsys, show_on):
+    show_on(True)(_progress())
     said = capsys.readouterr().err
     assert "#" not in said
     assert "18 chunks done" in said
     assert "\n" not in said
 
 
-def test_the_bar_is_full_at_the_end_alone(capsys):
-    show = job_bar(to_terminal=True)
+def test_the_bar_is_full_at_the_end_alone(capsys, show_on):
+    show = show_on(True)
     show(_progress(share=0.99, left_s=2.0))
     said = capsys.readouterr().err
     assert "#." in said
@@ -185,13 +196,14 @@ def test_the_bar_is_full_at_the_end_alone(capsys):
     assert said.endswith("\n")
 
 
-def test_without_a_terminal_there_is_a_line_every_half_minute(capsys, monkeypatch):
+def test_without_a_terminal_there_is_a_line_every_half_minute(capsys, show_on, monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("fixel.cli.jobs.time.monotonic", lambda: now[0])
-    show = job_bar(to_terminal=False)
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    show = show_on(False)
+    assert show is not None
     for _ in range(181):
-        show(_progress(share=0.5, left_s=9.0))
+        show(_progress(left_s=9.0))
         now[0] += 0.5
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
-    assert lines[0] == "50 %, search, 0.5/s, about 9 s left"
+    assert lines[0] == "18 chunks done, search, 0.5/s, about 9 s left"

@@ -9,7 +9,7 @@ from fixel.calibration import PatternSearch
 from fixel.errors import InvalidInput
 from fixel.exchange.dakota_file import DakotaFile, dakota_from_text, load_dakota
 
-# Appendix C.7 of the thesis (RPI, 2011), with what the printed page lost put back: underscores,
+# Appendix C.7 of the thesis (RPI), with what the printed page lost put back: underscores,
 # minus signs, and the gaps in the bounds.
 THESIS = """
 # DAKOTA INPUT FILE - dakota_NGopt_PatternSearch.in

@@ -1,4 +1,4 @@
-# RPI thesis (2011), section 1.3.3: the actuator stalls at 34.3 N, which ends a grasp; the bound of
+# RPI thesis, section 1.3.3: the actuator stalls at 34.3 N, which ends a grasp; the bound of
 # 1e-9 m is ours: Coulomb friction sticks, it does not creep.
 """What is held does not move: blocks inside the friction cone, and a seated grasp."""
 

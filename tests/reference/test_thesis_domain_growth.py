@@ -1,4 +1,4 @@
-# RPI thesis (2011), appendix C.6, `Iterative_Expansion_Domain_Of_Applicability_All_Dims`: a row of
+# RPI thesis, appendix C.6, `Iterative_Expansion_Domain_Of_Applicability_All_Dims`: a row of
 # its 10 x 6 matrix of largest errors, and figure 6.5, the y axis with a domain of three samples.
 # The numbers in the thesis are of experiments that are lost; what is held here is the procedure, on
 # a simulated campaign of one shape and layout with quick calibrations, against plain simulations.

@@ -1,6 +1,6 @@
 """One set of parameters, found on a few experiments along an axis, on all experiments of it.
 
-Source: RPI thesis (2011), chapter 6, figures 6.1 to 6.13.
+Source: RPI thesis, chapter 6, figures 6.1 to 6.13.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Nothing is searched here. A set of parameters is a stored one, or a mean of those of single
 experiments; what takes time is asked for once, as one batch of rollouts.
 
-Source: RPI thesis (2011), appendix C.6.
+Source: RPI thesis, appendix C.6.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Where the experiments of a group stand, and which join the domain at which step.
 
-Source: RPI thesis (2011), section 5.3 for the places and appendix C.6 for the order.
+Source: RPI thesis, section 5.3 for the places and appendix C.6 for the order.
 """
 
 from __future__ import annotations

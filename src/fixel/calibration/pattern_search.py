@@ -50,7 +50,7 @@ class PatternSearch(AbstractOptimiser):
     Source
     ------
     Dakota reference manual, `coliny_pattern_search`; SCOLIB, PatternSearch.cpp; options of the
-    input file in appendix C.7 of the thesis (RPI, 2011).
+    input file in appendix C.7 of the thesis (RPI).
     """
 
     name: ClassVar[str] = "pattern-search"
@@ -178,7 +178,7 @@ class FixedStepSearch(AbstractOptimiser):
 
     Source
     ------
-    Appendix C.5 of the thesis (RPI, 2011).
+    Appendix C.5 of the thesis (RPI).
     """
 
     name: ClassVar[str] = "fixed-step"

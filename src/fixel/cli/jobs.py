@@ -206,15 +206,9 @@ def _say(sentence: str) -> None:
     say(sentence)
 
 
-def job_bar(to_terminal: bool | None = None) -> "Callable[[Progress], None]":
-    """Show progress on standard error: a bar on a terminal, else a line every 30 s.
-
-    Parameters
-    ----------
-    to_terminal : bool, optional
-        Whether standard error is a terminal; asked of the system where left out.
-    """
-    terminal = sys.stderr.isatty() if to_terminal is None else to_terminal
+def job_bar() -> "Callable[[Progress], None]":
+    """Show progress on standard error: a bar on a terminal, else a line every 30 s."""
+    terminal = sys.stderr.isatty()
     last = time.monotonic()
 
     def show(progress: "Progress") -> None:

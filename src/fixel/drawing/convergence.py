@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, Table, Value, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, Style, Table, Value, log_scale, sheet
 from fixel.drawing.picture import tint
 from fixel.kernels.arrays import FloatArray, IntArray
 
@@ -67,13 +67,10 @@ class ConvergenceChart(AbstractChart):
         above.set_ylabel("F of the best [µm]")
         below.set_ylabel("size of the simplex [scales]")
         below.set_xlabel("evaluations")
+        log_scale(above, "y", 1e3 * np.concatenate([one.error for one in self.descents]))
+        below.set_yscale("log")
         for axes in (above, below):
-            axes.set_yscale("log")
             axes.grid(color=palette.FAINT, linewidth=0.4)
-        from matplotlib.ticker import LogFormatter
-
-        above.yaxis.set_major_formatter(LogFormatter())
-        above.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 1)))
         above.legend(frameon=False)
         handles, labels = page.axes[0].get_legend_handles_labels()
         page.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")

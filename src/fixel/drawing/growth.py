@@ -1,6 +1,6 @@
 """How far one set of parameters reaches: the growth of domains, and single axes.
 
-Source: RPI thesis (2011), appendix C.6 and figures 6.1 to 6.13.
+Source: RPI thesis, appendix C.6 and figures 6.1 to 6.13.
 """
 
 from __future__ import annotations

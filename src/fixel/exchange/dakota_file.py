@@ -4,7 +4,7 @@ Read are the method `coliny_pattern_search` and a block of continuous design var
 out takes Dakota's default, not fixel's. Blocks that say how Dakota was run are skipped.
 
 Source: Dakota reference manual, input file formatting and `coliny_pattern_search`; SCOLIB for
-defaults; appendix C.7 of the thesis (RPI, 2011).
+defaults; appendix C.7 of the thesis (RPI).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The sampling scheme of the thesis: two shapes, ten layouts, 21 configurations, 420 experiments.
 
-Source: RPI thesis (2011), sections 1.3 and 5.3. Its sizes and steps are kept where they are
+Source: RPI thesis, sections 1.3 and 5.3. Its sizes and steps are kept where they are
 legible. Not recoverable, and therefore ours: the coordinates of the pegs, which the thesis only
 draws. What its text leaves open is read as follows:
 

@@ -70,7 +70,7 @@ def grasp(
 ) -> Scene:
     """A square pushed by a flat head against three pegs.
 
-    Sizes, masses, speed, reach and stall force are the testbed's of the thesis (RPI 2011, sections
+    Sizes, masses, speed, reach and stall force are the testbed's of the thesis (RPI, sections
     1.3 and 5.1). Its peg coordinates are not printed; these are ours.
 
     Parameters

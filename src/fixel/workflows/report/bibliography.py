@@ -18,8 +18,10 @@ class Work(NamedTuple):
 
 
 WORKS: Final = {
-    # Both title pages: vdocuments.net (exploring-the-domain-of-applicability-of-simulated) and
-    # moam.info (detc2006-99687). The keys are older than what is known of them, and stored.
+    # From copies of the title pages: vdocuments.net (exploring-the-domain-of-applicability-of-
+    # simulated) and moam.info (detc2006-99687). The texts that fixel follows have no title page:
+    # they confirm ASME and 2006, and that the thesis was finished after 11 November 2011, no more.
+    # Calibrations store the keys, so these remain although the thesis is of 2012.
     "rpi2011": Work(
         "mastersthesis",
         "Macaluso, W.",
