@@ -5,13 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from fixel.applicability.cells import cells_of
 from fixel.applicability.contacts import Contacts, PushedContacts, contacts_of
-from fixel.applicability.domain import Claim, domain_map
-from fixel.applicability.evidence import Evidence
 from fixel.applicability.features import Configurations
 from fixel.applicability.promise import Promise, promised
-from fixel.applicability.promised_cells import promised_cells
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Polygon
@@ -172,26 +168,3 @@ def test_contacts_of_a_turned_square() -> None:
     assert np.cos(found.normal - side) == pytest.approx(1.0)
     point = math.sqrt(math.pi) / 2.0 * np.column_stack((np.cos(side), np.sin(side)))
     assert found.place == pytest.approx(point, abs=1e-9)
-
-
-def test_a_side_that_was_pushed_on_another_part_only_has_no_data_in_the_map() -> None:
-    rng = np.random.default_rng(0)
-    angles = np.radians(np.arange(-165.0, 180.0, 30.0))
-    at = np.concatenate((angles, angles[:9]))
-    evidence = Evidence(
-        keys=tuple(f"e{k}" for k in range(len(at))),
-        ids=tuple(range(len(at))),
-        coordinates={"contact_angle_rad": tuple(at.tolist())},
-        error_mm2=rng.uniform(0.5, 1.0, len(at)),
-        group=("a",) * 12 + ("b",) * 9,
-    )
-    cells = cells_of(evidence, ["contact_angle_rad"])
-    bounds = promised_cells(evidence, cells, 0.9)
-    assert bounds is not None
-    assert np.isfinite(bounds[0]).all()
-    assert np.isfinite(bounds[1]).tolist() == 9 * [True] + 3 * [False]
-    domain = domain_map(evidence, cells, "absolute", 0, bounds)
-    claim = Claim(threshold=5.0, measure="absolute", level=0.9, confidence=0.9)
-    verdict = domain.verdicts(claim)[1][11]
-    assert verdict.colour == "no data"
-    assert verdict.reason == "never tried: contact_angle_rad 165 deg"

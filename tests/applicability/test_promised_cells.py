@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fixel.applicability.cells import cells_of
+from fixel.applicability.domain import Claim, domain_map
 from fixel.applicability.evidence import Evidence
 from fixel.applicability.promised_cells import promised_cells
 
@@ -96,3 +97,26 @@ def test_of_few_cells_repeated_nothing_follows_for_another():
     tried = np.unique(cells.find(evidence))
     assert np.isfinite(bound[tried]).all()
     assert np.isinf(np.delete(bound, tried)).all()
+
+
+def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
+    rng = np.random.default_rng(0)
+    angles = np.radians(np.arange(-165.0, 180.0, 30.0))
+    at = np.concatenate((angles, angles[:9]))
+    evidence = Evidence(
+        keys=tuple(f"e{k}" for k in range(len(at))),
+        ids=tuple(range(len(at))),
+        coordinates={"contact_angle_rad": tuple(at.tolist())},
+        error_mm2=rng.uniform(0.5, 1.0, len(at)),
+        group=("a",) * 12 + ("b",) * 9,
+    )
+    cells = cells_of(evidence, ["contact_angle_rad"])
+    bounds = promised_cells(evidence, cells, 0.9)
+    assert bounds is not None
+    assert np.isfinite(bounds[0]).all()
+    assert np.isfinite(bounds[1]).tolist() == 9 * [True] + 3 * [False]
+    domain = domain_map(evidence, cells, "absolute", 0, bounds)
+    claim = Claim(threshold=5.0, measure="absolute", level=0.9, confidence=0.9)
+    verdict = domain.verdicts(claim)[1][11]
+    assert verdict.colour == "no data"
+    assert verdict.reason == "never tried: contact_angle_rad 165 deg"
