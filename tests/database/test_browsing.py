@@ -8,9 +8,8 @@ import pytest
 from fixel.database.browsing import Bound, View
 from fixel.database.query import Query
 from fixel.errors import InvalidInput, NotStored
-from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory, trajectory
 from fixel.model.records import CalibrationRecord, Member, SimulationRecord
-from fixel.model.trajectory import turned
 from fixel.workflows.browse import coverage, view_of, vocabulary
 
 ORIGIN = Provenance(version="0")
@@ -173,7 +172,7 @@ def test_a_small_turn_across_half_a_turn_is_small(store):
     assert store.browse_ids(view_of("turned>390")) == [4]
     assert store.browse_ids(view_of(sort="turned")) == [2, 3, 1, 4]
     told = [
-        turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)
+        trajectory.turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)
         for s in store.experiments(Query(flagged=True)).summaries
     ]
     assert np.degrees(told) == pytest.approx([26.5, -26.5, 10.0, 400.0])

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.exchange import rig_file
 from fixel.exchange.camera_file import camera_dict, save_camera
 from fixel.exchange.document import yaml_text
 from fixel.exchange.rig_file import (
     EXAMPLES,
     load_rig,
-    plate_of,
     rig_dict,
     rig_from_dict,
     rig_of,
@@ -165,4 +165,4 @@ def test_what_is_known_of_the_cameras_errors_is_kept(apart: bool, tmp_path: Path
 def test_plate_tags_are_read_before_the_camera_is_placed(tmp_path: Path) -> None:
     content = rig_dict(rig_of("thesis-tags")) | {"camera": "not-there-yet.yaml"}
     (tmp_path / "rig.yaml").write_text(yaml_text(content))
-    assert plate_of(tmp_path / "rig.yaml") == rig_of("thesis-tags").plate
+    assert rig_file.plate_of(tmp_path / "rig.yaml") == rig_of("thesis-tags").plate

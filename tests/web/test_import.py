@@ -4,7 +4,7 @@ import pytest
 from tests.closed_form import push, table_text
 from tests.web.bench import Bench
 
-from fixel.workflows.project import import_texts
+from fixel.workflows import project as workflow
 
 TABLE = table_text(*push(0.15, 0.02, duration=0.4))
 
@@ -58,7 +58,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
 def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page = browser_page
     page.wait_for_selector("tr[data-id]")
-    template = import_texts(server.desk.store, "a.csv", TABLE, None, dry_run=True).template
+    template = workflow.import_texts(server.desk.store, "a.csv", TABLE, None, dry_run=True).template
     page.evaluate(
         """({ table, scene }) => {
             const dataTransfer = new DataTransfer();

@@ -16,10 +16,10 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.workflows import uncertainty_told
 from fixel.workflows.analysis import kept
 from fixel.workflows.calibrated import Calibrated
 from fixel.workflows.uncertainty import UncertaintyRequest, find_uncertainty
-from fixel.workflows.uncertainty_told import _beside_calibration
 
 FIT = ("tripod_radius_mm=20:60",)
 
@@ -137,7 +137,7 @@ def _beside(low, high, quantiles, of=1):
             labels=("mu_pusher",), units=("-",), quantiles=lambda: np.array(quantiles)[:, None]
         ),
     )
-    return list(_beside_calibration(found))
+    return list(uncertainty_told._beside_calibration(found))
 
 
 def test_a_posterior_repeats_the_misfit_of_the_calibration():

@@ -303,8 +303,9 @@ class FinalPoseChart(AbstractChart):
         self._turned(turned)
         handles, labels = near.get_legend_handles_labels()
         more, names = whole.get_legend_handles_labels()
-        figure.legend(handles + more, labels + names, frameon=False, ncols=6, markerscale=3.0,
-                      loc="outside lower center")  # fmt: skip
+        legend = figure.legend(handles + more, labels + names, frameon=False, ncols=6,
+                               loc="outside lower center")  # fmt: skip
+        legend.get_lines()[0].set_markersize(6.0)  # a draw is a speck
         return figure
 
     def _whole(self, axes: Axes) -> None:

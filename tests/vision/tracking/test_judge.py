@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fixel.vision.tracking import judge
 from fixel.vision.tracking.actuator import motion_of
 from fixel.vision.tracking.base import Sighting
-from fixel.vision.tracking.judge import judged, stamp_scatter
+from fixel.vision.tracking.judge import judged
 
 TIME = np.arange(120) / 30.0
 
@@ -147,8 +148,8 @@ def test_frames_that_are_left_out_are_no_reason_either():
 
 
 def test_scatter_of_time_stamps():
-    assert not stamp_scatter(TIME).any()
-    assert not stamp_scatter(np.round(TIME, 3)).any()  # as Matroska keeps them
+    assert not judge.stamp_scatter(TIME).any()
+    assert not judge.stamp_scatter(np.round(TIME, 3)).any()  # as Matroska keeps them
     rng = np.random.default_rng(0)
     stamps = np.sort(TIME + rng.normal(0.0, 0.006, len(TIME)))
-    assert np.median(stamp_scatter(stamps)) == pytest.approx(0.006, rel=0.3)
+    assert np.median(judge.stamp_scatter(stamps)) == pytest.approx(0.006, rel=0.3)
