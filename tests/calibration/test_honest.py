@@ -153,6 +153,23 @@ def test_a_probe_without_a_simulation_has_no_slope():
 
 
 @pytest.mark.slow
+def test_three_pushes_under_a_large_misfit_identify_no_friction():
+    """As in the film of the demo: few pushes, measured within 4 um, on a model that is far off."""
+    # Only names that commit e063943 has: there this fails by its words and its numbers.
+    bench = SimulatedTestbed(seed=1, position_noise=3.5e-6, angle_noise=2e-4)
+    experiments = list(bench.run([thesis_plan().experiments[k] for k in (0, 12, 18)]))
+    targets = targets_of(experiments)
+    space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
+    comparer = Comparer(targets, space, motion=Dynamic())
+    for verdict in assess(comparer, range(3), comparer.space.nominal).verdicts:
+        assert str(verdict) != "identified"
+        if verdict.label in FRICTIONS:
+            low = -np.inf if verdict.low is None else verdict.low
+            high = np.inf if verdict.high is None else verdict.high
+            assert low <= _true(experiments, verdict.label) <= high
+
+
+@pytest.mark.slow
 def test_what_is_called_identified_holds_the_truth_of_the_demo():
     # Only names that commit e063943 has: there this fails by its numbers.
     experiments = list(SimulatedTestbed(seed=1).run(DEMO))

@@ -62,6 +62,8 @@ def test_a_wrong_one_is_with_its_size_first():
     found = misfit_of(_residuals(30.0), list("abcdef"), NOISE)
     assert found.warned
     assert found.sentences[0].startswith("model misfit: residuals of 2.4 mm are 30 times the noise")
+    huge = misfit_of(_residuals(460.0), list("abcdef"), NOISE)
+    assert f" are {huge.ratio:.0f} times the noise" in huge.sentences[0]
     slight = misfit_of(_residuals(2.0), list("abcdef"), NOISE)
     assert slight.noted
     assert not slight.warned

@@ -84,7 +84,7 @@ class Misfit(NamedTuple):
         residual, noise, factor, unit = sizes
         first = (
             f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of"
-            f" {factor * residual:.2g} {unit} are {self.ratio:.2g} times the noise of"
+            f" {factor * residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of"
             f" {factor * noise:.2g} {unit} ({_HOW[self.noise.source]}). Intervals allow for it as"
             " far as these experiments can show it; an error that all of them share stays unseen."
         )
@@ -102,6 +102,11 @@ class Misfit(NamedTuple):
                 f" {self.experiments} experiments: {names}."
             )
         return first, *more
+
+
+def shown_ratio(ratio: float) -> str:
+    """Return residual over noise for people: two digits, or a whole number."""
+    return f"{ratio:.2g}" if ratio < 10.0 else f"{ratio:.0f}"
 
 
 def noise_from_differences(targets: Sequence[Target]) -> Noise | None:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from fixel.calibration.misfit import shown_ratio
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
 from fixel.workflows.analysis import TextTable
@@ -151,7 +152,9 @@ def headline(one: Calibrated, nominal: FloatArray | None) -> str:
         sentence += f"; the data determine {', '.join(good) if good else 'no parameter by itself'}"
         if misfit_of(one.record):
             ratio = float(one.record.method.get("misfit_ratio", math.nan))
-            sentence += f", with intervals that allow for residuals {ratio:.2g} times the noise"
+            sentence += (
+                f", with intervals that allow for residuals {shown_ratio(ratio)} times the noise"
+            )
     return sentence + "."
 
 
@@ -173,11 +176,12 @@ def methods(one: Calibrated) -> list[str]:
             " reported as not identified."
         )
         if misfit_of(one.record):
+            ratio = shown_ratio(float(method["misfit_ratio"]))
             sentences.append(
-                f"Residuals were {float(method['misfit_ratio']):.2g} times the noise; values and"
-                " intervals are therefore those of a mixed-effects fit, with the larger of its"
-                " model-based and CR3 variance over experiments plus the squared difference to"
-                " least squares, and Student's t with the effective number of experiments."
+                f"Residuals were {ratio} times the noise; values and intervals are therefore those"
+                " of a mixed-effects fit, with the larger of its model-based and CR3 variance over"
+                " experiments plus the mean squared difference to two fits by least squares, and"
+                " Student's t with the effective number of experiments."
             )
     return sentences
 
