@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from fixel.calibration.assess import assess, conducted_here, fitting
-from fixel.calibration.honest import Honest, MixedFit, ShiftModel, _Probes
+from fixel.calibration.honest import (
+    INSTANTS,
+    Honest,
+    MixedFit,
+    ShiftModel,
+    _Probes,
+    mixed_study,
+)
+from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace
@@ -125,6 +133,36 @@ def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
     assert few.freedom == 1.5
     normal = Honest.of(mixed._replace(effective=np.array([1e9])), [mixed.value])
     np.testing.assert_allclose(normal.ends(0.95)[1], 0.3 + 1.959964 * 0.03, rtol=1e-6)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_fit_that_is_told_little_stays_near_and_admits_it(slope):
+    """Residuals of a formula: 50 mm a unit of friction at the pusher, hardly any at the fixels."""
+    comparer, _, _ = _fitted("wrong")
+    shifted, start = ShiftModel(comparer), np.array([0.35, 0.2, 0.05])
+    noise = np.random.default_rng(1).normal(size=(len(comparer.targets), 3, INSTANTS))
+    share = np.linspace(0.0, 1.0, INSTANTS)
+
+    def answered(rows):
+        pusher, fixel = (rows[:, 1 + shifted.free[k], None] for k in (0, 1))
+        out = 0.05 * noise[rows[:, 0].astype(int)]
+        out[:, 0] += 50.0 * (pusher - 0.3) * share
+        out[:, 1] += slope * (fixel - 0.9) * share
+        return out.reshape(len(rows), -1)
+
+    members = range(len(comparer.targets))
+    study = mixed_study(shifted, members, start, Noise(position_m=5e-5, angle_rad=2e-3))
+    found, rows = None, next(study)
+    while found is None:
+        try:
+            rows = study.send(answered(rows))
+        except StopIteration as end:
+            found = end.value
+    assert found.value[0] == pytest.approx(0.3, abs=2e-3)
+    assert found.sd[0] < 2e-3
+    # The formula's own answer lies 0.7 off, known to 0.3 at best: noise may put it anywhere.
+    assert abs(found.value[1] - start[1]) <= (0.05 if slope else 1e-9)
+    assert found.sd[1] == pytest.approx(0.5) if not slope else found.sd[1] > 0.25
 
 
 def test_shifts_are_of_what_is_searched_and_of_where_the_object_rests():
