@@ -83,6 +83,16 @@ def test_doubts_come_first_and_calibrations_stand_beside(folder):
     assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
 
 
+def test_more_noise_than_believed_is_reported(folder):
+    noisy = replace(push(duration=2.0, noise=(1.4e-3, 0.03), ahead=0.0), name="noisy")
+    with Project.open(folder).store() as store:
+        store.add_experiment(noisy)
+
+    words = "times what the filter believes: its intervals are too small"
+    assert words in good(folder, "noisy", "--no-save")
+    assert "its intervals are too small" not in good(folder, "push", "--no-save")
+
+
 def test_the_answer_for_programs(folder):
     def answered(*more):
         return json.loads(good(folder, "push", "--json", "--no-save", *more))

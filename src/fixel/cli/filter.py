@@ -19,6 +19,7 @@ HERE = Path()
 Range = tuple[float, float]
 
 BELIEF_FAR = 3.0  # times the camera's noise: a belief beyond it is worth a line
+NOISE_FAR = 1.5  # times the belief: ellipsoids are too small beyond it
 
 
 def filter_(
@@ -156,6 +157,7 @@ def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: 
     blocks = [
         [_origin(answer)],
         _misfit(answer),
+        _noise(answer),
         _input(answer),
         _errors(answer),
         _parameters(answer),
@@ -193,6 +195,19 @@ def _misfit(answer: "FilterAnswer") -> list[str]:
             " its intervals allow for the misfit as far as that goes."
         )
     return lines
+
+
+def _noise(answer: "FilterAnswer") -> list[str]:
+    misfit, options = answer.estimates.misfit, answer.estimates.options
+    ratio = max(
+        misfit.noise_m / options.position_deviation, misfit.noise_rad / options.angle_deviation
+    )
+    if ratio < NOISE_FAR:
+        return []
+    return [
+        f"The camera's noise is {ratio:.2g} times what the filter believes: its intervals are too"
+        " small. Set position_deviation and angle_deviation of ParticleFilter in Python."
+    ]
 
 
 def _input(answer: "FilterAnswer") -> list[str]:
