@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from fixel.model.fields import FloatArray
 
-# Power of the likelihood for parameters, where all is well: below 1, because all particles share errors that no one
-# of them can explain, the pusher's smoothed path above all. Chosen on 17 simulated pushes.
+# Power of the likelihood for parameters, where all is well: below 1, because all particles share
+# errors that no one of them can explain, the pusher's smoothed path above all. Chosen on 17
+# simulated pushes.
 # Source: Miller & Dunson (2019), Robust Bayesian inference via coarsening.
 COARSE = 0.6
 # Tried from the largest on; each is a tenth less than the one before.
