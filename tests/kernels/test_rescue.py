@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numba import njit
+from scipy.optimize import linprog
 
 from fixel.kernels import codes, single
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
@@ -118,3 +119,58 @@ def test_an_island_is_solved_as_if_it_were_alone():
         one.momentum[:3] = many.momentum[3 * b : 3 * b + 3]
         single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT)
         assert many.velocity[3 * b : 3 * b + 3] == pytest.approx(one.velocity[:3], abs=1e-9)
+
+
+def _random_squeeze(rng):
+    """One body between two to five walls, each moving in or out, with random arms."""
+    angles = rng.uniform(0.0, 2.0 * math.pi, int(rng.integers(2, 6)))
+    walls = [(a, rng.uniform(-1.0, 1.0), rng.choice([0.0, rng.random()])) for a in angles]
+    problem, work = step_problem(tuple(rng.normal(size=3)), tuple(walls), rng.choice([0.1, 1.0]))
+    if rng.random() < 0.5:
+        problem.inertia[:] = 0.0
+        problem.momentum[:] = 0.0
+        single.set_stiffness(problem, 1)
+    problem.normal[:, 2] = rng.normal(size=len(walls))
+    problem.tangent[:, 2] = rng.normal(size=len(walls))
+    problem.bias[:, 1] = rng.normal(size=len(walls)) * rng.choice([0.0, 1.0])
+    return problem, work
+
+
+def _has_motion(problem, mu):
+    """Return whether some velocity has ``u_n >= mu |u_t|`` everywhere, by linear programming."""
+    rows = [problem.normal + s * mu[:, None] * problem.tangent for s in (1.0, -1.0)]
+    bias = [problem.bias[:, 0] + s * mu * problem.bias[:, 1] for s in (1.0, -1.0)]
+    a, b = np.concatenate(rows)[:, :3], np.concatenate(bias)
+    return linprog(np.zeros(3), A_ub=-a, b_ub=b, bounds=(None, None), method="highs").status == 0
+
+
+def test_certificates_against_linear_programming():
+    """A proof is one exactly where no motion keeps the bodies apart; then nothing is solved."""
+    rng = np.random.default_rng(19)
+    proven = held = slipped = 0
+    for _ in range(400):
+        problem, work = _random_squeeze(rng)
+        proof = single.is_proven_unsolvable(problem, work)
+        may_jam = single.has_no_solution(problem, work, np.zeros(5))
+        assert proof != _has_motion(problem, 0.0 * problem.friction)
+        assert may_jam != _has_motion(problem, problem.friction)
+        off, _ = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)
+        solved = off <= TOLERANCE
+        assert solved or may_jam
+        assert not (solved and proof)
+        proven += proof
+        held += may_jam and not proof and not solved
+        slipped += may_jam and solved
+    # Where friction may jam, two bodies in five slip out all the same: it proves nothing.
+    assert min(proven, held, slipped) > 10
+
+
+def test_nothing_is_tried_where_a_jam_is_proven():
+    jaws = ((0.0, -1.0, 0.3), (math.pi, -1.0, 0.3))
+    problem, work = step_problem((0.0, 0.0, 0.0), jaws)
+    problem.velocity[:3] = 0.3, -0.2, 0.1
+    residual, fell_back = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)
+    assert residual > 0.1
+    assert fell_back == 1
+    assert problem.velocity[:3] == pytest.approx([0.3, -0.2, 0.1], abs=0.0)
+    assert not problem.impulse.any()

@@ -2,6 +2,7 @@
 # 1e-9 m is ours: Coulomb friction sticks, it does not creep.
 """What is held does not move: blocks inside the friction cone, and a seated grasp."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -109,3 +110,18 @@ def test_jammed_samples_end_where_it_stopped():
     assert np.isfinite(run.pose["object"]).all()
     longer = replace(grasp("seated", force_limit=None), duration=run.stopped_at * 0.9)
     assert simulate(longer).converged
+
+
+def test_a_jam_costs_no_more_than_a_few_ordinary_rollouts():
+    """It cost up to eleven: thirty trials of a step, each by every means of the solver."""
+    cost = {}
+    for limit in (None, STALL_FORCE):
+        scene = grasp("seated", force_limit=limit)
+        spent = []
+        for _ in range(6):
+            start = time.process_time()
+            run = simulate(scene, output_interval=1.0)
+            spent.append(time.process_time() - start)
+        cost[limit] = min(spent)
+        assert run.status == ("jammed" if limit is None else "converged")
+    assert cost[None] < 2.5 * cost[STALL_FORCE]

@@ -1,4 +1,4 @@
-"""Is there a motion at all? The certificate that prescribed motions squeeze the bodies."""
+"""Is there a motion at all? Two certificates that prescribed motions squeeze the bodies."""
 
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
@@ -8,19 +8,29 @@ GAIN = (
     1e-10  # a contact impulse joins the certificate where it reduces what is left at least so fast
 )
 LEFT = 1e-10  # squared distance from a certificate at which one counts as found
+FASTEST = 1e5  # characteristic speed: a proof rules out every motion slower than this
+ROUGHLY = 1e-9  # what the judge lets contacts overlap a step, in the same units
 PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each degree of freedom
 
 
 @kernel
-def squeezed(problem: Problem, work: Workspace) -> bool:
-    """Whether contact impulses exist that move nothing and against which prescribed motions work.
+def squeezed(problem: Problem, work: Workspace, rubbing: bool) -> bool:
+    """Return whether impulses exist that move nothing while prescribed motions work on them.
 
-    Either there is a motion v with ``u_n >= mu |u_t|`` at every contact, and with it a solution,
-    or there are impulses p in the friction cones with ``rows^T p = 0`` and ``bias . p < 0``,
-    never both (Farkas' lemma). The second is sought as the least ``|rows^T p|^2 + (bias . p +
-    1)^2``, which then is zero, by the method of Lawson & Hanson (1974), chapter 23, on the cones'
-    edges ``n + mu t`` and ``n - mu t``.
+    Without friction (`rubbing` false) this proves that the step has no solution: with ``p >= 0``,
+    ``rows^T p = 0`` and ``bias . p < 0``, no motion v has ``u_n = rows v + bias >= 0`` (Farkas'
+    lemma). It is certain in spite of rounding: what is left of ``rows^T p`` could not make up
+    for the bias at any speed below FASTEST, nor could overlaps that the judge accepts.
+
+    With friction, for impulses in the friction cones, it proves nothing. Where there are none, a
+    motion with ``u_n >= mu |u_t|`` at every contact exists, and with it a solution. Where there
+    are, a body may be held by friction, or may still slip out.
+
+    The impulses are sought as the least ``|rows^T p|^2 + (bias . p + 1)^2``, which then is zero, by
+    the method of Lawson & Hanson (1974), chapter 23, on the cones' edges ``n + mu t`` and
+    ``n - mu t``, or on the normals.
     """
+    sides = 2 if rubbing else 1
     n_contact = problem.size[1]
     n_dof = problem.size[0]
     z = work.contact_change  # amounts of the two edges; then the two sought in this turn
@@ -32,17 +42,17 @@ def squeezed(problem: Problem, work: Workspace) -> bool:
         work.old_impulse[i, 0] = 0.0
         work.old_impulse[i, 1] = 0.0
     for _ in range(PIVOTS * n_dof + 10):
-        bias = _what_is_left(problem, work)
+        bias = _what_is_left(problem, work, rubbing)
         best = GAIN
         pick = -1
         for i in range(n_contact):
-            for side in range(2):
+            for side in range(sides):
                 if work.old_impulse[i, side] == 0.0:
-                    gain = -_edge_bias(problem, i, side) * bias
+                    gain = -_edge_bias(problem, i, side, rubbing) * bias
                     for k in range(6):
                         o = problem.contact_dof[i, k // 3]
                         if o >= 0:
-                            gain -= _edge(problem, i, side, k) * work.right[o + k % 3]
+                            gain -= _edge(problem, i, side, k, rubbing) * work.right[o + k % 3]
                     if gain > best:
                         best = gain
                         pick = 2 * i + side
@@ -52,7 +62,7 @@ def squeezed(problem: Problem, work: Workspace) -> bool:
         work.old_impulse[pick // 2, pick % 2] = 1.0
         n += 1
         while n > 0:
-            if not _fit(problem, work, n):
+            if not _fit(problem, work, n, rubbing):
                 return False
             # As far towards the fit as all amounts stay positive.
             share = 1.0
@@ -75,28 +85,39 @@ def squeezed(problem: Problem, work: Workspace) -> bool:
             if share == 1.0 or kept == n:
                 break
             n = kept
-    bias = _what_is_left(problem, work)
-    left = bias * bias
+    bias = _what_is_left(problem, work, rubbing)
+    if rubbing:
+        left = bias * bias
+        for i in range(n_dof):
+            left += work.right[i] * work.right[i]
+        return left < LEFT
+    slack = 0.0
     for i in range(n_dof):
-        left += work.right[i] * work.right[i]
-    return left < LEFT
+        slack += FASTEST * abs(work.right[i])
+    for i in range(n_contact):
+        slack += ROUGHLY * z[i, 0]
+    return bias - 1.0 + slack < 0.0
 
 
 @kernel
-def _edge(problem: Problem, i: int, side: int, k: int) -> float:
-    """Coordinate k of an edge of the friction cone of contact i."""
+def _edge(problem: Problem, i: int, side: int, k: int, rubbing: bool) -> float:
+    """Coordinate k of an edge of the friction cone of contact i, or of its normal."""
+    if not rubbing:
+        return float(problem.normal[i, k])
     mu = problem.friction[i] if side == 0 else -problem.friction[i]
     return problem.normal[i, k] + mu * problem.tangent[i, k]
 
 
 @kernel
-def _edge_bias(problem: Problem, i: int, side: int) -> float:
+def _edge_bias(problem: Problem, i: int, side: int, rubbing: bool) -> float:
+    if not rubbing:
+        return float(problem.bias[i, 0])
     mu = problem.friction[i] if side == 0 else -problem.friction[i]
     return problem.bias[i, 0] + mu * problem.bias[i, 1]
 
 
 @kernel
-def _what_is_left(problem: Problem, work: Workspace) -> float:
+def _what_is_left(problem: Problem, work: Workspace, rubbing: bool) -> float:
     """``rows^T p`` into `work.right`; returns ``bias . p + 1``."""
     bias = 1.0
     for o in range(problem.size[0]):
@@ -105,16 +126,16 @@ def _what_is_left(problem: Problem, work: Workspace) -> float:
         for side in range(2):
             amount = work.contact_change[i, side]
             if amount != 0.0:
-                bias += amount * _edge_bias(problem, i, side)
+                bias += amount * _edge_bias(problem, i, side, rubbing)
                 for k in range(6):
                     o = problem.contact_dof[i, k // 3]
                     if o >= 0:
-                        work.right[o + k % 3] += amount * _edge(problem, i, side, k)
+                        work.right[o + k % 3] += amount * _edge(problem, i, side, k, rubbing)
     return bias
 
 
 @kernel
-def _fit(problem: Problem, work: Workspace, n: int) -> bool:
+def _fit(problem: Problem, work: Workspace, n: int, rubbing: bool) -> bool:
     """Amounts of the chosen edges that leave least, by the normal equations, into the last
     columns."""
     for row in range(n):
@@ -123,7 +144,9 @@ def _fit(problem: Problem, work: Workspace, n: int) -> bool:
         for column in range(n):
             j = work.active[column] // 2
             j_side = work.active[column] % 2
-            total = _edge_bias(problem, i, i_side) * _edge_bias(problem, j, j_side)
+            total = _edge_bias(problem, i, i_side, rubbing) * _edge_bias(
+                problem, j, j_side, rubbing
+            )
             for k in range(6):
                 o = problem.contact_dof[i, k // 3]
                 for m in range(6):
@@ -132,11 +155,13 @@ def _fit(problem: Problem, work: Workspace, n: int) -> bool:
                         and problem.contact_dof[j, m // 3] >= 0
                         and o + k % 3 == problem.contact_dof[j, m // 3] + m % 3
                     ):
-                        total += _edge(problem, i, i_side, k) * _edge(problem, j, j_side, m)
+                        total += _edge(problem, i, i_side, k, rubbing) * _edge(
+                            problem, j, j_side, m, rubbing
+                        )
             work.matrix[row, column] = total
         # Two edges of one direction (no friction, or a contact twice) need telling apart.
         work.matrix[row, row] *= 1.0 + 1e-13
-        work.right[row] = -_edge_bias(problem, i, i_side)
+        work.right[row] = -_edge_bias(problem, i, i_side, rubbing)
     if not solve_dense(work.matrix, work.right, n):
         return False
     for row in range(n):

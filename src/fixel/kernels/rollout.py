@@ -34,7 +34,7 @@ SECOND_ORDER = 1.0 / 6.0
 PREDICTED = 0  # the steps before
 CUT = 1  # the same, for a step that ends where a gap closes
 RENEWED = 2  # the solution of the same trial, which begins with a jump
-INSIST = 3  # one of so many unsolved trials of a step is not given up early
+INSIST = 3  # one of so many unsolved trials of a step is not given up early, jams not counted
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
@@ -189,7 +189,7 @@ def _run(
             trial = left
         guessed = PREDICTED
         growth = GROWTH
-        unsolved = 0  # trials of this step that no solver could solve
+        unsolved = 0  # trials of this step that no solver could solve, though there was no jam
         resumed = 0.0  # the step to go on with after a bounce or a closing gap
         off = 0.0
         rate = 0.0
@@ -228,8 +228,9 @@ def _run(
             last_span = span
             if not off <= TOLERANCE:
                 last_span = 0.0
-                unsolved += 1
                 if method.adaptive == 1 and trial > pace.smallest:
+                    if not locked(problem, work, guess):
+                        unsolved += 1
                     trial *= 0.25
                     guessed = PREDICTED
                     predicting = True

@@ -4,6 +4,7 @@ from fixel.kernels import assembly as _assembly
 from fixel.kernels import rollout as _rollout
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
+from fixel.kernels.feasible import squeezed
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau
 from fixel.kernels.linear_form import ENOUGH, solve_linear_form, tableau_size
@@ -122,6 +123,12 @@ def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> flo
 def judge(problem: Problem, left_over: FloatArray) -> float:
     """See `residual.residual`."""
     return residual(problem, left_over)
+
+
+@entry
+def is_proven_unsolvable(problem: Problem, work: Workspace) -> bool:
+    """See `feasible.squeezed`, without friction."""
+    return squeezed(problem, work, False)
 
 
 @entry

@@ -35,7 +35,7 @@ ITERATIONS = 12  # Newton from where the recovery got to
 PATIENT = 98
 HASTY = 8
 TURNS = 6  # of pivoting; one to three are the rule
-GIVE_UP = 5  # after this trial ask whether there is anything to find
+GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
 SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
@@ -127,6 +127,10 @@ def recover(
     else:
         restore(problem, work)
     small = is_small(problem)
+    # Asked first where contacts are few, at less than the cost of a trial: a step that can be
+    # shortened is given up where friction may jam, another only where a jam is proven.
+    if small and squeezed(problem, work, trials <= HASTY):
+        return residual(problem, work.right), 1
     stiffness = 100.0
     worst = math.inf
     for trial in range(trials):
@@ -156,7 +160,7 @@ def recover(
                 return worst, 1
             if not more:
                 break
-        if trial == GIVE_UP and locked(problem, work, guess):
+        if trial == GIVE_UP and squeezed(problem, work, True):
             break
         stiffness = min(stiffness, 1e4)
     return worst, 1
@@ -242,5 +246,6 @@ def wander(problem: Problem, turn: int) -> None:
 
 @large_kernel
 def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
-    """Whether the problem has no solution because prescribed motions squeeze the bodies."""
-    return squeezed(problem, work)
+    """Return whether prescribed motions and friction may squeeze the bodies, so that a solution
+    need not exist."""
+    return squeezed(problem, work, True)

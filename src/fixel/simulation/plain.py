@@ -92,10 +92,13 @@ class _Loop:
             if not (solved and single.gains_energy(model, state, problem)):
                 break
         self.last_span = span if solved else 0.0
-        if solved and single.is_thrown(model, state, self.time, step, problem):
+        if not solved:
+            jams = single.has_no_solution(problem, work, guess)
+            return Attempt(codes.MAX_ITERATIONS, residual, jams=jams)
+        if single.is_thrown(model, state, self.time, step, problem):
             return Attempt(codes.THROWN, residual)
         bounces = single.bounces(model, state, kind, self.time, step, problem)
-        return Attempt(codes.CONVERGED if solved else codes.MAX_ITERATIONS, residual, bounces)
+        return Attempt(codes.CONVERGED, residual, bounces)
 
 
 def roll_plainly(

@@ -35,6 +35,7 @@ class Attempt(NamedTuple):
     residual: float
     bounces: bool = False  # whether a contact gives back speed
     closing: float = math.inf  # when a gap closes inside the step, which was then not solved
+    jams: bool = False  # whether an unsolved step may have no solution
 
 
 class Advance(NamedTuple):
@@ -240,7 +241,9 @@ class Adaptive(AbstractStepper):
                 predicting = False
             least = limits.tolerance if guessed == PREDICTED else math.inf
             hasty = trial > limits.smallest and unsolved % INSIST != INSIST - 1
-            status, residual, bounces, closing = attempt(trial, self.lead, guess, least, hasty)
+            status, residual, bounces, closing, jams = attempt(
+                trial, self.lead, guess, least, hasty
+            )
             if status == codes.CONTACT_OVERFLOW:
                 return Advance(status, trial, trial, residual)
             if closing < math.inf:
@@ -248,7 +251,7 @@ class Adaptive(AbstractStepper):
                 trial, guessed = max(closing * (1.0 - 1e-6), limits.smallest), CUT
                 continue
             if not residual <= TOLERANCE:
-                unsolved += 1
+                unsolved += not jams
                 if trial > limits.smallest:
                     trial, guessed, predicting = 0.25 * trial, PREDICTED, True
                     continue
