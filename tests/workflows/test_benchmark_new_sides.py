@@ -10,7 +10,7 @@ from tests.workflows.test_benchmark_mit import made_up
 
 from fixel.applicability import scale_model
 from fixel.exchange.datasets import mit_push
-from fixel.workflows.benchmark import Request
+from fixel.workflows.benchmark import Request, new_sides
 from fixel.workflows.benchmark.new_sides import side_labels
 from fixel.workflows.benchmark.protocols import Bench
 from fixel.workflows.benchmark.reproductions import reproduce
@@ -58,6 +58,20 @@ def test_without_other_plates_a_new_side_has_no_data(
     # The truth is in the model, so a side costs nothing of note.
     assert total["position_new_side_mm"] == pytest.approx(total["position_random_mm"], abs=0.5)
     assert (tmp_path / "out" / "new-sides.png").stat().st_size > 5_000
+
+
+def test_a_speed_that_only_left_out_speeds_bound_is_a_conclusion() -> None:
+    """On real pushes, bounds that ignore the contact have no data at a speed never pushed."""
+    n = 4
+    counted = new_sides.CoverageCount(
+        ["abs hex"] * n, np.ones(n), np.full(n, np.inf), np.full(n, 2.0), np.ones(n, bool)
+    )
+    rows = new_sides._overall("position", "speed", counted)
+    total = dict.fromkeys((f"position_{k}_mm" for k in ("new_side", "random")), 1.0)
+    total |= dict.fromkeys((f"angle_{k}_deg" for k in ("new_side", "random")), 1.0)
+    first, _ = new_sides._conclusions(rows, [total])
+    assert "hold for 100.0 % of 4 pushes" in first
+    assert first.endswith("blind to the contact no data.")
 
 
 @pytest.mark.slow

@@ -344,8 +344,7 @@ def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
             f" bounds hold for {100 * row['bound_coverage']:.1f} % of {row['counted']} pushes,"
             f" {100 * row['bound_worst']:.1f} % in the worst group ({row['bound_worst_group']}),"
             f" {row['bound_mean']:.2f} {row['unit']} on average, {100 * row['bound_no_data']:.1f} %"
-            f" without data; blind to the contact {100 * row['blind_coverage']:.1f} %,"
-            f" {100 * row['blind_worst']:.1f} % and {row['blind_mean']:.2f} {row['unit']}."
+            f" without data; blind to the contact {_blind(row)}."
         )
     total = transfer[-1]
     said.append(
@@ -355,3 +354,12 @@ def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
         f" {total['angle_random_deg']:.2f} deg."
     )
     return said
+
+
+def _blind(row: Row) -> str:
+    if "blind_coverage" not in row:  # a speed is new in its features as well
+        return "no data"
+    return (
+        f"{100 * row['blind_coverage']:.1f} %, {100 * row['blind_worst']:.1f} % and"
+        f" {row['blind_mean']:.2f} {row['unit']}"
+    )
