@@ -325,7 +325,6 @@ def _run(
             _copy_state(older, before)
             last_taken = earlier_taken
             earlier_taken = 0.0
-            last_span = 0.0
             eventful = True
             sample = sample_before
             record.count[1] = rows_before

@@ -151,7 +151,6 @@ def roll_plainly(
             loop.state = State(*(np.array(a) for a in before))
             before = older
             last_taken, earlier_taken = earlier_taken, 0.0
-            loop.last_span = 0.0
             eventful = True
             samples.undo()
             steps -= 1
