@@ -21,7 +21,7 @@ HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format soak bench lock clean
+.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -71,6 +71,9 @@ check: lint test  ## everything a change must pass: lint, then test
 format: $(READY)  ## rewrite the code in the house format
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
+
+house: $(READY)  ## figures of structure and language, beside their limits; ARGS="--list FIGURE" names the places
+	@$(BIN)/python -m tools.house $(ARGS)
 
 soak: $(READY)  ## a million random step problems, then the long tests marked soak
 	@$(BIN)/python -m benchmarks.soak $(SOAK_ARGS)

@@ -1,0 +1,1 @@
+"""Programs for the people who develop fixel; none is part of the package."""

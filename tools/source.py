@@ -1,0 +1,164 @@
+"""The modules of the package as syntax trees, and the imports between them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+
+
+@dataclass(frozen=True)
+class Module:
+    """One source file of the package.
+
+    Attributes
+    ----------
+    name : str
+        Dotted name, such as ``"fixel.model.scene"``.
+    path : Path
+        Path of the file, relative to the folder that holds the package.
+    n_lines : int
+        Number of lines, blank lines and docstrings included.
+    tree : ast.Module
+        Syntax tree of the file.
+    """
+
+    name: str
+    path: Path
+    n_lines: int
+    tree: ast.Module
+
+    @property
+    def is_package(self) -> bool:
+        """Whether the file is the ``__init__.py`` of a folder."""
+        return self.path.name == "__init__.py"
+
+    @property
+    def room(self) -> str:
+        """Name of the entry at the top of the package that holds the file."""
+        return self.path.parts[1]
+
+    @property
+    def classes(self) -> Iterator[ast.ClassDef]:
+        """Class definitions of the file, nested ones included."""
+        return (node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef))
+
+    @property
+    def functions(self) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+        """Function definitions of the file, methods and nested ones included."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield node
+
+    @property
+    def docstrings(self) -> Iterator[tuple[int, Definition | ast.Module, str]]:
+        """Line, documented node and text of each docstring of the file."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Module | Definition) and (text := ast.get_docstring(node)):
+                yield (1 if isinstance(node, ast.Module) else node.lineno, node, text)
+
+
+def read_modules(package: Path) -> dict[str, Module]:
+    """Parse all modules of a package.
+
+    Parameters
+    ----------
+    package : Path
+        Folder of the package, such as ``src/fixel``.
+
+    Returns
+    -------
+    dict
+        Dotted name -> `Module`.
+    """
+    modules = {}
+    for file in sorted(package.rglob("*.py")):
+        path = file.relative_to(package.parent)
+        parts = path.with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        text = file.read_text(encoding="utf-8")
+        modules[name] = Module(name, path, text.count("\n"), ast.parse(text))
+    return modules
+
+
+def imports(modules: Mapping[str, Module]) -> dict[str, set[str]]:
+    """Find which modules of the package each module imports.
+
+    Imports inside functions and under ``TYPE_CHECKING`` count. ``from fixel.a import b`` is an
+    import of ``fixel.a.b`` where that is a module, otherwise of ``fixel.a``.
+
+    Returns
+    -------
+    dict
+        Dotted name -> dotted names of the modules it imports.
+    """
+    found: dict[str, set[str]] = {}
+    for name, module in modules.items():
+        targets: set[str] = set()
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.Import):
+                targets.update(alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                base = _absolute(module, node)
+                for alias in node.names:
+                    whole = f"{base}.{alias.name}"
+                    targets.add(whole if whole in modules else base)
+        found[name] = {target for target in targets if target in modules} - {name}
+    return found
+
+
+def _absolute(module: Module, node: ast.ImportFrom) -> str:
+    """Dotted name of the module that a ``from`` import names."""
+    if not node.level:
+        return node.module or ""
+    parts = module.name.split(".")
+    package = parts if module.is_package else parts[:-1]
+    package = package[: len(package) - node.level + 1]
+    return ".".join([*package, node.module] if node.module else package)
+
+
+def circles(edges: Mapping[str, set[str]]) -> list[list[str]]:
+    """Find groups of modules that import each other, directly or through others.
+
+    Strongly connected components of more than one module (Tarjan, SIAM J. Comput. 1 (1972) 146).
+    """
+    order: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    stack: list[str] = []
+    groups: list[list[str]] = []
+
+    def visit(name: str) -> None:
+        order[name] = lowest[name] = len(order)
+        stack.append(name)
+        for target in sorted(edges[name]):
+            if target not in order:
+                visit(target)
+                lowest[name] = min(lowest[name], lowest[target])
+            elif target in stack:
+                lowest[name] = min(lowest[name], order[target])
+        if lowest[name] == order[name]:
+            start = stack.index(name)
+            group = stack[start:]
+            del stack[start:]
+            if len(group) > 1:
+                groups.append(sorted(group))
+
+    for name in sorted(edges):
+        if name not in order:
+            visit(name)
+    return groups
+
+
+def reached(edges: Mapping[str, set[str]], start: str) -> set[str]:
+    """Find all modules that a module imports, directly or through others, itself included."""
+    seen: set[str] = set()
+    waiting = [start]
+    while waiting:
+        name = waiting.pop()
+        if name not in seen:
+            seen.add(name)
+            waiting.extend(edges[name])
+    return seen
