@@ -190,7 +190,7 @@ def test_inputs_alone_are_somebodys_own(tmp_path):
 
 
 def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
-    for maker in ("os:system", "fixel.testing.toy_work:nothing"):
+    for maker in ("os:system", "toy:nothing"):
         with pytest.raises(InvalidInput, match="function of a job"):
             prepare_job(tmp_path / "job", maker=maker)
     for name in ("../up", "", ".hidden", "a/b"):

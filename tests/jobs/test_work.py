@@ -8,7 +8,7 @@ from tests.jobs.kinds import toy_undisturbed
 from fixel.errors import InvalidInput
 from fixel.exchange.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
-from fixel.jobs.functions import THREADS, chunk_function, named_function, threads
+from fixel.jobs.functions import THREADS, chunk_function, current_name, named_function, threads
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Chunk, Failure, Round, Stopped, block_name, framed, run_work, unframed
 from fixel.testing.toy_work import FUNCTION, make_toy_work
@@ -121,14 +121,15 @@ def test_what_a_chunk_function_may_answer(inputs):
     "name",
     [
         "os:system",
-        "fixel.jobs.functions:os",
-        "fixel.jobs.functions:_NAME",
-        "fixel.jobs.functions:InvalidInput",
-        "fixel.jobs.no_such:function",
-        "fixel.jobs.functions:no_such",
-        "fixel.jobs.engine:chunk_function",  # defined elsewhere
-        "fixel.jobs/../os:system",
-        "fixelate.evil:run",
+        "toy:os",
+        "toy:MAKER",
+        "toy:callable_by_jobs",  # defined elsewhere
+        "toy:no_such",
+        "toy:evaluate:evaluate",
+        "toy",
+        "calibration:InvalidInput",
+        "../os:system",
+        "fixel.testing.toy_work:evaluate",  # a path, not a name
         "fixel.database.arrays:fetch",  # public, and not meant for jobs
         "fixel.workflows.project:new_project",
         "fixel.jobs.folder:prepare",
@@ -140,6 +141,11 @@ def test_what_a_chunk_function_may_answer(inputs):
 def test_only_functions_marked_for_jobs_are_called_by_name(name):
     with pytest.raises(InvalidInput, match="function of a job"):
         named_function(name)
+
+
+def test_folders_with_the_path_of_a_module_are_still_read():
+    assert current_name("fixel.workflows.domain.work:domain_work") == "domain:domain_work"
+    assert current_name("toy:evaluate") == "toy:evaluate"
 
 
 def test_a_chunk_function_by_name(inputs):

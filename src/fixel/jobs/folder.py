@@ -33,7 +33,7 @@ from fixel.exchange.atomic import written_whole
 from fixel.exchange.document import read_document
 from fixel.exchange.journal import writer_of
 from fixel.exchange.lock import Owner
-from fixel.jobs.functions import named_function
+from fixel.jobs.functions import current_name, named_function
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
 
@@ -65,7 +65,7 @@ class Job(_Record):
     label : str
         Unique, of its SLURM jobs.
     maker : str
-        `"module:function"`, called as `maker(inputs: Path, options) -> Work`.
+        `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
     options : dict
     inputs_sha256 : str
     stamp : str
@@ -193,7 +193,7 @@ def read_job(folder: Path) -> Job:
     if not (folder / "job.json").is_file():
         raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
     job: Job = _read(folder / "job.json", Job)
-    return job
+    return job.model_copy(update={"maker": current_name(job.maker)})
 
 
 def made_by(folder: Path, maker: str) -> bool:

@@ -1,13 +1,13 @@
 """Functions by name: what a job folder may make a worker call.
 
-A folder may come from elsewhere, so a name in it reaches only functions of fixel that are marked
-with `callable_by_jobs`.
+A folder may come from elsewhere, so a name in it reaches only functions that are marked with
+`callable_by_jobs`, in the modules listed here. The names are stored; they outlive the place of a
+module in the package.
 """
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -18,11 +18,18 @@ from fixel.errors import InvalidInput
 ChunkFunction = Callable[[Path, bytes], bytes]
 F = TypeVar("F", bound=Callable[..., Any])
 
-PREFIX: Final = "fixel."
 THREADS: Final = "FIXEL_THREADS"  # environment of a worker: cores that are its own
-_NAME: Final = re.compile(r"([a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)+):([a-z][a-z0-9_]*)")
 
-
+_MODULES: Final = {
+    "calibration": "fixel.workflows.calibration.work",
+    "domain": "fixel.workflows.domain.work",
+    "toy": "fixel.testing.toy_work",
+}
+# Before kinds had names, folders held the module.
+_FORMER: Final = {
+    "fixel.workflows.calibration.work": "calibration",
+    "fixel.workflows.domain.work": "domain",
+}
 _ALLOWED: set[tuple[str, str]] = set()  # module and name
 
 
@@ -33,36 +40,41 @@ def callable_by_jobs(function: F) -> F:
 
 
 def chunk_function(name: str) -> ChunkFunction:
-    """The function `(inputs, payload) -> bytes` of a name `"fixel.module:function"`."""
+    """Return the function `(inputs, payload) -> bytes` of a name such as `"calibration:evaluate"`."""
     function: ChunkFunction = named_function(name)
     return function
 
 
+def current_name(name: str) -> str:
+    """Return the name of a function as it is stored now; older folders hold the module's path."""
+    kind, colon, attribute = name.partition(":")
+    return _FORMER.get(kind, kind) + colon + attribute
+
+
 def named_function(name: str) -> Any:
-    """Return a function of fixel that jobs may call.
+    """Return a function that jobs may call, by its stored name `"KIND:FUNCTION"`.
 
     Raises
     ------
     InvalidInput
-        The name is none of fixel's, there is no such function, or it is not meant for jobs.
+        There is no such kind of job or function, or it is not meant for jobs.
     """
-    match = _NAME.fullmatch(name)
-    if match is None or not name.startswith(PREFIX):
+    kind, _, attribute = name.partition(":")
+    if kind not in _MODULES:
         raise InvalidInput(
-            "function of a job", found=name, expected='a name such as "fixel.module:function"'
+            "function of a job",
+            found=name,
+            expected=f"KIND:FUNCTION, where KIND is one of {', '.join(_MODULES)}",
+            hint="a job of an older fixel cannot be continued; start it again",
         )
-    module, attribute = match.groups()
-    try:
-        function = getattr(import_module(module), attribute, None)
-    except ModuleNotFoundError as problem:
-        raise InvalidInput("function of a job", found=f"{name}: {problem}") from None
-    if (module, attribute) not in _ALLOWED:
+    module = import_module(_MODULES[kind])
+    if (module.__name__, attribute) not in _ALLOWED:
         raise InvalidInput(
             "function of a job",
             found=name,
             expected="a function that is marked with fixel.jobs.functions.callable_by_jobs",
         )
-    return function
+    return getattr(module, attribute)
 
 
 def threads() -> int | None:

@@ -18,8 +18,8 @@ from typing import Any
 from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.work import Chunk, Failure, Round, Work
 
-FUNCTION = "fixel.testing.toy_work:evaluate"
-MAKER = "fixel.testing.toy_work:make_toy_work"
+FUNCTION = "toy:evaluate"
+MAKER = "toy:make_toy_work"
 _BLOCK = bytes(1_000_000)
 
 

@@ -92,7 +92,7 @@ def prepare_job(
     folder : Path
         New; by custom `<project>/jobs/<name>`.
     maker : str
-        `"fixel.module:function"`, called as `maker(inputs: Path, options) -> Work`.
+        `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
     inputs : dict from name to bytes or Path
         Files for the work and its chunks.
     options : dict

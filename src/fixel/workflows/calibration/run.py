@@ -35,7 +35,7 @@ from fixel.workflows.calibration.work import REQUEST
 from fixel.workflows.mistyped import refuse_mistyped
 from fixel.workflows.readable import readable
 
-MAKER: Final = "fixel.workflows.calibration.work:calibration_work"
+MAKER: Final = "calibration:calibration_work"
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over

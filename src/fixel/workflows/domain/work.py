@@ -19,7 +19,7 @@ from fixel.workflows.domain.mapped import map_domain
 from fixel.workflows.domain.request import Asked, asked_again
 from fixel.workflows.readable import each_readable
 
-MAKER: Final = "fixel.workflows.domain.work:domain_work"
+MAKER: Final = "domain:domain_work"
 PROGRESS: Final = "fits.json"  # how many fits of how many are done
 
 
