@@ -40,7 +40,7 @@ def callable_by_jobs(function: F) -> F:
 
 
 def chunk_function(name: str) -> ChunkFunction:
-    """Return the function `(inputs, payload) -> bytes` of a name such as `"calibration:evaluate"`."""
+    """Return the function `(inputs, payload) -> bytes` of a name, say `"calibration:evaluate"`."""
     function: ChunkFunction = named_function(name)
     return function
 

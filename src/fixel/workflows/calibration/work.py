@@ -170,7 +170,7 @@ def _asked(
                 )
                 for k, at in enumerate(starts)
             ]
-            answers = yield Round(f"calibration:evaluate", chunks, note=note)
+            answers = yield Round("calibration:evaluate", chunks, note=note)
             if budget is not None:
                 budget.add(answers)
             parts = [
@@ -226,7 +226,7 @@ def _alone(request: Request, comparer: Comparer, n: int) -> Rounds[list[Found]]:
         for at in range(0, n, MEMBERS_A_CHUNK)
     ]
     left = 0 if request.mode == "each" else None
-    answers = yield Round(f"calibration:calibrate_alone", chunks, note="each experiment", left=left)
+    answers = yield Round("calibration:calibrate_alone", chunks, note="each experiment", left=left)
     found: list[Found] = []
     for chunk in chunks:
         answer = answers[chunk.name]
@@ -406,7 +406,7 @@ def _by_squares(
         note = "least squares"
         if tried[1:]:
             note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
-        answers = yield Round(f"calibration:residuals", chunks, note=note)
+        answers = yield Round("calibration:residuals", chunks, note=note)
         budget.add(answers)
         table = np.concatenate([_table(answers[c.name], c) for c in chunks])
         search.tell(table)
@@ -499,7 +499,7 @@ def _with_verdicts(
                 for k, at in enumerate(range(0, len(ask.points), per_chunk))
             ]
             left = None if ask.left is None else math.ceil(ask.left / per_chunk)
-            answers = yield Round(f"calibration:assess_points", chunks, note=ask.note, left=left)
+            answers = yield Round("calibration:assess_points", chunks, note=ask.note, left=left)
             budget.add(answers)
             if budget.over():
                 more = "give a larger --budget, or fewer experiments: --sample"
