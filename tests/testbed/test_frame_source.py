@@ -22,8 +22,9 @@ from fixel.exchange.video_file import VideoWriter
 from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import Stream, refuse_size, source_of
+from fixel.testbed.frame_source import Stream
 from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.open_source import refuse_size, source_of
 from fixel.testbed.recorder import Recorder
 from fixel.testbed.url_source import UrlSource
 from fixel.vision.frame import Frame

@@ -82,7 +82,7 @@ def overlay(
     from fixel.drawing.picture import refuse_ending
     from fixel.exchange.atomic import refuse_unwritable
     from fixel.exchange.rig_file import rig_of
-    from fixel.testbed.frame_source import source_of
+    from fixel.testbed.open_source import source_of
     from fixel.workflows.overlay import Overlay, scene_of
 
     if once:

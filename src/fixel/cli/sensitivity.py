@@ -88,7 +88,8 @@ def sensitivity(
     from fixel.workflows.engine import get_ready
     from fixel.workflows.pictures import make_folder, write_picture
     from fixel.workflows.project import typed
-    from fixel.workflows.sensitivity import SensitivityRequest, analyse_sensitivity
+    from fixel.workflows.sensitivity import analyse_sensitivity
+    from fixel.workflows.sensitivity_request import SensitivityRequest
 
     request = SensitivityRequest(
         error=_error(start_error_mm, start_error_deg, preset, normal),

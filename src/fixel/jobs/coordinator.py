@@ -20,11 +20,11 @@ from fixel.errors import FixelError, JobRefused
 from fixel.exchange.atomic import written_whole
 from fixel.exchange.journal import Journal
 from fixel.jobs import folder as files
-from fixel.jobs.engine import AbstractEngine, LocalEngine
+from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, Run, Status
 from fixel.jobs.functions import named_function
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import Progress, Show, Stopped, run_work
+from fixel.jobs.work import AbstractEngine, Progress, Show, Stopped, run_work
 
 BETWEEN_WORDS_S: Final = 1.0  # [s] state.json is written at most so often
 

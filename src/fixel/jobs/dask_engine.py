@@ -26,10 +26,9 @@ from fixel.jobs.cluster import (
     Outcome,
     Task,
 )
-from fixel.jobs.engine import AbstractEngine, Batch
 from fixel.jobs.pool import AbstractPool
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import Answer, Chunk, Failure, block_name, unframed
+from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure, block_name, unframed
 
 TICK_S: Final = 0.5  # [s] between two looks at workers and files
 MAX_REBUILDS: Final = 20  # schedulers that died one after the other without an answer

@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-import abc
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self, final
 
 from fixel.jobs.functions import ChunkFunction, chunk_function
-from fixel.jobs.work import Answer, Chunk, Failure
-
-Batch = list[tuple[str, Answer]]
-
-
-class AbstractEngine(abc.ABC):
-    """Answers chunks, in any order; a context manager, so that processes end with it."""
-
-    workers: int = 0  # processes that compute now
-    deaths: int = 0  # of workers while they computed
-    again: int = 0  # chunks that were given out once more
-
-    @abc.abstractmethod
-    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        """Names and answers as they come, each chunk once.
-
-        A batch may be empty: there is one every second or so, so that who waits can do
-        something else, such as stop.
-        """
-
-    @abc.abstractmethod
-    def __enter__(self) -> Self: ...
-
-    @abc.abstractmethod
-    def __exit__(self, *_: object) -> None: ...
+from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure
 
 
 @final

@@ -8,18 +8,16 @@ from the journal what has been answered before.
 
 from __future__ import annotations
 
+import abc
 import hashlib
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import Final, NamedTuple, Self, final
 
 from fixel.errors import InvalidInput
 from fixel.exchange.journal import Journal
-
-if TYPE_CHECKING:
-    from fixel.jobs.engine import AbstractEngine
 
 # [s] The rate is that of this long ago until now: workers come and go.
 RATE_WINDOW_S: Final = 60.0
@@ -105,6 +103,31 @@ class Progress(NamedTuple):
     note: str
     workers: int
     share: float | None = None
+
+
+Batch = list[tuple[str, Answer]]
+
+
+class AbstractEngine(abc.ABC):
+    """Answers chunks, in any order; a context manager, so that processes end with it."""
+
+    workers: int = 0  # processes that compute now
+    deaths: int = 0  # of workers while they computed
+    again: int = 0  # chunks that were given out once more
+
+    @abc.abstractmethod
+    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+        """Names and answers as they come, each chunk once.
+
+        A batch may be empty: there is one every second or so, so that who waits can do
+        something else, such as stop.
+        """
+
+    @abc.abstractmethod
+    def __enter__(self) -> Self: ...
+
+    @abc.abstractmethod
+    def __exit__(self, *_: object) -> None: ...
 
 
 class Stopped(Exception):

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
-from fixel.errors import InvalidInput
 from fixel.exchange.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
@@ -136,48 +135,3 @@ class FrameSource(abc.ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def source_of(
-    text: str,
-    *,
-    size: tuple[int, int] | None = None,
-    rate: float = 30.0,
-    as_fast_as_possible: bool = False,
-) -> FrameSource:
-    """The source that a person means.
-
-    Parameters
-    ----------
-    text : str
-        `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video file or
-        the folder of a recording.
-    size : (int, int), optional
-        What a camera is asked for [px].
-    rate : float
-        Likewise [frames/s].
-    as_fast_as_possible : bool
-        Whether a file is played faster than it was filmed; its own times are kept then.
-    """
-    if text.isdecimal() or text.startswith("/dev/"):
-        from fixel.testbed.device_source import DeviceSource
-
-        return DeviceSource(text, size=size, rate=rate)
-    if "://" in text:
-        from fixel.testbed.url_source import UrlSource
-
-        return UrlSource(text)
-    from fixel.testbed.file_source import FileSource
-
-    return FileSource(text, as_fast_as_possible=as_fast_as_possible)
-
-
-def refuse_size(stream: Stream, size: tuple[int, int], name: str) -> None:
-    """Refuse pictures of another size than the rig's, before anything is recorded."""
-    if stream.size != size:
-        raise InvalidInput(
-            name,
-            found="pictures of {} x {} pixels".format(*stream.size),
-            expected="{} x {}, as the rig was calibrated".format(*size),
-            hint="set the camera to that size, or calibrate it anew at this one",
-        )

@@ -20,7 +20,8 @@ from fixel.exchange.recording import (
 from fixel.exchange.recording_video import warm_up
 from fixel.exchange.rig_file import rig_of, save_rig
 from fixel.exchange.scene_file import load_scene
-from fixel.testbed.frame_source import Stream, refuse_size, source_of
+from fixel.testbed.frame_source import Stream
+from fixel.testbed.open_source import refuse_size, source_of
 from fixel.testbed.recorder import Recorded, Recorder, Stop, TouchReader, Watch
 from fixel.testbed.seating import Seating
 from fixel.vision.marks import Rig

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
@@ -15,90 +15,20 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.exchange import load_scene
 from fixel.model import Experiment, Scene
-from fixel.simulation import AbstractMotionModel, Dynamic
-from fixel.simulation.stepper import AbstractStepper
-from fixel.uncertainty.fan import Fan, fan_of
-from fixel.uncertainty.indices import Indices, indices_of
-from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
-from fixel.uncertainty.starts import StartError
+from fixel.simulation import Dynamic
+from fixel.uncertainty.fan import fan_of
+from fixel.uncertainty.indices import indices_of
+from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
 from fixel.workflows.analysis import Analysis, Kept, keep
 from fixel.workflows.calibrated import Calibrated, calibrated, newest, parted
 from fixel.workflows.pictures import Picture
+from fixel.workflows.sensitivity_request import Finding, SensitivityRequest, Subject
 from fixel.workflows.sensitivity_words import analysis_of, arrays_of, pictures_of
 from fixel.workflows.simulate import Method, parts
 
 Told = Callable[[int, int], None]
 
 SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensitivityRequest:
-    """What is asked.
-
-    Parameters
-    ----------
-    error : StartError
-    samples : int
-        Perturbed starts a push.
-    values : mapping of str to float
-        Parameters, over those of a calibration.
-    ranges : mapping of str to (float, float)
-        What is uncertain besides, for the indices; over the intervals of a calibration.
-    calibration : int, optional
-        Id; of stored experiments the newest where left out, the scene's own values without any.
-    indices : bool
-    base : int
-        Base samples of the indices, a power of two.
-    seed : int
-    threads : int, optional
-    """
-
-    error: StartError
-    samples: int = 1000
-    values: Mapping[str, float] = field(default_factory=dict)
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    calibration: int | None = None
-    indices: bool = False
-    base: int = 128
-    seed: int = 0
-    threads: int | None = None
-
-    def question(self, keys: Sequence[str]) -> dict[str, Any]:
-        """As plain content."""
-        return {
-            "of": list(keys),
-            "error": [*self.error.size.tolist(), self.error.kind],
-            "samples": self.samples,
-            "values": dict(self.values),
-            "ranges": {name: list(interval) for name, interval in self.ranges.items()},
-            "calibration": self.calibration,
-            "indices": self.base if self.indices else None,
-            "seed": self.seed,
-        }
-
-
-class Subject(NamedTuple):
-    """A push to look at."""
-
-    key: str
-    id: int | None  # of a stored experiment
-    scene: Scene
-    values: dict[str, float]
-    ranges: dict[str, tuple[float, float]]
-    motion: AbstractMotionModel
-    stepper: AbstractStepper | None
-    banner: str
-
-
-class Finding(NamedTuple):
-    """One push, judged."""
-
-    subject: Subject
-    fan: Fan
-    sensitivity: Sensitivity
-    indices: Indices | None
 
 
 @final

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
 from fixel.workflows.analysis import Analysis, TextTable, rounded
 from fixel.workflows.pictures import Picture
-
-if TYPE_CHECKING:
-    from fixel.workflows.sensitivity import Finding, SensitivityRequest, Subject
+from fixel.workflows.sensitivity_request import Finding, SensitivityRequest, Subject
 
 MOST_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 

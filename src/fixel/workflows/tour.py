@@ -26,7 +26,8 @@ from fixel.workflows.calibration.unknowns import default_unknowns
 from fixel.workflows.domain.mapped import map_domain
 from fixel.workflows.domain.request import Asked
 from fixel.workflows.report.write import Report, write_report
-from fixel.workflows.sensitivity import SensitivityRequest, analyse_sensitivity
+from fixel.workflows.sensitivity import analyse_sensitivity
+from fixel.workflows.sensitivity_request import SensitivityRequest
 from fixel.workflows.uncertainty import UncertaintyRequest, find_uncertainty
 from fixel.workflows.uncertainty_told import keep_uncertainty
 

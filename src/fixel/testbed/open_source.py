@@ -1,0 +1,48 @@
+"""The frame source that an argument of a command names."""
+
+from __future__ import annotations
+
+from fixel.errors import InvalidInput
+from fixel.testbed.device_source import DeviceSource
+from fixel.testbed.file_source import FileSource
+from fixel.testbed.frame_source import FrameSource, Stream
+from fixel.testbed.url_source import UrlSource
+
+
+def source_of(
+    text: str,
+    *,
+    size: tuple[int, int] | None = None,
+    rate: float = 30.0,
+    as_fast_as_possible: bool = False,
+) -> FrameSource:
+    """Choose the frame source for a camera, an address, a file or a recording.
+
+    Parameters
+    ----------
+    text : str
+        `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video file or
+        the folder of a recording.
+    size : (int, int), optional
+        What a camera is asked for [px].
+    rate : float
+        Likewise [frames/s].
+    as_fast_as_possible : bool
+        Whether a file is played faster than it was filmed; its own times are kept then.
+    """
+    if text.isdecimal() or text.startswith("/dev/"):
+        return DeviceSource(text, size=size, rate=rate)
+    if "://" in text:
+        return UrlSource(text)
+    return FileSource(text, as_fast_as_possible=as_fast_as_possible)
+
+
+def refuse_size(stream: Stream, size: tuple[int, int], name: str) -> None:
+    """Refuse pictures of another size than the rig's, before anything is recorded."""
+    if stream.size != size:
+        raise InvalidInput(
+            name,
+            found="pictures of {} x {} pixels".format(*stream.size),
+            expected="{} x {}, as the rig was calibrated".format(*size),
+            hint="set the camera to that size, or calibrate it anew at this one",
+        )

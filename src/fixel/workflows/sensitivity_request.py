@@ -1,0 +1,84 @@
+"""Options of a sensitivity analysis, and what it computes of one push."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, final
+
+from fixel.model import Scene
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+from fixel.uncertainty.fan import Fan
+from fixel.uncertainty.indices import Indices
+from fixel.uncertainty.outcomes import Sensitivity
+from fixel.uncertainty.starts import StartError
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensitivityRequest:
+    """What is asked.
+
+    Parameters
+    ----------
+    error : StartError
+    samples : int
+        Perturbed starts a push.
+    values : mapping of str to float
+        Parameters, over those of a calibration.
+    ranges : mapping of str to (float, float)
+        What is uncertain besides, for the indices; over the intervals of a calibration.
+    calibration : int, optional
+        Id; of stored experiments the newest where left out, the scene's own values without any.
+    indices : bool
+    base : int
+        Base samples of the indices, a power of two.
+    seed : int
+    threads : int, optional
+    """
+
+    error: StartError
+    samples: int = 1000
+    values: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    calibration: int | None = None
+    indices: bool = False
+    base: int = 128
+    seed: int = 0
+    threads: int | None = None
+
+    def question(self, keys: Sequence[str]) -> dict[str, Any]:
+        """As plain content."""
+        return {
+            "of": list(keys),
+            "error": [*self.error.size.tolist(), self.error.kind],
+            "samples": self.samples,
+            "values": dict(self.values),
+            "ranges": {name: list(interval) for name, interval in self.ranges.items()},
+            "calibration": self.calibration,
+            "indices": self.base if self.indices else None,
+            "seed": self.seed,
+        }
+
+
+class Subject(NamedTuple):
+    """A push to look at."""
+
+    key: str
+    id: int | None  # of a stored experiment
+    scene: Scene
+    values: dict[str, float]
+    ranges: dict[str, tuple[float, float]]
+    motion: AbstractMotionModel
+    stepper: AbstractStepper | None
+    banner: str
+
+
+class Finding(NamedTuple):
+    """One push, judged."""
+
+    subject: Subject
+    fan: Fan
+    sensitivity: Sensitivity
+    indices: Indices | None
