@@ -11,16 +11,16 @@ from typing import Final
 import numpy as np
 
 from benchmarks.figures import Figure, Size, at_most
-from fixel.exchange.rig_file import rig_of
-from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.formats.rig_file import rig_of
+from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.kernels.arrays import FloatArray
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp
 from fixel.vision.frame import Frame
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking import track
-from fixel.workflows.film import Shooting, film
-from fixel.workflows.track import Film, open_film
+from fixel.workflows.acquisition.film import Shooting, film
+from fixel.workflows.acquisition.track import Film, open_film
 
 MEANS: Final = (0.0, 0.005, 0.015, 0.03)  # [s] by which frames are held up
 SHARES: Final = (1.0, 0.3)  # of the frames

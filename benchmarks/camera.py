@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.model.fields import FloatArray
 from fixel.testing.board_pictures import Studio
 from fixel.vision.boards import board_of

@@ -18,7 +18,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from fixel.exchange.journal import Journal
+from fixel.io.journal import Journal
 from fixel.jobs.dask_engine import DaskEngine
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.pool import LocalPool

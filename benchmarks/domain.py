@@ -11,22 +11,22 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least
-from fixel.applicability.cells import cells_of
-from fixel.applicability.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
-from fixel.applicability.evidence import Evidence
 from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.target import Target, targets_of
+from fixel.domain.cells import cells_of
+from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
+from fixel.domain.evidence import Evidence
+from fixel.io.result_cache import Finished
 from fixel.kernels.arrays import FloatArray
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.unknowns import default_unknowns
+from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import Apart, Model, calibrated_on, held_out
-from fixel.workflows.finished import Finished
 
 # Not those on which the settings of the surface were chosen.
 LAYOUTS = ("collinear-wide", "collinear-minus45", "concave-tight", "asymmetric-b")

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fixel.exchange.rig_file import rig_of
-from fixel.exchange.scene_file import load_scene
+from fixel.formats.rig_file import rig_of
+from fixel.formats.scene_file import load_scene
 from fixel.model import Trajectory
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.opencv import opencv
@@ -30,7 +30,7 @@ from fixel.vision.render.looks import looks_named
 from fixel.web.live import PART_HEAD, LiveView
 from fixel.web.overlay_page import overlay_page
 from fixel.web.serve import WebServer
-from fixel.workflows.overlay import Overlay
+from fixel.workflows.acquisition.overlay import Overlay
 
 Watcher = Callable[[WebServer], Callable[[], list[tuple[int, float]]]]
 

@@ -31,7 +31,7 @@ from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.unknowns import default_unknowns, fitted
+from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
 
 # Seeds from here on were never looked at while the method was chosen; that used those from 1.
 FIRST_SEED: Final = 7001

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
-from fixel.exchange.rig_file import rig_of
-from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.formats.rig_file import rig_of
+from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp, micro_push
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking import PartTrack, Tracked, track
-from fixel.workflows.film import Shooting, film
-from fixel.workflows.track import open_film
+from fixel.workflows.acquisition.film import Shooting, film
+from fixel.workflows.acquisition.track import open_film
 
 # [m] that no pose that is believed may be off by: two pixels, on the bench and under the microscope
 OUTLIER, SMALL_OUTLIER = 1e-3, 10e-6

@@ -19,7 +19,7 @@ from fixel.database.project import Project
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.project import Desk, project_server
-from fixel.workflows.compare import CompareDesk
+from fixel.web.views.live_comparison import CompareDesk
 
 MOVES = 60
 SERVER = "a comparison, processor time of the server"

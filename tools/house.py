@@ -77,7 +77,7 @@ def measure(modules: Modules) -> dict[str, Figure]:
     n_lines = rooms.total()
     room, n_largest = rooms.most_common(1)[0]
     workflows = [module for module in modules.values() if module.room == "workflows"]
-    campaign = [modules[name] for name in sorted(reached(edges, "fixel.cli.calibrate"))]
+    campaign = [modules[name] for name in sorted(reached(edges, "fixel.cli.calibration"))]
     docstrings = [
         (f"{module.path}:{line}", node, text)
         for module in modules.values()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fixel.errors import InvalidInput, SolveFailed
-    from fixel.exchange import load_scene
+    from fixel.formats import load_scene
     from fixel.model import (
         Body,
         Disk,
@@ -79,7 +79,7 @@ __all__ = [
 
 _HOME_OF = {
     **dict.fromkeys(("InvalidInput", "SolveFailed"), "fixel.errors"),
-    **dict.fromkeys(("load_scene",), "fixel.exchange"),
+    **dict.fromkeys(("load_scene",), "fixel.formats"),
     **dict.fromkeys(
         (
             "Body",

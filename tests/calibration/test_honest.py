@@ -22,7 +22,7 @@ from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.unknowns import default_unknowns
+from fixel.workflows.calibration.parameter_options import default_unknowns
 
 DEMO = thesis_plan().experiments[:21]
 # Every 30th push of the square: seven layouts, one push each.

@@ -173,17 +173,17 @@ def test_a_shell_completes_commands():
 
 
 def test_a_benchmark_that_needs_no_data_takes_none(capsys, monkeypatch):
-    from fixel.workflows.benchmark import reproductions
+    from fixel.reproductions import overview
 
     asked = []
 
     def found(name, data, **more):
         asked.append((name, data))
-        return reproductions.Reproduction(
+        return overview.Reproduction(
             name=name, tables={}, conclusions=["done"], settings={}, picture=None, seconds=0.0
         )
 
-    monkeypatch.setattr(reproductions, "reproduce", found)
+    monkeypatch.setattr(overview, "reproduce", found)
     assert fixel(capsys, "benchmark", "real", "--only", "asme-table-1")[:2] == (0, "done\n")
     assert asked == [("asme-table-1", None)]
     code, _, err = fixel(capsys, "benchmark", "real")

@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 import pytest
 from tests.cli.shell import fixel
-from tests.exchange.test_camera_import import CALIB_RESULTS, ROS
+from tests.formats.test_camera_import import CALIB_RESULTS, ROS
 
-from fixel.cli.camera_said import view_lines
-from fixel.exchange.camera_file import load_camera
+from fixel.cli.camera_text import view_lines
+from fixel.formats.camera_file import load_camera
 from fixel.testing.board_pictures import Studio, seen_corners, spread
 from fixel.vision.boards import Corners, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
-from fixel.workflows.camera.calibrate import CameraAnswer
+from fixel.workflows.acquisition.camera.calibrate import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"
 LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
@@ -105,7 +105,7 @@ def test_check_refuses_another_size(capsys, tmp_path):
 def test_check_sees_that_the_camera_was_moved(capsys, tmp_path):
     from tests.vision.test_place_camera import tagged
 
-    from fixel.exchange.rig_file import rig_of, save_rig
+    from fixel.formats.rig_file import rig_of, save_rig
 
     rig = rig_of("thesis-tags")
     save_rig(rig, tmp_path / "rig.yaml")
@@ -205,8 +205,8 @@ def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none
 ):
     from tests.vision.test_place_camera import tagged
 
-    from fixel.exchange.document import yaml_text
-    from fixel.exchange.rig_file import rig_dict, rig_of
+    from fixel.formats.rig_file import rig_dict, rig_of
+    from fixel.io.document import yaml_text
     from fixel.vision.marks import Tag
 
     true = Camera.looking_down(LENS, 0.4, above=(0.1, 0.07), turned=0.2, tilted=(0.04, -0.03))

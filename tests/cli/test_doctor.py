@@ -5,7 +5,7 @@ import json
 import pytest
 
 from fixel.cli import main
-from fixel.workflows import self_test
+from fixel.workflows.diagnostics import self_test
 
 
 def call(*arguments: str) -> int:
@@ -19,7 +19,7 @@ def call(*arguments: str) -> int:
 def quick(monkeypatch):
     checks = {"fine": lambda: (True, "as it should be", 1e-12)}
     monkeypatch.setattr(self_test, "_CHECKS", checks)
-    monkeypatch.setattr("fixel.workflows.doctor.get_ready", lambda *_: None)
+    monkeypatch.setattr("fixel.workflows.diagnostics.doctor.get_ready", lambda *_: None)
     return checks
 
 

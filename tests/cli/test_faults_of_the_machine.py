@@ -13,8 +13,8 @@ import pytest
 from fixel.cli.main import run
 from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput, StoreRefused
-from fixel.exchange.document import parse_json
-from fixel.exchange.scene_file import scene_file_from_dict
+from fixel.formats.scene_file import scene_file_from_dict
+from fixel.io.document import parse_json
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 

@@ -6,8 +6,8 @@ import pytest
 from tests.cli.shell import fixel
 from tests.vision.rendered import small_rig
 
-from fixel.exchange.rig_file import save_rig
-from fixel.exchange.scene_file import SceneFile, save_scene
+from fixel.formats.rig_file import save_rig
+from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.testing.scenes import grasp, sliding_block
 
 

@@ -12,8 +12,8 @@ from tests.cli.shell import fixel
 from tests.vision.plate import plate_picture, small_rig
 
 from fixel.cli.main import run
-from fixel.exchange.rig_file import save_rig
-from fixel.exchange.video_file import VideoWriter
+from fixel.formats.rig_file import save_rig
+from fixel.formats.video_file import VideoWriter
 from fixel.testbed import frame_source
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 from fixel.vision.frame import Frame

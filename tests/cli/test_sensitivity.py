@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
-from fixel.exchange import SceneFile, save_scene
+from fixel.formats import SceneFile, save_scene
 from fixel.model import Flag, Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.analysis import kept

@@ -3,11 +3,11 @@
 import json
 
 from tests.cli.shell import fixel
-from tests.workflows.test_track import scene
+from tests.workflows.acquisition.test_track import scene
 
-from fixel.exchange.rig_file import save_rig
-from fixel.exchange.scene_file import SceneFile, save_scene
-from fixel.exchange.video_file import VideoWriter
+from fixel.formats.rig_file import save_rig
+from fixel.formats.scene_file import SceneFile, save_scene
+from fixel.formats.video_file import VideoWriter
 from fixel.testing.painted import painted, tag_rig
 
 

@@ -10,7 +10,7 @@ from fixel.database.query import Query
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory, trajectory
 from fixel.model.records import CalibrationRecord, Member, SimulationRecord
-from fixel.workflows.browse import coverage, view_of, vocabulary
+from fixel.workflows.project.filters import coverage, view_of, vocabulary
 
 ORIGIN = Provenance(version="0")
 

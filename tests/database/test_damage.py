@@ -14,7 +14,7 @@ from tests.web.conftest import laboratory, trusted_laboratory  # noqa: F401
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.model import Channel, Experiment, Provenance, Trajectory
-from fixel.workflows import database
+from fixel.workflows.project import maintenance
 
 FROZEN = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
 
@@ -127,7 +127,7 @@ SCHEMA = {
 def found(folder):
     """Troubles, or the refusal that somebody gets."""
     try:
-        return database.check(folder).troubles
+        return maintenance.check(folder).troubles
     except FixelError as refused:
         return (refused,)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fixel.exchange import scene_file_from_dict, scene_json_schema
+from fixel.formats import scene_file_from_dict, scene_json_schema
 from fixel.model import KNOWN_PARAMETERS
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,7 @@ def test_local_links_lead_somewhere(page: Path) -> None:
 
 
 def test_calibration_page_names_every_parameter() -> None:
-    page = (ROOT / "docs" / "how-to" / "calibrate.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "calibration.md").read_text(encoding="utf-8")
     named = set()
     for first_cell in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE):
         names = re.findall(r"`(\w+)`", first_cell)

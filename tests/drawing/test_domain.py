@@ -120,9 +120,9 @@ def test_what_is_called_blue_is_blue():
 @pytest.mark.parametrize(
     "file",
     [
-        "docs/how-to/domain-of-applicability.md",
-        "docs/theory/domain-of-applicability.md",
-        "src/fixel/applicability/domain.py",
+        "docs/how-to/domain.md",
+        "docs/theory/domain.md",
+        "src/fixel/domain/domain.py",
         "src/fixel/drawing/domain.py",
     ],
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fixel.applicability.along_axis import AxisStudy
+from fixel.domain.along_axis import AxisStudy
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
 

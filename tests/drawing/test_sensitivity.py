@@ -8,8 +8,8 @@ from tests.uncertainty.forks import fork, grid
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.repeats import RepeatPicture, RepeatPoint
 from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
+from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
 
 
 def fan_chart():

@@ -18,7 +18,7 @@ from fixel.drawing.uncertainty import (
     FinalRegion,
     PathBand,
 )
-from fixel.workflows import uncertainty_pictures
+from fixel.workflows.uncertainty import charts
 
 DICE = np.random.default_rng(0)
 POSES = DICE.standard_normal((80, 3)) * np.array([1e-3, 2e-3, 0.02]) + np.array([0.1, 0.0, 0.5])
@@ -130,7 +130,7 @@ def test_numbers_and_names_of_a_corner_do_not_collide(scale):
 
 
 def test_the_caption_of_a_corner_names_the_prior():
-    said = uncertainty_pictures._priors(_corner_of(NARROW).axes)
+    said = charts._priors(_corner_of(NARROW).axes)
     assert said.startswith("mu_pusher 0 to 1, tripod_radius 10 to 60 mm, model error 0.05 to 20 mm")
 
 

@@ -104,7 +104,7 @@ def test_a_right_model_has_no_misfit():
 
 
 def test_a_wrong_model_is_said_to_be_wrong(data_root):
-    from fixel.exchange.importers import importer_for
+    from fixel.datasets import importer_for
 
     folder = data_root / "rpi_2dgad"
     experiment = {e.name: e for e in importer_for(folder).read(folder).experiments()}["141"]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, carried_along, push
 
+from fixel.datasets import importer_for
 from fixel.errors import InvalidInput
-from fixel.exchange.importers import importer_for
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Channel, Flag, Trajectory

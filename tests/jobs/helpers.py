@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from fixel.exchange.journal import MAGIC, read_journal
+from fixel.io.journal import MAGIC, read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.folder import Run
 

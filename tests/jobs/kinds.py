@@ -17,9 +17,9 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
 from fixel.workflows.calibration import run as calibrations
-from fixel.workflows.calibration.outcome import outcome_bytes, outcome_of
+from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.request import Choice, Request, entry_of
-from fixel.workflows.calibration.unknowns import fitted
+from fixel.workflows.calibration.result import outcome_bytes, outcome_of
 from fixel.workflows.jobs import prepare_job
 
 

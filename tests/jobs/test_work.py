@@ -6,7 +6,7 @@ import pytest
 from tests.jobs.kinds import toy_undisturbed
 
 from fixel.errors import InvalidInput
-from fixel.exchange.journal import Journal
+from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
 from fixel.jobs.functions import THREADS, chunk_function, current_name, named_function, threads
 from fixel.jobs.stamp import stamp
@@ -131,10 +131,10 @@ def test_what_a_chunk_function_may_answer(inputs):
         "../os:system",
         "fixel.testing.toy_work:evaluate",  # a path, not a name
         "fixel.database.arrays:fetch",  # public, and not meant for jobs
-        "fixel.workflows.project:new_project",
+        "fixel.workflows.project.importing:new_project",
         "fixel.jobs.folder:prepare",
         "fixel.cli.main:run",
-        "fixel.exchange.atomic:refuse_unwritable",
+        "fixel.io.atomic:refuse_unwritable",
         "",
     ],
 )

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from fixel.calibration.least_squares import LeastSquares
-from fixel.workflows.benchmark.cmu_tripod import surface_friction, transferred
-from fixel.workflows.benchmark.tripod_points import fitted_points
-from fixel.workflows.benchmark.tripod_pushes import Push, machined, read_pushes, support_of
+from fixel.reproductions.cmu_tripod import surface_friction, transferred
+from fixel.reproductions.tripod_points import fitted_points
+from fixel.reproductions.tripod_pushes import Push, machined, read_pushes, support_of
 
 
 @pytest.fixture(scope="module")

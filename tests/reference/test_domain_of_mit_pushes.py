@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.workflows.domain.mapped import map_domain
 from fixel.workflows.domain.request import Asked
-from fixel.workflows.project import import_plan
+from fixel.workflows.domain.run import map_domain
+from fixel.workflows.project.importing import import_plan
 
 
 def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:

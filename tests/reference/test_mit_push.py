@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fixel.workflows.replay import Choice, Replay, replay_dataset
+from fixel.reproductions.replay import Choice, Replay, replay_dataset
 
 
 def pooled(answer: Replay) -> dict[str, Any]:

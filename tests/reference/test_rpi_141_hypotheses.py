@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from fixel.model import Experiment
-from fixel.workflows.benchmark.rpi_141 import experiment_141, judged, lateral_misses
-from fixel.workflows.benchmark.rpi_141_hypotheses import hypotheses
+from fixel.reproductions.rpi_141 import experiment_141, judged, lateral_misses
+from fixel.reproductions.rpi_141_hypotheses import hypotheses
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fixel.exchange.datasets import RpiTrial, RpiTrials, read_dataset
-from fixel.workflows.replay import replay_dataset
-from fixel.workflows.replay.rpi_2dgad import as_the_lab_did, weighted_error
+from fixel.datasets.raw import RpiTrial, RpiTrials, read_dataset
+from fixel.reproductions.replay import replay_dataset
+from fixel.reproductions.replay.rpi_2dgad import as_the_lab_did, weighted_error
 
 
 @pytest.fixture(scope="module")

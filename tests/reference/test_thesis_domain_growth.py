@@ -19,8 +19,8 @@ from fixel.model import Parameters
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
+from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.request import Choice, Request, entry_of
-from fixel.workflows.calibration.unknowns import fitted
 from fixel.workflows.growth.explore import explore
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations

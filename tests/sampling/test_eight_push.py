@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.cli.shell import fixel
 
-from fixel.exchange.plan_file import load_plan, plan_from_text, plan_text
+from fixel.formats.plan_file import load_plan, plan_from_text, plan_text
 from fixel.model import SupportPoints
 from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.simulation import QuasiStatic, simulate

@@ -8,10 +8,10 @@ import pytest
 
 from fixel import simulate
 from fixel.errors import InvalidInput
-from fixel.exchange.scene_file import scene_file_from_dict
+from fixel.formats.scene_file import scene_file_from_dict
 from fixel.model import Body, Disk, Fixel, LineDrive, PairFriction, Pusher, Scene, Tripod
 from fixel.simulation.pack import _pair_tables
-from fixel.workflows import scene_desk
+from fixel.web.views import scene_editor
 
 NAMES = ("a", "b", "c1", "c2", "d", "*", "c*", "?", "[ab]", "c[12]")
 
@@ -99,7 +99,7 @@ def refused_or_finite(content):
 
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_speeds_that_no_pusher_has(speed):
-    content = copy.deepcopy(scene_desk.example("grasp"))
+    content = copy.deepcopy(scene_editor.example("grasp"))
     content["pushers"][0]["drive"]["speed"] = speed
     found = refused_or_finite(content)
     assert ("fastest motion" in found) == (speed >= 1e100) or 1e20 < speed < 1e100
@@ -110,7 +110,7 @@ def test_speeds_that_no_pusher_has(speed):
 @pytest.mark.parametrize("key", ["mass", "velocity", "gravity"])
 @pytest.mark.parametrize("value", [1e-308, 1e-200, 1e200, 1e308])
 def test_other_numbers_that_no_body_has(key, value):
-    content = copy.deepcopy(scene_desk.example("grasp"))
+    content = copy.deepcopy(scene_editor.example("grasp"))
     if key == "gravity":
         content["gravity"] = value
     else:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.exchange.jpeg import jpeg_of
-from fixel.exchange.recording import RecordingHeader, RecordingWriter
+from fixel.formats.jpeg import jpeg_of
+from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 from fixel.vision.frame import Frame, Picture
 

@@ -21,7 +21,7 @@ from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testing.emulated_grbl import EmulatedGrbl
-from fixel.workflows.actuator_stop import stop_actuators
+from fixel.workflows.acquisition.actuator_stop import stop_actuators
 
 PROGRAM = """
 import sys, time

@@ -16,9 +16,9 @@ import pytest
 from tests.testbed.films import SIZE, film, picture
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import brightness, jpeg_of, jpeg_size, shrunk
-from fixel.exchange.recording import open_recording
-from fixel.exchange.video_file import VideoWriter
+from fixel.formats.jpeg import brightness, jpeg_of, jpeg_size, shrunk
+from fixel.formats.recording import open_recording
+from fixel.formats.video_file import VideoWriter
 from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_queue import FrameQueue

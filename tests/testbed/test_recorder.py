@@ -16,8 +16,8 @@ import pytest
 from tests.testbed.films import SIZE, Fixels, Pictures, picture
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import jpeg_of
-from fixel.exchange.recording import open_recording
+from fixel.formats.jpeg import jpeg_of
+from fixel.formats.recording import open_recording
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed import room
 from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue

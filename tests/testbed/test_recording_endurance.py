@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from benchmarks.recording import plate
 
-from fixel.exchange.recording import RecordingHeader, RecordingWriter, open_recording
-from fixel.exchange.recording_header import ROWS
+from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
+from fixel.formats.recording_header import ROWS
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.vision.frame import Frame
 

@@ -7,7 +7,7 @@ from tools.source import circles, imports, reached, read_modules
 FILES = {
     "__init__.py": "",
     "cli/__init__.py": "",
-    "cli/calibrate.py": "from fixel.model import scene\nfrom ..web.api import app\n",
+    "cli/calibration.py": "from fixel.model import scene\nfrom ..web.api import app\n",
     "model/__init__.py": "from fixel.model.scene import Told\n",
     "model/scene.py": (
         "from typing import TYPE_CHECKING\n"
@@ -43,7 +43,7 @@ def modules(tmp_path):
 
 def test_imports_are_found_wherever_they_stand(modules):
     edges = imports(modules)
-    assert edges["fixel.cli.calibrate"] == {"fixel.model.scene", "fixel.web.api.app"}
+    assert edges["fixel.cli.calibration"] == {"fixel.model.scene", "fixel.web.api.app"}
     assert edges["fixel.model.scene"] == {"fixel.model.body"}  # under TYPE_CHECKING
     assert edges["fixel.model.body"] == {"fixel.model.scene"}  # inside a function
     assert edges["fixel.model"] == {"fixel.model.scene"}
@@ -52,8 +52,8 @@ def test_imports_are_found_wherever_they_stand(modules):
 def test_circles_and_reach(modules):
     edges = imports(modules)
     assert circles(edges) == [["fixel.model.body", "fixel.model.scene"]]
-    assert reached(edges, "fixel.cli.calibrate") == {
-        "fixel.cli.calibrate", "fixel.model.scene", "fixel.model.body", "fixel.web.api.app",
+    assert reached(edges, "fixel.cli.calibration") == {
+        "fixel.cli.calibration", "fixel.model.scene", "fixel.model.body", "fixel.web.api.app",
     }  # fmt: skip
 
 

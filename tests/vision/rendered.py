@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.testing.scenes import grasp
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fixel.errors import InvalidInput
-from fixel.exchange.rig_file import EXAMPLES, rig_of
+from fixel.formats.rig_file import EXAMPLES, rig_of
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 

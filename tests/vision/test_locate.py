@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from tests.vision.plate import plate_picture, small_rig
-from tests.workflows.test_overlay import AT_HOME, SCENE
+from tests.workflows.acquisition.test_overlay import AT_HOME, SCENE
 
 from fixel.vision.frame import Frame
 from fixel.vision.locate import NOW_AND_THEN, Locator

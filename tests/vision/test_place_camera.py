@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.kernels.arrays import FloatArray
 from fixel.testing.board_pictures import Studio, seen_corners
 from fixel.vision.boards import Picture, board_of

@@ -10,7 +10,7 @@ import pytest
 from tests.vision.test_place_camera import tagged
 
 from fixel.errors import InvalidInput
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
 from fixel.testing.scenes import PART_LENGTH, PART_WIDTH, micro_push
 from fixel.vision.render import Looks, looks_named

@@ -43,7 +43,7 @@ def laboratory(tmp_path_factory) -> Path:
 
 def _simulate(store, numbers):
     """Stored simulations with nominal values, as `fixel compare --save` keeps them."""
-    from fixel.workflows.experiments import comparison
+    from fixel.workflows.project.compare import comparison
 
     for number in numbers:
         answer = comparison(store.experiment(number))
@@ -53,20 +53,21 @@ def _simulate(store, numbers):
 @pytest.fixture(scope="session")
 def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     """The same with a calibration of six experiments and a map of all; not to be changed."""
-    from fixel.workflows.calibration import begin, run
+    from fixel.web.views import calibration_form
+    from fixel.workflows.calibration import run
+    from fixel.workflows.calibration.parameter_options import fitted
     from fixel.workflows.calibration.request import entry_of
-    from fixel.workflows.calibration.unknowns import fitted
-    from fixel.workflows.domain.mapped import map_domain
     from fixel.workflows.domain.request import Asked
+    from fixel.workflows.domain.run import map_domain
 
     folder = tmp_path_factory.mktemp("trusted") / "my_lab"
     shutil.copytree(laboratory, folder)
     project = Project.open(folder)
     with project.store() as store:
-        chosen = begin.chosen_from(store, "", range(6, 12))
+        chosen = calibration_form.chosen_from(store, "", range(6, 12))
     scenes = [target.case.scene for target in chosen.targets]
     unknowns = fitted(["mu_pusher", "tripod_radius"], scenes)
-    request = begin.request_from(
+    request = calibration_form.request_from(
         "first", "joint", [entry_of(u) for u in unknowns], "nelder-mead", 60, starts=2
     )
     job = run.prepare(project, chosen, request)

@@ -13,9 +13,9 @@ def main():
     folder = Path(sys.argv[1])
     from fixel.database.project import Project
     from fixel.web.project import Desk, project_server
-    from fixel.workflows import compare
+    from fixel.web.views import live_comparison
 
-    compare.warm_up()
+    live_comparison.warm_up()
     for _ in sys.stdin:
         child = os.fork()
         if child == 0:

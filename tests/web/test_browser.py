@@ -5,15 +5,15 @@ import time
 import numpy as np
 import pytest
 from tests.vision.plate import plate_picture, small_rig
-from tests.workflows.test_overlay import SCENE, TOLERANCE, WANTED
+from tests.workflows.acquisition.test_overlay import SCENE, TOLERANCE, WANTED
 
-from fixel.exchange.video_file import VideoWriter, open_video
+from fixel.formats.video_file import VideoWriter, open_video
 from fixel.vision.frame import Frame
 from fixel.web.live import LiveView
 from fixel.web.overlay_page import overlay_page
 from fixel.web.record_page import RecordPreview
 from fixel.web.serve import WebServer
-from fixel.workflows.overlay import Overlay, watch
+from fixel.workflows.acquisition.overlay import Overlay, watch
 
 PATIENCE = 8000  # [ms]
 RIG = small_rig()

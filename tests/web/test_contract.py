@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 
 from fixel.testing.toy_work import MAKER
-from fixel.workflows import jobs, scene_desk, system
+from fixel.web.views import scene_editor, system_status
+from fixel.workflows import jobs
 
 schemathesis = pytest.importorskip("schemathesis", reason="pip install 'fixel[dev]'")
 
@@ -40,7 +41,7 @@ def served(project, server):
     (project / "jobs" / "toy" / "log.txt").write_text("queued\n")
     tested = {"passed": True, "max_residual": 1e-12, "seconds": 0.1, "checks": []}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(system, "self_tested", lambda: tested)
+        patch.setattr(system_status, "self_tested", lambda: tested)
         yield server
 
 
@@ -169,7 +170,9 @@ STRANGE = st.one_of(
 @st.composite
 def spoiled_scenes(draw):
     """A scene that comes with fixel, with one or two places changed."""
-    scene = scene_desk.example(draw(st.sampled_from([name for name, _ in scene_desk.examples()])))
+    scene = scene_editor.example(
+        draw(st.sampled_from([name for name, _ in scene_editor.examples()]))
+    )
     for _ in range(draw(st.integers(1, 2))):
         path = draw(st.sampled_from(list(places(scene))))
         scene = changed(scene, path, draw(STRANGE))

@@ -8,13 +8,13 @@ import pytest
 from tests.web.client import Client
 
 from fixel.database.project import Project
-from fixel.exchange.video_file import VideoWriter, open_video
+from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.vision.frame import Frame
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
-from fixel.workflows import watchable
+from fixel.web.views import browser_video
 
 HERE = "http://127.0.0.1:8000"
 ADDRESS = "/api/v1/experiments"
@@ -257,7 +257,7 @@ def test_a_video_by_ranges(bench, tmp_path, ending, codec):
         assert times == pytest.approx([k / 30.0 for k in range(5)], abs=1e-4)
         assert open_video(played).codec == "h264"
         assert whole.headers["content-type"] == "video/mp4"
-        with watchable._one_at_a_time:  # somebody's long one is being written
+        with browser_video._one_at_a_time:  # somebody's long one is being written
             assert bench.client.get(f"{ADDRESS}/{number}/video").content == whole.content
         part = bench.client.get(f"{ADDRESS}/{number}/video", headers={"range": "bytes=4-7"})
         assert (part.status_code, part.content) == (206, b"ftyp")

@@ -7,7 +7,7 @@ import pytest
 from tests.web.conftest import SCRIPTS
 
 from fixel.model import Experiment, Flag, Provenance, Trajectory
-from fixel.workflows.browse import view_of
+from fixel.workflows.project.filters import view_of
 
 ROW = "tr[data-id]"
 

@@ -4,7 +4,7 @@ import pytest
 from tests.closed_form import push, table_text
 from tests.web.bench import Bench
 
-from fixel.workflows import project as workflow
+from fixel.workflows.project import importing as workflow
 
 TABLE = table_text(*push(0.15, 0.02, duration=0.4))
 

@@ -12,7 +12,8 @@ from fixel.jobs.folder import Status
 from fixel.testing.toy_work import MAKER
 from fixel.web.pages.system import bytes_text
 from fixel.web.security import WORD_HEADER
-from fixel.workflows import job_board, jobs, system
+from fixel.web.views import job_list, system_status
+from fixel.workflows import jobs
 
 
 class JobsBench(Bench):
@@ -74,7 +75,7 @@ def test_from_the_queue_to_the_end(bench):
 
 
 def test_only_so_many_run_at_once_whatever_they_are(bench, monkeypatch):
-    monkeypatch.setattr(job_board, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(job_list, "MOST_AT_ONCE", 1)
     bench.job("long", rounds=300, chunks=8, sleep_s=0.05)
     bench.job("other")
     assert bench.post("/jobs/long/resume").status_code == 200
@@ -142,10 +143,10 @@ def test_the_pages_open(bench):
 
 def test_what_is_gone_while_it_is_counted_is_not_counted(bench, monkeypatch):
     media, real = bench.desk.project.media, Path.glob
-    before = system.room(bench.desk.project)
+    before = system_status.room(bench.desk.project)
     gone = media / "ab" / ".ab12.temporary"
     monkeypatch.setattr(Path, "glob", lambda path, what: [gone, *real(path, what)])
-    assert system.room(bench.desk.project).media_files == before.media_files
+    assert system_status.room(bench.desk.project).media_files == before.media_files
 
 
 def test_versions_database_and_room(bench):
@@ -159,7 +160,7 @@ def test_versions_database_and_room(bench):
 
 
 def test_passwords_are_not_shown(monkeypatch, project):
-    assert ":***@" in system.sa.make_url("postgresql://lab:hush@server/x").render_as_string()
+    assert ":***@" in system_status.sa.make_url("postgresql://lab:hush@server/x").render_as_string()
 
 
 def test_a_backup_is_made_and_fetched(bench, tmp_path):
@@ -201,7 +202,7 @@ def test_the_self_test_runs_beside_the_server(bench, monkeypatch):
         "seconds": 1.5,
         "checks": [{"name": "grasp", "passed": False, "detail": "no", "residual": None}],
     }
-    monkeypatch.setattr(system, "self_tested", lambda: answer)
+    monkeypatch.setattr(system_status, "self_tested", lambda: answer)
     found = bench.post("/system/self-test").json()
     assert not found["passed"]
     assert found["checks"][0]["detail"] == "no"
@@ -209,7 +210,7 @@ def test_the_self_test_runs_beside_the_server(bench, monkeypatch):
 
 @pytest.mark.slow
 def test_the_self_test_itself():
-    assert system.self_tested()["passed"]
+    assert system_status.self_tested()["passed"]
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from fixel.model import Experiment, Provenance, Trajectory
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
-from fixel.workflows import scene_desk
-from fixel.workflows.experiments import comparison
+from fixel.web.views import scene_editor
+from fixel.workflows.project.compare import comparison
 
 
 class Bench:
@@ -152,7 +152,7 @@ def test_scenes_come_from_examples_experiments_and_files(bench):
 
 
 def test_a_scene_is_simulated_in_a_process_of_its_own(bench):
-    scene = scene_desk.example("grasp")
+    scene = scene_editor.example("grasp")
     answer = bench.post("/simulate", {"scene": scene})
     assert answer.status_code == 200
     story, summary = answer.json()["story"], answer.json()["summary"]
@@ -162,7 +162,7 @@ def test_a_scene_is_simulated_in_a_process_of_its_own(bench):
 
 
 def test_problems_of_a_scene_name_their_key(bench):
-    scene = scene_desk.example("grasp")
+    scene = scene_editor.example("grasp")
     scene["bodies"][0]["mass"] = -1.0
     for path in ("/scenes/check", "/scenes/write", "/simulate"):
         answer = bench.post(path, {"scene": scene})
@@ -200,11 +200,11 @@ def test_no_body_is_too_strange_for_an_answer(bench, body):
 
 
 def test_a_simulation_that_takes_too_long_is_ended(bench, monkeypatch):
-    beside = scene_desk.beside()
+    beside = scene_editor.beside()
     beside.start()
     monkeypatch.setattr(beside, "limit", 0.2)
     os.kill(beside._process.pid, signal.SIGSTOP)  # as long a computation as there is
-    answer = bench.post("/simulate", {"scene": scene_desk.example("grasp")})
+    answer = bench.post("/simulate", {"scene": scene_editor.example("grasp")})
     assert answer.status_code == 409
     assert "was ended" in answer.json()["sentence"]
 
@@ -219,7 +219,7 @@ def test_the_pages_name_what_they_show(bench):
 
 @pytest.mark.parametrize("speed", [1e308, 1e200, 1e-200, 5e-324])
 def test_speeds_that_no_pusher_has_are_no_mistake_of_ours(bench, speed):
-    scene = scene_desk.example("grasp")
+    scene = scene_editor.example("grasp")
     scene["pushers"][0]["drive"]["speed"] = speed
     answer = bench.post("/simulate", {"scene": scene})
     assert answer.status_code == (422 if speed > 1.0 else 200), answer.text

@@ -8,8 +8,8 @@ from statistics import median
 
 import pytest
 
-from fixel.exchange import load_scene
-from fixel.workflows import scene_desk
+from fixel.formats import load_scene
+from fixel.web.views import scene_editor
 
 ROUND_TRIP = 100.0  # [ms]
 FRAMES = 30.0  # a second
@@ -262,7 +262,7 @@ def test_run_plays_at_once_and_the_saved_file_is_the_scene(simulate, tmp_path):
 
 
 def test_what_takes_too_long_is_cancelled_and_the_next_run_works(simulate):
-    os.kill(scene_desk.beside()._process.pid, signal.SIGSTOP)  # as long as there is
+    os.kill(scene_editor.beside()._process.pid, signal.SIGSTOP)  # as long as there is
     simulate.click("#run")
     simulate.click("#cancel")
     simulate.wait_for_selector("#verdict >> text=cancelled")
@@ -282,7 +282,7 @@ def test_what_was_made_survives_going_away(simulate, server):
 
 
 def test_a_measured_path_goes_along_with_its_pusher(simulate, tmp_path):
-    scene = scene_desk.example("grasp")
+    scene = scene_editor.example("grasp")
     path = [[0.0, 0.0, 0.006, 0.0], [5.0, 0.06, 0.006, 0.1], [11.0, 0.12, 0.0, 0.2]]
     scene["pushers"][0]["drive"] = {"waypoints": path}
     file = tmp_path / "path.json"

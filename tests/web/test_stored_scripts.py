@@ -20,7 +20,7 @@ from fixel.web.overlay_page import overlay_page
 from fixel.web.record_page import RecordPreview
 from fixel.web.serve import WebServer
 from fixel.workflows import jobs
-from fixel.workflows.browse import view_of
+from fixel.workflows.project.filters import view_of
 
 # What would run if it were taken for markup, in text, in attributes, in addresses and in JSON.
 EVIL = (
@@ -83,7 +83,7 @@ def poisoned(folder):
 
 
 def _keep_simulation(store, number, evil):
-    from fixel.workflows.experiments import comparison
+    from fixel.workflows.project.compare import comparison
 
     store.add_simulation(comparison(store.experiment(number)).record(number, f"fixel {evil}"))
 

@@ -21,11 +21,11 @@ from fixel.errors import JobRefused
 from fixel.web.app import create_app
 from fixel.web.project import Desk, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
+from fixel.web.views import domain_views
+from fixel.web.views.background_fits import Fits
+from fixel.web.views.calibration_progress import Watch
 from fixel.workflows import jobs
 from fixel.workflows.calibration.unattended import collected
-from fixel.workflows.calibration.watch import Watch
-from fixel.workflows.domain import desk
-from fixel.workflows.domain.fits import Fits
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
@@ -400,8 +400,8 @@ def fitted(bench, path):
 
 
 def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
-    at_hand = desk.DomainDesk(bench.desk.project, bench.desk.store)
-    monkeypatch.setattr(desk, "PATIENCE", 0.01)
+    at_hand = domain_views.DomainDesk(bench.desk.project, bench.desk.store)
+    monkeypatch.setattr(domain_views, "PATIENCE", 0.01)
     monkeypatch.setattr(at_hand, "_fits", Fits(_sleeps))
     assert at_hand.fit(name, ("layout",)) < 5.0
     key = at_hand._key(at_hand._named(name), ("layout",), None)

@@ -5,7 +5,7 @@ from statistics import median
 
 import pytest
 
-from fixel.workflows.domain.fits import Fits
+from fixel.web.views.background_fits import Fits
 
 ROUND_TRIP = 200.0  # [ms]
 

@@ -6,7 +6,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.drawing.calibration import SecondsChart
 from fixel.workflows.analysis import CONTENT, Analysis, TextTable, keep, kept, rounded
-from fixel.workflows.pictures import Picture
+from fixel.workflows.figures import Picture
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import typer
 from fixel.cli.options import AsJson
 
 if TYPE_CHECKING:
-    from fixel.workflows.actuator import ActuatorAnswer
+    from fixel.workflows.acquisition.actuator import ActuatorAnswer
 
 app = typer.Typer(
     help="The drive that pushes: a GRBL controller, a person, or none.",
@@ -34,7 +34,7 @@ Driver = Annotated[
 def ports(as_json: AsJson = False) -> None:
     """List the serial ports of this computer."""
     from fixel.cli.tactile import show_ports
-    from fixel.workflows.tactile import serial_ports
+    from fixel.workflows.acquisition.tactile import serial_ports
 
     show_ports(serial_ports(), as_json, "fixel actuator where --port")
 
@@ -43,7 +43,7 @@ def ports(as_json: AsJson = False) -> None:
 def home(port: Port = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Let the drive go to its end switch, and know where it is."""
     from fixel.cli.screen import say
-    from fixel.workflows.actuator import chosen_actuator, home_actuator
+    from fixel.workflows.acquisition.actuator import chosen_actuator, home_actuator
 
     _show(home_actuator(chosen_actuator(driver, port, say=say)), as_json, port)
 
@@ -75,7 +75,7 @@ def move(
 ) -> None:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
     from fixel.cli.screen import say
-    from fixel.workflows.actuator import chosen_actuator, move_actuator
+    from fixel.workflows.acquisition.actuator import chosen_actuator, move_actuator
 
     if sys.stdin.isatty() and driver == "grbl":
         say("Any key stops the drive.")
@@ -95,7 +95,7 @@ def stop(port: Port = None, as_json: AsJson = False) -> None:
 
     The drive loses its place: home it before you move it again.
     """
-    from fixel.workflows.actuator_stop import stop_actuators
+    from fixel.workflows.acquisition.actuator_stop import stop_actuators
 
     stopped = stop_actuators(port)
     if as_json:
@@ -109,7 +109,7 @@ def stop(port: Port = None, as_json: AsJson = False) -> None:
 def where(port: Port = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Say where the drive is; it does not move."""
     from fixel.cli.screen import say
-    from fixel.workflows.actuator import chosen_actuator, where_is_actuator
+    from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
 
     _show(where_is_actuator(chosen_actuator(driver, port, say=say)), as_json, port)
 

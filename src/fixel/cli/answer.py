@@ -6,9 +6,9 @@ from math import degrees
 from pathlib import Path
 
 from fixel.cli.screen import seconds, table
-from fixel.exchange.trajectory_file import plain_numbers
+from fixel.formats.trajectory_file import plain_numbers
 from fixel.simulation import Simulation
-from fixel.workflows.simulate import Outputs
+from fixel.workflows.simulation import Outputs
 
 MOST_ROWS = 20
 

@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fixel.workflows.benchmark import Benchmark
+    from fixel.reproductions import Benchmark
 
 app = typer.Typer(
     help="Compare with published results.", no_args_is_help=True, rich_markup_mode=None
@@ -81,8 +81,8 @@ def real(
     """Calibrate on some recorded pushes and say how far others end from where they should."""
     import json
 
-    from fixel.workflows.benchmark import PROTOCOLS, Request, benchmark_real, joint_real
-    from fixel.workflows.benchmark.reproductions import REPRODUCTIONS, reproduce
+    from fixel.reproductions import PROTOCOLS, Request, benchmark_real, joint_real
+    from fixel.reproductions.overview import REPRODUCTIONS, reproduce
 
     if only in REPRODUCTIONS:
         with counting_bar() as tell:

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from fixel.cli.camera_said import (
+from fixel.cli.camera_options import heights_of, pose_of, quoted, range_of, size_of
+from fixel.cli.camera_text import (
     coefficient_lines,
     corner_lines,
     lens_lines,
@@ -17,7 +18,6 @@ from fixel.cli.camera_said import (
     verdict_lines,
     view_lines,
 )
-from fixel.cli.camera_typed import heights_of, pose_of, quoted, range_of, size_of
 from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
 
@@ -81,7 +81,7 @@ def calibrate(
 ) -> None:
     """Calibrate a lens from 10 to 20 pictures of a board."""
     from fixel.cli.screen import counting_bar
-    from fixel.workflows.camera.calibrate import calibrate as run
+    from fixel.workflows.acquisition.camera.calibrate import calibrate as run
 
     if board is None:
         raise InvalidInput(
@@ -134,7 +134,7 @@ def import_(
     as_json: AsJson = False,
 ) -> None:
     """Take over a camera that another program calibrated."""
-    from fixel.workflows.camera.calibrate import bring_in
+    from fixel.workflows.acquisition.camera.calibrate import bring_in
 
     units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
     if unit not in units:
@@ -160,7 +160,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a lens as OpenCV or ROS has it."""
-    from fixel.workflows.camera.calibrate import export as run
+    from fixel.workflows.acquisition.camera.calibrate import export as run
 
     answer = run(camera, out, format)
     show(answer.summary(), [lens_lines(answer)], [out], "", as_json)
@@ -201,7 +201,7 @@ def place(
     as_json: AsJson = False,
 ) -> None:
     """Find where a camera is above the plate, and how right places on it are."""
-    from fixel.workflows.camera.calibrate import place as run
+    from fixel.workflows.acquisition.camera.calibrate import place as run
 
     target = out or camera.with_name(f"{camera.stem}-placed.yaml")
     answer = run(
@@ -248,7 +248,7 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Say how right places on the plate are, and whether the camera is still where it was."""
-    from fixel.workflows.camera.check import check as run
+    from fixel.workflows.acquisition.camera.check import check as run
 
     found = run(camera, video=video, heights=heights_of(height_mm), plot=plot)
     tags = [
@@ -288,7 +288,7 @@ def board_(
     as_json: AsJson = False,
 ) -> None:
     """A board to print, true to scale."""
-    from fixel.workflows.camera.prints import print_board
+    from fixel.workflows.acquisition.camera.prints import print_board
 
     answer = print_board(board, out, paper)
     show(
@@ -320,7 +320,7 @@ def tags(
     as_json: AsJson = False,
 ) -> None:
     """Tags to print, true to scale: those of a rig, or some numbers."""
-    from fixel.workflows.camera.prints import print_rig_tags, print_tags
+    from fixel.workflows.acquisition.camera.prints import print_rig_tags, print_tags
 
     if (rig is None) == (ids is None):
         raise InvalidInput(

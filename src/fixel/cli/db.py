@@ -10,7 +10,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at, project_words
 
 if TYPE_CHECKING:
-    from fixel.workflows.database import Backup, Checked, Upgraded
+    from fixel.workflows.project.maintenance import Backup, Checked, Upgraded
 
 MOST_TROUBLES = 20
 
@@ -26,10 +26,10 @@ def upgrade(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
     """Bring the tables up to date, or leave them be."""
-    from fixel.workflows import database
+    from fixel.workflows.project import maintenance
 
     project = project_at(place, folder)
-    versions = database.upgrade(project)
+    versions = maintenance.upgrade(project)
     typer.echo(json.dumps(versions._asdict()) if as_json else _upgraded(versions, project))
 
 
@@ -41,9 +41,9 @@ def backup(
     as_json: AsJson = False,
 ) -> None:
     """Copy the database, while others may go on using it."""
-    from fixel.workflows import database
+    from fixel.workflows.project import maintenance
 
-    done = database.backup(project_at(place, folder), file)
+    done = maintenance.backup(project_at(place, folder), file)
     if as_json:
         paths = {"file": str(done.file), "media": str(done.media)}
         typer.echo(json.dumps(done._asdict() | paths))
@@ -59,10 +59,10 @@ def check(
 
     Exit code 1 if anything is.
     """
-    from fixel.workflows import database
+    from fixel.workflows.project import maintenance
 
     project = project_at(place, folder)
-    found = database.check(project)
+    found = maintenance.check(project)
     typer.echo(json.dumps(found.summary()) if as_json else _checked(found, project))
     if found.troubles:
         raise typer.Exit(1)
@@ -74,9 +74,9 @@ def diagram(
     as_json: AsJson = False,
 ) -> None:
     """Draw the tables and what refers to what, as an entity relationship diagram."""
-    from fixel.workflows import database
+    from fixel.workflows.project import maintenance
 
-    names = database.diagram(file)
+    names = maintenance.diagram(file)
     if as_json:
         typer.echo(json.dumps({"file": str(file), "tables": names}))
     else:

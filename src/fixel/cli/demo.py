@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from fixel.workflows.camera_tour import CameraTour
-    from fixel.workflows.demo import Demo
-    from fixel.workflows.tour import Tour
+    from fixel.workflows.demo.camera_demo import CameraTour
+    from fixel.workflows.demo.laboratory_demo import Tour
+    from fixel.workflows.demo.scene_demo import Demo
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
 LAB = "lab"
@@ -38,7 +38,7 @@ def demo(
     from fixel.cli.screen import progress_bar, say
 
     if camera:
-        from fixel.workflows.camera_tour import run_camera_tour
+        from fixel.workflows.demo.camera_demo import run_camera_tour
 
         begin = time.monotonic()
         tour = run_camera_tour(
@@ -48,14 +48,14 @@ def demo(
         )
         typer.echo("\n".join(_whole_way(tour)))
         return
-    from fixel.workflows.demo import run_demo
+    from fixel.workflows.demo.scene_demo import run_demo
 
     result = run_demo(out, say=say, progress=progress_bar("Filming"))
     typer.echo("\n".join(_told(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
     if not quick:
-        from fixel.workflows.tour import run_tour
+        from fixel.workflows.demo.laboratory_demo import run_tour
 
         typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
         typer.echo("\n".join(_reported(run_tour(out / LAB, say=lambda what: say(f"  {what} ...")))))
@@ -66,7 +66,7 @@ def _whole_way(tour: "CameraTour") -> list[str]:
     import shlex
 
     from fixel.cli.screen import table
-    from fixel.workflows.camera_tour import estimate_table
+    from fixel.workflows.demo.camera_demo import estimate_table
     from fixel.workflows.report.write import next_command
 
     errors, lab = tour.errors, shlex.quote(str(tour.project))

@@ -8,7 +8,7 @@ import typer
 from fixel.cli.options import AsJson
 
 if TYPE_CHECKING:
-    from fixel.workflows.doctor import Diagnosis
+    from fixel.workflows.diagnostics.doctor import Diagnosis
 
 
 def doctor(
@@ -16,13 +16,13 @@ def doctor(
 ) -> None:
     """Check this installation and say what to do about anything that is wrong."""
     from fixel.cli.screen import say
-    from fixel.workflows.doctor import examine
+    from fixel.workflows.diagnostics.doctor import examine
 
     found = examine(say if sys.stderr.isatty() or not as_json else None)
     if as_json:
         import json
 
-        from fixel.exchange.trajectory_file import plain_numbers
+        from fixel.formats.trajectory_file import plain_numbers
 
         typer.echo(json.dumps(plain_numbers(found.summary()), allow_nan=False))
     else:
@@ -33,7 +33,7 @@ def doctor(
 
 def _report(found: "Diagnosis") -> list[str]:
     from fixel.cli.screen import seconds
-    from fixel.workflows.self_test import worst_residual
+    from fixel.workflows.diagnostics.self_test import worst_residual
 
     versions = [f"{name} {number}" for name, number in found.versions.items()]
     state = "warm" if found.cache["warm"] else "was cold, filled just now"

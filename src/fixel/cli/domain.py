@@ -21,8 +21,8 @@ from fixel.cli.options import (
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.workflows.domain.mapped import Mapped
     from fixel.workflows.domain.request import Asked
+    from fixel.workflows.domain.run import Mapped
 
 MOST_ROWS = 30
 
@@ -130,9 +130,9 @@ def domain(
         return
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.domain.mapped import map_domain
     from fixel.workflows.domain.request import Asked
-    from fixel.workflows.project import query_of
+    from fixel.workflows.domain.run import map_domain
+    from fixel.workflows.project.importing import query_of
 
     if threshold_mm is not None and relative is not None:
         raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")

@@ -8,7 +8,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
-    from fixel.workflows.export import ExportAnswer
+    from fixel.workflows.project.export import ExportAnswer
 
 
 def export(
@@ -43,8 +43,8 @@ def export(
     """Write the experiments of a project for others, flagged ones too."""
     from fixel.cli.screen import progress_bar
     from fixel.errors import InvalidInput
-    from fixel.workflows.export import export as export_project
-    from fixel.workflows.export import json_text
+    from fixel.workflows.project.export import export as export_project
+    from fixel.workflows.project.export import json_text
 
     *places, target = paths
     if len(places) > 1:

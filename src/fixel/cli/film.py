@@ -11,7 +11,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, Seed
 
 if TYPE_CHECKING:
-    from fixel.workflows.film import Filmed
+    from fixel.workflows.acquisition.film import Filmed
 
 MOST_ROWS = 20
 
@@ -70,7 +70,7 @@ def film(
 ) -> None:
     """Film simulated experiments: recordings with known truth, to test tracking against."""
     from fixel.cli.screen import progress_bar, say
-    from fixel.workflows.film import Shooting, film
+    from fixel.workflows.acquisition.film import Shooting, film
 
     filmed = film(
         sources or [],

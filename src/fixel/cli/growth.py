@@ -60,9 +60,9 @@ def growth(
     Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
     simulates them all, and the largest error counts.
     """
-    from fixel.applicability.places import INDEXES
     from fixel.cli.screen import say
     from fixel.database.project import Project
+    from fixel.domain.places import INDEXES
     from fixel.workflows.growth.run import Asked, run_growth
 
     if index not in INDEXES:
@@ -77,7 +77,7 @@ def growth(
         error=error,
     )
     if plot is not None:
-        from fixel.workflows.pictures import make_folder
+        from fixel.workflows.figures import make_folder
 
         make_folder(plot)
     where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
@@ -97,7 +97,7 @@ def growth(
 
 
 def _sizes(texts: list[str]) -> dict[str, tuple[int, ...]] | None:
-    from fixel.applicability.places import AXES
+    from fixel.domain.places import AXES
 
     found: dict[str, tuple[int, ...]] = {}
     for text in texts:

@@ -17,8 +17,8 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
     from fixel.vision.marks import Rig
-    from fixel.workflows.overlay import Overlay
-    from fixel.workflows.overlay_look import Look, Tolerance
+    from fixel.workflows.acquisition.overlay import Overlay
+    from fixel.workflows.acquisition.overlay_check import Look, Tolerance
 
 HERE = Path()
 NOT_IN_PLACE = 4
@@ -80,10 +80,10 @@ def overlay(
 ) -> None:
     """Show where parts belong on the live picture, and how far off they are."""
     from fixel.drawing.picture import refuse_ending
-    from fixel.exchange.atomic import refuse_unwritable
-    from fixel.exchange.rig_file import rig_of
+    from fixel.formats.rig_file import rig_of
+    from fixel.io.atomic import refuse_unwritable
     from fixel.testbed.open_source import source_of
-    from fixel.workflows.overlay import Overlay, scene_of
+    from fixel.workflows.acquisition.overlay import Overlay, scene_of
 
     if once:
         refuse_ending(output, (".png",), "picture")
@@ -145,7 +145,7 @@ def _next(look: "Look", setting: str) -> str:
 
 
 def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
-    from fixel.workflows.overlay_look import Tolerance
+    from fixel.workflows.acquisition.overlay_check import Tolerance
 
     return Tolerance(
         distance=rig.position_tolerance if mm is None else 1e-3 * mm,
@@ -154,7 +154,7 @@ def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
 
 
 def _once(looks: "Overlay", source: "FrameSource", output: Path) -> "Look":
-    from fixel.workflows.overlay import frames_of, look_once, write_picture
+    from fixel.workflows.acquisition.overlay import frames_of, look_once, write_picture
 
     stream = source.open()
     frames = islice(frames_of(source, stream.live), WAKING if stream.live else 0, None)
@@ -169,7 +169,7 @@ def _live(
     """Until the pictures end, or Ctrl-C."""
     from fixel.cli.screen import say
     from fixel.web import require_server
-    from fixel.workflows.overlay import frames_of, watch
+    from fixel.workflows.acquisition.overlay import frames_of, watch
 
     require_server()
     from fixel.web.live import LiveView

@@ -14,7 +14,7 @@ from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where
 if TYPE_CHECKING:
     from fixel.database.query import Summary
     from fixel.database.store import Listing
-    from fixel.workflows.project import Imported
+    from fixel.workflows.project.importing import Imported
 
 MOST_ROWS = 30
 
@@ -34,7 +34,7 @@ def new(
     as_json: AsJson = False,
 ) -> None:
     """Make a project: a folder with settings, a database and media."""
-    from fixel.workflows.project import new_project
+    from fixel.workflows.project.importing import new_project
 
     project = new_project(folder, database)
     if as_json:
@@ -72,7 +72,7 @@ def import_(
     """Import recorded experiments; those stored already are skipped."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.project import import_experiments, import_plan, write_template
+    from fixel.workflows.project.importing import import_experiments, import_plan, write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
         _import_bundle(source, folder, dry_run, as_json)
@@ -118,7 +118,7 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
     """Add what another project has exported."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.export import import_zip
+    from fixel.workflows.project.export import import_zip
 
     counts = import_zip(Project.open(folder), source, progress_bar("Importing"), dry_run=dry_run)
     if as_json:
@@ -151,7 +151,7 @@ def list_(
 ) -> None:
     """List experiments."""
     from fixel.database.project import Project
-    from fixel.workflows.project import list_experiments, overview, query_of
+    from fixel.workflows.project.importing import list_experiments, overview, query_of
 
     project = Project.open(folder)
     query = query_of(
@@ -201,7 +201,7 @@ def run_plan(
     """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.project import run_testbed
+    from fixel.workflows.project.importing import run_testbed
 
     done = run_testbed(
         Project.open(folder),

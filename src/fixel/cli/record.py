@@ -15,7 +15,7 @@ from fixel.cli.options import AsJson
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.exchange.recording import Recording
+    from fixel.formats.recording import Recording
     from fixel.testbed.frame_source import Arrived
     from fixel.testbed.recorder import Recorded, Status
 
@@ -104,8 +104,8 @@ def record(
     if context.invoked_subcommand is not None:
         return
     from fixel.cli.stopping import stop_on_request
-    from fixel.workflows.record import RecordPlan, summary
-    from fixel.workflows.record import record as record_experiment
+    from fixel.workflows.acquisition.record import RecordPlan, summary
+    from fixel.workflows.acquisition.record import record as record_experiment
 
     if camera is None or out is None:
         missing = "--camera" if camera is None else "--out"
@@ -269,7 +269,7 @@ def _written(done: "Recorded") -> str:
 
 
 def _checked(folder: Path, as_json: bool, *, repair: bool) -> None:
-    from fixel.workflows.record import check, check_summary
+    from fixel.workflows.acquisition.record import check, check_summary
 
     recording = check(folder, repair=repair)
     if as_json:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from fixel.workflows.replay import Replay
+    from fixel.reproductions.replay import Replay
 
 
 class Motion(StrEnum):
@@ -85,7 +85,7 @@ def replay(
     ] = None,
 ) -> None:
     """Replay recorded pushes and say how far simulation and measurement lie apart."""
-    from fixel.workflows.replay import (
+    from fixel.reproductions.replay import (
         Choice,
         columns_and_values,
         draw_replay,

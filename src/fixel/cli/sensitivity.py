@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.uncertainty.starts import StartError
-    from fixel.workflows.sensitivity import SensitivityAnswer
+    from fixel.workflows.sensitivity.run import SensitivityAnswer
 
 HERE = Path()
 
@@ -85,11 +85,11 @@ def sensitivity(
     """Say how errors of the start grow, and which pushes part ways, before they are executed."""
     from fixel.cli.screen import progress_bar, say
     from fixel.database.project import Project
-    from fixel.workflows.engine import get_ready
-    from fixel.workflows.pictures import make_folder, write_picture
-    from fixel.workflows.project import typed
-    from fixel.workflows.sensitivity import analyse_sensitivity
-    from fixel.workflows.sensitivity_request import SensitivityRequest
+    from fixel.workflows.compilation import get_ready
+    from fixel.workflows.figures import make_folder, write_picture
+    from fixel.workflows.project.importing import typed
+    from fixel.workflows.sensitivity.request import SensitivityRequest
+    from fixel.workflows.sensitivity.run import analyse_sensitivity
 
     request = SensitivityRequest(
         error=_error(start_error_mm, start_error_deg, preset, normal),
@@ -119,7 +119,7 @@ def sensitivity(
     elif plot is not None:
         files = [path for picture in answer.pictures for path in write_picture(plot, picture)]
     if as_json:
-        from fixel.exchange.trajectory_file import plain_numbers
+        from fixel.formats.trajectory_file import plain_numbers
 
         found = {
             "headline": list(answer.analysis.headline),

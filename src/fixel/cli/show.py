@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.options import AsJson, ProjectFolder, project_words
-from fixel.cli.simulate import NOT_SOLVED, Motion
+from fixel.cli.simulation import NOT_SOLVED, Motion
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.model import Experiment, Parameters
-    from fixel.workflows.experiments import Comparison
+    from fixel.workflows.project.compare import Comparison
 
 HERE = Path()
 MOST_ROWS = 20
@@ -36,8 +36,8 @@ def show(
 ) -> None:
     """Show an experiment: what it is, what was measured, and how far to believe it."""
     from fixel.database.project import Project
-    from fixel.exchange.atomic import written_whole
-    from fixel.workflows.experiments import summary
+    from fixel.io.atomic import written_whole
+    from fixel.workflows.project.compare import summary
 
     _refuse_picture(plot)
     with Project.open(project).store() as store:
@@ -85,8 +85,8 @@ def compare(
     """Simulate an experiment, and say how far the simulation is from what was measured."""
     from fixel.database.project import Project
     from fixel.simulation.motion import MOTION_MODELS
-    from fixel.workflows.calibrated import parameters_of
-    from fixel.workflows.experiments import comparison
+    from fixel.workflows.calibration.stored import parameters_of
+    from fixel.workflows.project.compare import comparison
 
     _refuse_picture(plot)
     parameters = _parameters(set_ or [])
@@ -119,14 +119,14 @@ def _refuse_picture(plot: Path | None) -> None:
     """Before any work."""
     if plot is not None:
         from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
-        from fixel.exchange.atomic import refuse_unwritable
+        from fixel.io.atomic import refuse_unwritable
 
         refuse_ending(plot, PICTURE_ENDINGS, "picture")
         refuse_unwritable(plot)
 
 
 def _json(answer: dict[str, object]) -> str:
-    from fixel.exchange.trajectory_file import plain_numbers
+    from fixel.formats.trajectory_file import plain_numbers
 
     return json.dumps(plain_numbers(answer), allow_nan=False)
 
@@ -185,7 +185,7 @@ def _written_show(number: int, experiment: "Experiment", project: Path, plot: Pa
 
 
 def _frames(experiment: "Experiment") -> list[str]:
-    from fixel.workflows.experiments import frame_rate
+    from fixel.workflows.project.compare import frame_rate
 
     rate = frame_rate(experiment.trajectory)
     count = len(experiment.trajectory.time)
@@ -201,7 +201,7 @@ def _frames(experiment: "Experiment") -> list[str]:
 
 def _poses(experiment: "Experiment") -> list[str]:
     from fixel.cli.screen import table
-    from fixel.workflows.experiments import length_unit, travelled
+    from fixel.workflows.project.compare import length_unit, travelled
 
     unit, metre = length_unit(experiment)
     rows = []
@@ -291,14 +291,14 @@ def _announce(experiment: "Experiment", as_json: bool) -> None:
     """Compile before the clock runs, and say so where somebody watches."""
     if experiment.scene is not None:
         from fixel.cli.screen import say
-        from fixel.workflows.engine import get_ready
+        from fixel.workflows.compilation import get_ready
 
         get_ready(experiment.scene, say if sys.stderr.isatty() or not as_json else None)
 
 
 def _draw(answer: "Comparison", plot: Path) -> None:
     from fixel.drawing.experiment import draw_comparison
-    from fixel.exchange.atomic import written_whole
+    from fixel.io.atomic import written_whole
 
     with written_whole(plot) as unfinished:
         draw_comparison(answer.experiment, answer.simulated, unfinished, answer.contacts)
@@ -334,7 +334,7 @@ def _errors(answer: "Comparison") -> list[str]:
     rms, final, angle = answer.position_rms, answer.final_position, answer.final_angle
     if rms is None or final is None or angle is None:
         return []
-    from fixel.workflows.experiments import length_unit
+    from fixel.workflows.project.compare import length_unit
 
     unit, metre = length_unit(answer.experiment)
     lines = [

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
     from fixel.testbed.tactile import TactileReader
     from fixel.testbed.tactile_reading import Reading
-    from fixel.workflows.tactile import TactileCheck
+    from fixel.workflows.acquisition.tactile import TactileCheck
 
 app = typer.Typer(
     help="The Arduino that feels what the fixels touch.",
@@ -31,7 +31,7 @@ Port = Annotated[
 @app.command("ports")
 def ports(as_json: AsJson = False) -> None:
     """List the serial ports of this computer."""
-    from fixel.workflows.tactile import serial_ports
+    from fixel.workflows.acquisition.tactile import serial_ports
 
     show_ports(serial_ports(), as_json, "fixel tactile check --port")
 
@@ -62,7 +62,7 @@ def check(
 ) -> None:
     """Ask the board many times; exit code 1 if an answer was missing, late or damaged."""
     from fixel.cli.screen import progress_bar
-    from fixel.workflows.tactile import check_tactile
+    from fixel.workflows.acquisition.tactile import check_tactile
 
     found = check_tactile(
         port,
@@ -115,7 +115,7 @@ def watch(
     as_json: AsJson = False,
 ) -> None:
     """Show what the board feels, live; with --json a line a reading."""
-    from fixel.workflows.tactile import watch_tactile
+    from fixel.workflows.acquisition.tactile import watch_tactile
 
     thresholds = None if threshold is None else (threshold,) * 3
     live = sys.stdout.isatty() and not as_json

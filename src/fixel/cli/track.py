@@ -10,7 +10,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder
 
 if TYPE_CHECKING:
-    from fixel.workflows.track import TrackAnswer
+    from fixel.workflows.acquisition.track import TrackAnswer
 
 MOST_FLAGS = 8
 
@@ -64,7 +64,7 @@ def track(
 ) -> None:
     """Track a film, and store it as an experiment."""
     from fixel.cli.screen import progress_bar
-    from fixel.workflows.track import track_film
+    from fixel.workflows.acquisition.track import track_film
 
     answer = track_film(
         source,

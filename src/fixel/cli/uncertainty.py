@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.uncertainty.posterior import Progress
     from fixel.workflows.analysis import Kept
-    from fixel.workflows.uncertainty import Uncertainty
+    from fixel.workflows.uncertainty.run import Uncertainty
 
 
 def uncertainty(
@@ -73,8 +73,8 @@ def uncertainty(
     Priors are uniform within the bounds of the parameters.
     """
     from fixel.database.project import Project
-    from fixel.workflows.uncertainty import UncertaintyRequest, find_uncertainty
-    from fixel.workflows.uncertainty_told import keep_uncertainty
+    from fixel.workflows.uncertainty.report import keep_uncertainty
+    from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 
     request = UncertaintyRequest(
         experiments=tuple(experiments or ()),
@@ -88,7 +88,7 @@ def uncertainty(
         seed=seed,
     )
     if plot is not None:
-        from fixel.workflows.pictures import make_folder
+        from fixel.workflows.figures import make_folder
 
         make_folder(plot)
     project = Project.open(folder)

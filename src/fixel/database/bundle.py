@@ -53,7 +53,7 @@ from fixel.database.query import Query
 from fixel.database.rows import Measured
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
-from fixel.exchange.atomic import written_whole
+from fixel.io.atomic import written_whole
 from fixel.model import Parameters
 from fixel.model.records import CalibrationRecord, FilterRun, SimulationRecord
 

@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from fixel.database.bundle_lines import Line, Manifest, SeriesLine
 from fixel.database.rows import Measured
 from fixel.errors import InvalidInput
-from fixel.exchange.document import parse_json
+from fixel.io.document import parse_json
 
 FORMAT: Final = "fixel-bundle"
 VERSION: Final = 1

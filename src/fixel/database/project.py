@@ -21,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused, machine_failure
-from fixel.exchange.atomic import written_whole
-from fixel.exchange.document import read_document
+from fixel.io.atomic import written_whole
+from fixel.io.document import read_document
 
 SETTINGS: Final = "fixel.yaml"
 DATABASE: Final = "experiments.db"

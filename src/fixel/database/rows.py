@@ -14,9 +14,9 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from fixel.database import arrays
-from fixel.exchange.scene_build import scene_of
-from fixel.exchange.scene_content import scene_content
-from fixel.exchange.scene_schema import SceneRecord
+from fixel.formats.scene_build import scene_of
+from fixel.formats.scene_content import scene_content
+from fixel.formats.scene_schema import SceneRecord
 from fixel.model import (
     Channel,
     Experiment,

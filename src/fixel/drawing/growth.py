@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from fixel.applicability.along_axis import AxisStudy
+from fixel.domain.along_axis import AxisStudy
 from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,

@@ -55,7 +55,7 @@ class ParticleFilter:
     ----------
     n_particles : int
         At least 2. Up to 125 are moved in every frame, more of them less often: see
-        docs/how-to/filter-a-run.md for what that means for intervals.
+        docs/how-to/filtering.md for what that means for intervals.
     priors : mapping from name to (low, high) or None
         Uniform beliefs about parameters, in place of those of `DEFAULT_PRIORS`: friction of support
         and pusher 0.1 to 1, of fixels 0.2 to 0.5, tripod radius 10 to 100 mm. None leaves a

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from fixel.errors import FixelError, JobRefused
-from fixel.exchange.atomic import written_whole
-from fixel.exchange.journal import Journal
+from fixel.io.atomic import written_whole
+from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, Run, Status

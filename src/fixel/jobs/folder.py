@@ -29,10 +29,10 @@ from typing import Any, Final, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.exchange.atomic import written_whole
-from fixel.exchange.document import read_document
-from fixel.exchange.journal import writer_of
-from fixel.exchange.lock import Owner
+from fixel.io.atomic import written_whole
+from fixel.io.document import read_document
+from fixel.io.journal import writer_of
+from fixel.io.lock import Owner
 from fixel.jobs.functions import current_name, named_function
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp

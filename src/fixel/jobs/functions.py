@@ -21,8 +21,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 THREADS: Final = "FIXEL_THREADS"  # environment of a worker: cores that are its own
 
 _MODULES: Final = {
-    "calibration": "fixel.workflows.calibration.work",
-    "domain": "fixel.workflows.domain.work",
+    "calibration": "fixel.workflows.calibration.job",
+    "domain": "fixel.workflows.domain.job",
     "toy": "fixel.testing.toy_work",
 }
 # Before kinds had names, folders held the module.

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.errors import InvalidInput, JobRefused
-from fixel.exchange.atomic import written_whole
+from fixel.io.atomic import written_whole
 
 LOOPBACK: Final = "lo"
 # Clocks of nodes differ by up to hours; a certificate is valid from a day ago on.

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.exchange.document import read_document, yaml_text
+from fixel.io.document import read_document, yaml_text
 
 # One directive, one line: nothing in a template reaches the script but where it is meant to.
 _LINE: Final = r"[^\r\n]*"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self, final
 
 from fixel.errors import InvalidInput
-from fixel.exchange.journal import Journal
+from fixel.io.journal import Journal
 
 # [s] The rate is that of this long ago until now: workers come and go.
 RATE_WINDOW_S: Final = 60.0

@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import END
+from fixel.formats.jpeg import END
 from fixel.testbed.capture_clock import CaptureClock
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.vision.frame import Picture

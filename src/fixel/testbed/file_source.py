@@ -11,8 +11,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from fixel.exchange.recording import Recording, is_recording, open_recording
-from fixel.exchange.video_file import VideoFile, open_video
+from fixel.formats.recording import Recording, is_recording, open_recording
+from fixel.formats.video_file import VideoFile, open_video
 from fixel.testbed.frame_source import Arrived, FrameSource, Stream
 
 

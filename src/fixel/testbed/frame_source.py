@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
-from fixel.exchange.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
+from fixel.formats.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
 STALLED: Final = 3.0  # [s] a camera that sends nothing for so long was unplugged

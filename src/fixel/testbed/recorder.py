@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
 from fixel.errors import FixelError, InvalidInput
-from fixel.exchange.recording import RecordingHeader, RecordingWriter
+from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.testbed.pace import Pace

@@ -13,7 +13,7 @@ from typing import Final, final
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from fixel.errors import InvalidInput
-from fixel.exchange.jpeg import END
+from fixel.formats.jpeg import END
 from fixel.testbed.capture_clock import CaptureClock
 from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED, STAMP

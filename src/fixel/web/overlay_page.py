@@ -12,7 +12,7 @@ def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
     Parameters
     ----------
     view : LiveView
-        Its status is a `fixel.workflows.overlay_look.Look.summary()`.
+        Its status is a `fixel.workflows.acquisition.overlay_check.Look.summary()`.
     heading : str
         What is to be placed, from which scene.
     path : str

@@ -20,11 +20,11 @@ from pydantic import BaseModel, ConfigDict
 
 from fixel.database.project import Project
 from fixel.errors import FixelError
-from fixel.exchange.array_bytes import arrays_of, bytes_of
-from fixel.exchange.atomic import written_whole
+from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import each_readable, readable
 from fixel.kernels.arrays import FloatArray
-from fixel.workflows.pictures import ENDINGS, Picture, make_folder, write_picture
-from fixel.workflows.readable import each_readable, readable
+from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
 Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 

@@ -23,8 +23,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final, final
 
 from fixel.errors import InvalidInput, JobRefused
-from fixel.exchange.atomic import written_whole
-from fixel.exchange.journal import read_journal
+from fixel.io.atomic import written_whole
+from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import Job, Run, Status

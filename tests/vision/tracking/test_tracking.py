@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fixel.errors import InvalidInput
-from fixel.exchange.rig_file import rig_of
+from fixel.formats.rig_file import rig_of
 from fixel.model import Trajectory, pose_error
 from fixel.model.shape import placed
 from fixel.testing.painted import PAINT, as_seen, moving, painted, sticker_rig, tag_rig

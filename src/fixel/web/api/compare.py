@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from fastapi import APIRouter
 from pydantic import BaseModel, BeforeValidator, Field
 
-from fixel.exchange.trajectory_file import plain_numbers
+from fixel.formats.trajectory_file import plain_numbers
 from fixel.web.api._values import Id, Number, RequestBody
 from fixel.web.api.motion import MotionOut
-from fixel.workflows import compare
+from fixel.web.views import live_comparison
 
 if TYPE_CHECKING:
     from fixel.model import Experiment
@@ -98,8 +98,8 @@ class KeptOut(BaseModel):
 def router(desk: Desk) -> APIRouter:
     """`/experiments/{number}/comparison`."""
     found = APIRouter(tags=["compare"])
-    at_hand = compare.CompareDesk(desk.store)
-    threading.Thread(target=compare.warm_up, name="fixel-warm-up", daemon=True).start()
+    at_hand = live_comparison.CompareDesk(desk.store)
+    threading.Thread(target=live_comparison.warm_up, name="fixel-warm-up", daemon=True).start()
 
     @found.get("/experiments/{number}/comparison", summary="What there is to compare it with")
     def offered(number: Number) -> DeskOut:
@@ -111,7 +111,7 @@ def router(desk: Desk) -> APIRouter:
                 SliderOut(
                     name=one.name,
                     unit=one.unit,
-                    meaning=compare.meaning_of(one.name),
+                    meaning=live_comparison.meaning_of(one.name),
                     low=one.low,
                     high=one.high,
                     nominal=one.nominal,
@@ -132,7 +132,7 @@ def router(desk: Desk) -> APIRouter:
 
     @found.post("/experiments/{number}/simulations", summary="Keep such a simulation")
     def keep(number: Number, wanted: CompareIn) -> KeptOut:
-        command = compare.command_of(
+        command = live_comparison.command_of(
             at_hand.experiment(number), desk.folder, wanted.parameters, wanted.motion
         )
         command = f"{command} --save"
@@ -147,7 +147,7 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _answered(held: compare.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
+def _answered(held: live_comparison.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
     same = experiment, desk.folder, held.parameters, held.method
     return ComparedOut(
         motion=MotionOut.of(held.motion),
@@ -157,7 +157,7 @@ def _answered(held: compare.Held, experiment: Experiment, desk: Desk) -> Compare
         error_mm2=held.error_mm2,
         contact_mode=held.contact_mode,
         measured_contact_mode=experiment.contact_mode,
-        command=compare.command_of(*same),
-        python=compare.python_of(*same),
+        command=live_comparison.command_of(*same),
+        python=live_comparison.python_of(*same),
         wall_time_s=held.wall_time,
     )

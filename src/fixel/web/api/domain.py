@@ -10,13 +10,11 @@ import numpy as np
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
-from fixel.applicability.domain import COLOURS
+from fixel.domain.domain import COLOURS
 from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import RequestBody, Text
-from fixel.workflows import job_board, jobs
-from fixel.workflows.domain import work
-from fixel.workflows.domain.commands import command_of
-from fixel.workflows.domain.desk import (
+from fixel.web.views import job_list
+from fixel.web.views.domain_views import (
     MOST_GROUPS,
     DomainDesk,
     View,
@@ -26,10 +24,13 @@ from fixel.workflows.domain.desk import (
     shown,
     suggested,
 )
+from fixel.workflows import jobs
+from fixel.workflows.domain import job
+from fixel.workflows.domain.commands import command_of
 from fixel.workflows.domain.request import Asked
 
 if TYPE_CHECKING:
-    from fixel.applicability.cells import CellAxis
+    from fixel.domain.cells import CellAxis
     from fixel.web.project import Desk
     from fixel.workflows.analysis import Kept
 
@@ -196,7 +197,7 @@ def router(desk: Desk) -> APIRouter:
     @found.get("/domain", summary="Kept maps")
     def maps() -> MapsOut:
         kept_ones, bad_maps = at_hand.maps()
-        own_jobs, bad_jobs = work.jobs_of(desk.project)
+        own_jobs, bad_jobs = job.jobs_of(desk.project)
         return MapsOut(
             maps=[_listed(one) for one in kept_ones],
             jobs=[_job(one) for one in own_jobs],
@@ -207,13 +208,13 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/domain", summary="Make a map, in a process of its own")
     def begin(wanted: BeginIn) -> DomainJobOut:
         asked = Asked(by=tuple(wanted.by))
-        with job_board.room(desk.project.folder):
-            folder = work.begin(desk.project, asked, _first_command(desk, wanted.by))
+        with job_list.room(desk.project.folder):
+            folder = job.begin(desk.project, asked, _first_command(desk, wanted.by))
         return _job(jobs.status_of(folder))
 
     @found.post("/domain/jobs/{name}/stop", summary="Stop making a map; its fits are kept")
     def stop(name: str) -> DomainJobOut:
-        own_jobs, _ = work.jobs_of(desk.project)
+        own_jobs, _ = job.jobs_of(desk.project)
         own = next((one for one in own_jobs if FilePath(one.folder).name == name), None)
         if own is None:
             raise NotStored(f"job {name!r}", hint="see the page Domain")
@@ -313,7 +314,7 @@ def _listed(one: Kept) -> MapOut:
 
 def _job(one: jobs.JobStatus) -> DomainJobOut:
     folder = FilePath(one.folder)
-    done, total = work.fits_done(folder)
+    done, total = job.fits_done(folder)
     return DomainJobOut(
         name=folder.name,
         state=one.state,

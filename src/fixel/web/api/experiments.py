@@ -13,7 +13,7 @@ from fastapi.responses import FileResponse, Response
 from fixel.database.browsing import Row
 from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
-from fixel.exchange.trajectory_file import plain_numbers
+from fixel.formats.trajectory_file import plain_numbers
 from fixel.model import Experiment, Trajectory
 from fixel.model.trajectory import turned
 from fixel.web.api._experiments import (
@@ -37,11 +37,11 @@ from fixel.web.api._experiments import (
     VocabularyOut,
 )
 from fixel.web.api._values import LARGEST, Array, Number
-from fixel.workflows.browse import coverage, view_of, vocabulary
-from fixel.workflows.experiments import summary
-from fixel.workflows.mistyped import meant_filter
-from fixel.workflows.seen import seen_in_video
-from fixel.workflows.watchable import watchable
+from fixel.web.views.browser_video import watchable
+from fixel.web.views.video_outlines import seen_in_video
+from fixel.workflows.project.compare import summary
+from fixel.workflows.project.filters import coverage, view_of, vocabulary
+from fixel.workflows.project.suggestions import meant_filter
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk

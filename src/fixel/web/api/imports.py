@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from pydantic import AfterValidator, BaseModel, Field
 
 from fixel.web.api._values import RequestBody
-from fixel.workflows.project import import_texts
+from fixel.workflows.project.importing import import_texts
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, Field
 
-from fixel.workflows import job_board
-from fixel.workflows.job_board import Posted
+from fixel.web.views import job_list
+from fixel.web.views.job_list import Posted
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -87,33 +87,33 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/jobs", summary="All jobs of the project, the newest first")
     def listed() -> JobsOut:
-        return JobsOut(jobs=[job_out(job) for job in job_board.board(project)])
+        return JobsOut(jobs=[job_out(job) for job in job_list.board(project)])
 
     @found.get("/jobs/{name}", summary="One of them and its workers")
     def one(name: JobName) -> JobDetailOut:
-        return _detail(job_board.posted(project, name))
+        return _detail(job_list.posted(project, name))
 
     @found.get("/jobs/{name}/log", summary="The end of its log")
     def log(name: JobName, lines: Annotated[int, Query(ge=1, le=MOST_LINES)] = 200) -> LogOut:
-        tail, whole = job_board.log_tail(job_board.posted(project, name), lines)
+        tail, whole = job_list.log_tail(job_list.posted(project, name), lines)
         return LogOut(lines=[_plain(line) for line in tail], whole=whole)
 
     @found.post("/jobs/{name}/cancel", summary="End it and its workers; what is finished stays")
     def cancel(name: JobName) -> JobDetailOut:
-        job_board.cancel(job_board.posted(project, name))
-        return _detail(job_board.posted(project, name))
+        job_list.cancel(job_list.posted(project, name))
+        return _detail(job_list.posted(project, name))
 
     @found.post("/jobs/{name}/resume", summary="Go on with it, in a process of its own")
     def resume(name: JobName) -> JobDetailOut:
-        with job_board.room(project):
-            job_board.resume(job_board.posted(project, name))
-        return _detail(job_board.posted(project, name))
+        with job_list.room(project):
+            job_list.resume(job_list.posted(project, name))
+        return _detail(job_list.posted(project, name))
 
     return found
 
 
 def _detail(job: Posted) -> JobDetailOut:
-    found = [] if job.status is None else job_board.workers(job)
+    found = [] if job.status is None else job_list.workers(job)
     return JobDetailOut(job=job_out(job), workers=[WorkerOut(**one._asdict()) for one in found])
 
 

@@ -10,8 +10,8 @@ from pydantic import BaseModel, Field
 from fixel.model import Disk
 from fixel.model.shape import Shape
 from fixel.web.api._values import Array, Id, Number
-from fixel.workflows.compare import CompareDesk
-from fixel.workflows.motions import Motion, Story, story_of_experiment
+from fixel.web.views.live_comparison import CompareDesk
+from fixel.web.views.motion_views import Motion, Story, story_of_experiment
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from fastapi import APIRouter, HTTPException, Path, Request
 from pydantic import AfterValidator, BaseModel, Field
 
+from fixel.jobs.worker_process import Cancelled
 from fixel.web.api._values import Number, RequestBody, Text
 from fixel.web.api.motion import StoryOut
-from fixel.workflows import scene_desk
-from fixel.workflows.bounded import Cancelled
+from fixel.web.views import scene_editor
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -42,7 +42,7 @@ class SceneIn(RequestBody):
 class FileIn(RequestBody):
     """The text of a scene file."""
 
-    text: Text = Field(max_length=scene_desk.MOST_TEXT)
+    text: Text = Field(max_length=scene_editor.MOST_TEXT)
     is_json: bool = Field(False, description="JSON; else YAML")
 
 
@@ -81,33 +81,34 @@ def router(desk: Desk) -> APIRouter:
 
     @found.get("/scenes/examples", summary="Scenes that come with fixel")
     def examples() -> list[ExampleOut]:
-        return [ExampleOut(name=name, sentence=text) for name, text in scene_desk.examples()]
+        return [ExampleOut(name=name, sentence=text) for name, text in scene_editor.examples()]
 
     @found.get("/scenes/examples/{name}", summary="One of them")
     def example(name: ExampleName) -> SceneOut:
-        return SceneOut(scene=scene_desk.example(name))
+        return SceneOut(scene=scene_editor.example(name))
 
     @found.get("/experiments/{number}/scene", summary="The scene of an experiment")
     def of_experiment(number: Number) -> SceneOut:
-        return SceneOut(scene=scene_desk.scene_of_experiment(desk.store.experiment(number)))
+        return SceneOut(scene=scene_editor.scene_of_experiment(desk.store.experiment(number)))
 
     @found.post("/scenes/read", summary="Read the text of a scene file")
     def read(file: FileIn) -> SceneOut:
-        return SceneOut(scene=scene_desk.read_scene(file.text, json=file.is_json))
+        return SceneOut(scene=scene_editor.read_scene(file.text, json=file.is_json))
 
     @found.post("/scenes/check", summary="Say what is wrong with a scene", status_code=204)
     def check(wanted: SceneIn) -> None:
-        scene_desk.check_scene(wanted.scene)
+        scene_editor.check_scene(wanted.scene)
 
     @found.post("/scenes/write", summary="A scene as the text of a scene file")
     def write(wanted: SceneIn) -> TextOut:
-        return TextOut(text=scene_desk.write_scene(wanted.scene))
+        return TextOut(text=scene_editor.write_scene(wanted.scene))
 
     @found.post(
         "/simulate",
         summary="Simulate a scene",
-        description=f"Within {scene_desk.LIMIT:g} s of computing, {scene_desk.MOST_STEPS} steps "
-        f"and {scene_desk.MOST_DURATION:g} s of simulated time. Ends when the connection does.",
+        description=f"Within {scene_editor.LIMIT:g} s of computing, {scene_editor.MOST_STEPS} "
+        f"steps and {scene_editor.MOST_DURATION:g} s of simulated time. "
+        "Ends when the connection does.",
     )
     async def simulate(wanted: SceneIn, request: Request) -> SimulatedOut:
         gone = threading.Event()
@@ -123,9 +124,9 @@ def router(desk: Desk) -> APIRouter:
 
 
 def _simulated(scene: dict[str, Any], gone: threading.Event) -> SimulatedOut:
-    scene_desk.check_scene(scene)  # what cannot be needs no other process
+    scene_editor.check_scene(scene)  # what cannot be needs no other process
     try:
-        answer: scene_desk.Simulated = scene_desk.beside().call(scene, gone.is_set)
+        answer: scene_editor.Simulated = scene_editor.beside().call(scene, gone.is_set)
     except Cancelled:
         raise HTTPException(NOBODY_WAITS, "Nobody waits for this any more.") from None
     return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)

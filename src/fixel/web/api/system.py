@@ -12,9 +12,9 @@ from fastapi.responses import FileResponse, Response
 from pydantic import BaseModel, Field
 
 from fixel.errors import JobRefused
-from fixel.workflows import system
-from fixel.workflows.database import Checked
-from fixel.workflows.self_test import RESIDUAL
+from fixel.web.views import system_status
+from fixel.workflows.diagnostics.self_test import RESIDUAL
+from fixel.workflows.project.maintenance import Checked
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -136,7 +136,7 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/system/self-test", summary="Problems with known answers: takes a minute")
     def self_test() -> SelfTestOut:
         with alone.at("the self-test"):
-            answer = system.self_tested()
+            answer = system_status.self_tested()
         return SelfTestOut(
             passed=answer["passed"],
             max_residual=answer["max_residual"],
@@ -148,13 +148,13 @@ def router(desk: Desk) -> APIRouter:
     @found.post("/system/check", summary="Read all that is stored, and say what is wrong")
     def check() -> DatabaseCheckOut:
         with alone.at("the check"):
-            return _checked(system.checked(project))
+            return _checked(system_status.checked(project))
 
     @found.post("/system/backups", summary="Copy the database, while others go on using it")
     def back_up() -> BackedUpOut:
         with alone.at("the backup"):
-            done = system.back_up(project)
-        kept = system.backup_named(project, done.file.name)
+            done = system_status.back_up(project)
+        kept = system_status.backup_named(project, done.file.name)
         return BackedUpOut(
             backup=_backup(kept), sha256=done.sha256, media=str(done.media.resolve())
         )
@@ -166,7 +166,7 @@ def router(desk: Desk) -> APIRouter:
         responses={200: {"content": {"application/vnd.sqlite3": {}}}},
     )
     def backup(name: BackupName) -> Response:
-        kept = system.backup_named(project, name)
+        kept = system_status.backup_named(project, name)
         return FileResponse(kept.file, media_type="application/vnd.sqlite3", filename=kept.name)
 
     return found
@@ -175,7 +175,11 @@ def router(desk: Desk) -> APIRouter:
 def system_out(desk: Desk) -> SystemOut:
     """All of it that needs no computing, for JSON."""
     project = desk.project
-    here, tables, room = system.installation(), system.schema_of(project), system.room(project)
+    here, tables, room = (
+        system_status.installation(),
+        system_status.schema_of(project),
+        system_status.room(project),
+    )
     return SystemOut(
         versions=here.versions,
         machine=here.machine,
@@ -196,11 +200,11 @@ def system_out(desk: Desk) -> SystemOut:
             free_bytes=room.free,
             total_bytes=room.total,
         ),
-        backups=[_backup(kept) for kept in system.backups(project)],
+        backups=[_backup(kept) for kept in system_status.backups(project)],
     )
 
 
-def _backup(kept: system.Kept) -> BackupOut:
+def _backup(kept: system_status.Kept) -> BackupOut:
     return BackupOut(
         name=kept.name, path=str(kept.file.resolve()), size_bytes=kept.size, made_utc=kept.made_utc
     )

@@ -12,7 +12,7 @@ from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
 from fixel.web.app import Page
-from fixel.workflows.experiments import summary
+from fixel.workflows.project.compare import summary
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk

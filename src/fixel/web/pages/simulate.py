@@ -9,7 +9,7 @@ from fastapi import Request
 
 from fixel.database.query import Query
 from fixel.web.app import Page
-from fixel.workflows import scene_desk
+from fixel.web.views import scene_editor
 
 if TYPE_CHECKING:
     from fixel.web.project import Desk
@@ -23,16 +23,16 @@ def pages(desk: Desk) -> list[Page]:
 
     def fill(request: Request) -> dict[str, Any]:
         # Whoever opens the page will simulate: the process should be there by then.
-        Thread(target=scene_desk.get_ready, name="fixel-beside", daemon=True).start()
+        Thread(target=scene_editor.get_ready, name="fixel-beside", daemon=True).start()
         key = request.query_params.get("experiment", "")
         listed = desk.store.experiments(Query(), limit=OFFERED).summaries
         return {
-            "examples": scene_desk.examples(),
+            "examples": scene_editor.examples(),
             "example": request.query_params.get("example", FIRST),
             "number": desk.store.find(key) if key else "",
             "key": key,
             "keys": [summary.key for summary in listed],
-            "most_bytes": scene_desk.MOST_TEXT,
+            "most_bytes": scene_editor.MOST_TEXT,
         }
 
     return [Page(path="/simulate", title="Simulate", template="simulate.html", fill=fill, place=50)]

@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 
+from fixel.workflows.calibration.parameter_options import in_si
 from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.unknowns import in_si
 
 
 def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from fixel.exchange.dakota_file import load_dakota
+from fixel.formats.dakota_file import load_dakota
 from fixel.model.space import Unknown
 from fixel.workflows.calibration.request import Choice
 

@@ -20,20 +20,20 @@ from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
-from fixel.exchange.atomic import written_whole
-from fixel.exchange.lock import FileLock
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import readable
+from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
 from fixel.jobs.site import Site
 from fixel.jobs.work import Progress
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Evaluations, Member
 from fixel.workflows import jobs
-from fixel.workflows.calibration.inputs import read_targets, target_files
-from fixel.workflows.calibration.outcome import SEARCHED, Found, Outcome, outcome_of
+from fixel.workflows.calibration.files import read_targets, target_files
+from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.work import REQUEST
-from fixel.workflows.mistyped import refuse_mistyped
-from fixel.workflows.readable import readable
+from fixel.workflows.calibration.result import SEARCHED, Found, Outcome, outcome_of
+from fixel.workflows.project.suggestions import refuse_mistyped
 
 MAKER: Final = "calibration:calibration_work"
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project

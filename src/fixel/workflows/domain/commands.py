@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from fixel.applicability.domain import Claim
+from fixel.domain.domain import Claim
 from fixel.workflows.domain.request import Asked
 
 

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from fixel.applicability.contacts import CONTACT_ANGLE
-from fixel.applicability.evidence import Value
 from fixel.calibration.target import Target
+from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.domain.evidence import Value
 from fixel.model.trajectory import wrapped
 from fixel.simulation.pack import pusher_path
 

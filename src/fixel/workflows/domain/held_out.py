@@ -13,7 +13,6 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.applicability.folds import folds_of
 from fixel.calibration.assess import Frames
 from fixel.calibration.cost import Prior
 from fixel.calibration.least_squares import LeastSquares, fit
@@ -22,12 +21,13 @@ from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSq
 from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
+from fixel.domain.folds import folds_of
 from fixel.errors import InvalidInput
+from fixel.io.result_cache import Finished
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
-from fixel.workflows.finished import Finished
 
 Progress = Callable[[int, int], None]
 

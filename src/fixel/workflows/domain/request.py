@@ -8,19 +8,19 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.applicability.evidence import Measure
 from fixel.calibration.objective import MeanSquare
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.database.store import Store
+from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
-from fixel.workflows.calibrated import Calibrated, calibrated, searched_space
-from fixel.workflows.calibration.outcome import ALONE, NEIGHBOUR
-from fixel.workflows.calibration.unknowns import default_unknowns, fitted
+from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
+from fixel.workflows.calibration.result import ALONE, NEIGHBOUR
+from fixel.workflows.calibration.stored import Calibrated, calibrated, searched_space
 from fixel.workflows.domain.held_out import Model
 
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")

@@ -11,17 +11,17 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.applicability.along_axis import SIZES, AxisStudies, AxisStudy
-from fixel.applicability.growth import AVERAGED, Grower, Growth, Singles, Step, Wanted, weights
-from fixel.applicability.places import Index
 from fixel.calibration.objective import Comparer, Evaluated
 from fixel.database.store import Store
+from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
+from fixel.domain.growth import AVERAGED, Grower, Growth, Singles, Step, Wanted, weights
+from fixel.domain.places import Index
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.workflows.calibration.outcome import GROWTH
-from fixel.workflows.engine import get_ready
+from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.compilation import get_ready
 from fixel.workflows.growth.samples import Samples, read_samples
 from fixel.workflows.growth.singles import Stored, best_singles
 

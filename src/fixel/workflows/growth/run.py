@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from fixel.applicability.along_axis import SIZES
-from fixel.applicability.places import Index
 from fixel.database.project import Project
+from fixel.domain.along_axis import SIZES
+from fixel.domain.places import Index
 from fixel.workflows.analysis import Analysis, Kept, keep
-from fixel.workflows.growth import tell
+from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import Exploration, explore
 
 THESIS: Final = "rpi2011"  # key of the bibliography
@@ -85,21 +85,21 @@ def run_growth(
             "motion": asked.motion,
             "error": asked.error,
         },
-        headline=tuple(tell.headline(found)),
+        headline=tuple(report.headline(found)),
         warnings=tuple(_warnings(found)),
-        tables=(tell.matrix_table(found), tell.edges_table(found)),
-        methods=tuple(tell.methods(found)),
+        tables=(report.matrix_table(found), report.edges_table(found)),
+        methods=tuple(report.methods(found)),
         references=(THESIS,),
-        numbers=tell.numbers(found),
+        numbers=report.numbers(found),
         calibrations=tuple(sorted({one.id for one in found.stored.best})),
         experiments=tuple(found.samples.ids),
         command=command,
         seconds=time.perf_counter() - begun,
     )
-    shown = list(tell.pictures(found))
+    shown = list(report.pictures(found))
     if say is not None:
         say(f"Drawing {len(shown)} pictures.")
-    kept = keep(project, analysis, shown, {"largest_error": tell.matrix_of(found)})
+    kept = keep(project, analysis, shown, {"largest_error": report.matrix_of(found)})
     return found, kept
 
 

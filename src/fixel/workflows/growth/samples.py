@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
-from fixel.applicability.places import AXES, NOMINAL, Group, Place
 from fixel.calibration.target import Target, target_of
 from fixel.database.query import Query, Summary
 from fixel.database.store import Store
+from fixel.domain.places import AXES, NOMINAL, Group, Place
 from fixel.errors import InvalidInput
-from fixel.workflows.pictures import banner_of
+from fixel.workflows.figures import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
 

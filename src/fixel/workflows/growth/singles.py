@@ -9,11 +9,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from fixel.applicability.growth import Joint, Singles
+from fixel.domain.growth import Joint, Singles
 from fixel.errors import InvalidInput
 from fixel.model.records import CalibrationRecord
-from fixel.workflows.calibrated import Calibrated
-from fixel.workflows.calibration.outcome import GROWTH
+from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.calibration.stored import Calibrated
 from fixel.workflows.growth.samples import Samples
 
 ANGLE_SCALE = "error.angle_scale"

@@ -12,10 +12,10 @@ from typing import Final
 from fixel.database.project import Project
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import Kept, Kind, kept
-from fixel.workflows.calibrated import Calibrated, calibrated
+from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.told import misfit_of
-from fixel.workflows.pictures import ENDINGS
+from fixel.workflows.calibration.stored import Calibrated, calibrated
+from fixel.workflows.figures import ENDINGS
 from fixel.workflows.report.content import Content, Figure, Section
 from fixel.workflows.report.of_calibration import (
     calibration_warnings,

@@ -13,12 +13,12 @@ from fixel.calibration.misfit import shown_ratio
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
 from fixel.workflows.analysis import TextTable
-from fixel.workflows.calibrated import Calibrated
-from fixel.workflows.calibration.desk import Desk
-from fixel.workflows.calibration.pictures import pictures_of
+from fixel.workflows.calibration.charts import pictures_of
+from fixel.workflows.calibration.detail import misfit_of
+from fixel.workflows.calibration.report_data import Desk
 from fixel.workflows.calibration.run import Calibration
-from fixel.workflows.calibration.told import misfit_of
-from fixel.workflows.pictures import write_picture
+from fixel.workflows.calibration.stored import Calibrated
+from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
 # Of experiments far worse than the others.

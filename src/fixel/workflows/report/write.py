@@ -14,9 +14,9 @@ from typing import Any, Final, final
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
-from fixel.exchange.atomic import written_whole
+from fixel.io.atomic import written_whole
 from fixel.workflows.analysis import TextTable
-from fixel.workflows.pictures import make_folder
+from fixel.workflows.figures import make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.content import Content
 from fixel.workflows.report.gather import gather

@@ -1,0 +1,189 @@
+"""What `fixel calibrate` says: tables of parameters, verdicts, the next command."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fixel.calibration.misfit import WARNED
+from fixel.calibration.objective import Robust
+from fixel.cli.screen import compare_command, seconds, table
+from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
+from fixel.workflows.calibration.result import ALONE, Found, length_of, outliers
+from fixel.workflows.calibration.run import Calibration
+
+MOST_ROWS = 20
+ENDS = ("at least", "at most")
+MOST_OUTLIERS = 5
+BEST_FIT = (
+    "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
+    " predict best are not the true ones."
+)
+
+
+def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]:
+    """What is printed."""
+    outcome = done.outcome
+    lines = []
+    if done.left_out:
+        lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
+    if done.request.sample_of is not None:
+        lines.append(
+            f"a random sample of {len(outcome.keys)} of {done.request.sample_of} experiments"
+            f" (seed {done.request.seed})"
+        )
+    if outcome.alone:
+        lines += [*_alone_lines(done), ""]
+    for one in outcome.together:
+        lines += [*_together_lines(done, one), ""]
+    lines += [f"wrote {path}" for path in pictures]
+    ids = ", ".join(map(str, done.ids[:3])) + (", ..." if len(done.ids) > 3 else "")
+    lines.append(f"stored as calibration {ids}; job {done.folder}")
+    lines.append(f"Next: {_next(done, folder)}")
+    return lines
+
+
+def _next(done: Calibration, folder: Path) -> str:
+    """The worst experiment beside its simulation, under all that it was calibrated with."""
+    outcome, space = done.outcome, done.request.space
+    one = outcome.together[-1] if outcome.together else max(_best_alone(done), key=_worst)
+    target = done.targets[one.members[int(one.errors.argmax())]]
+    columns = space.columns(one.values(space.labels)[None], target.conditions)
+    values = {name: float(column[0]) for name, column in columns.items()}
+    return compare_command(target.key, values, done.request.motion, folder)
+
+
+def _worst(one: Found) -> float:
+    return float(one.errors.max())
+
+
+def _best_alone(done: Calibration) -> list[Found]:
+    """One set an experiment: its own, or a neighbour's, which comes later where it is better."""
+    return list({one.members: one for one in done.outcome.alone}.values())
+
+
+def _alone_lines(done: Calibration) -> list[str]:
+    outcome, unit = done.outcome, done.request.made_error.unit
+    alone = _best_alone(done)
+    if len(alone) == 1:
+        return _together_lines(done, alone[0])
+    free = done.request.space.free
+    head = ("experiment", "before [mm]", "after [mm]", *(_headed(u) for u in free))
+    rows = [
+        (
+            outcome.keys[one.members[0]] + ("" if one.how == ALONE else f" ({one.how})"),
+            f"{length_of(outcome.nominal[one.members[0]], unit):.4g}",
+            f"{length_of(one.errors[0], unit):.4g}",
+            *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
+        )
+        for one in alone[:MOST_ROWS]
+    ]
+    more = len(alone) - len(rows)
+    lines = table(head, rows) + ([f"... and {more} more; --json has them all"] if more > 0 else [])
+    return lines + _verdicts(outcome.alone, [u.label for u in free])
+
+
+def _verdicts(alone: Sequence[Found], labels: list[str]) -> list[str]:
+    """How often each parameter has which verdict."""
+    counts: dict[str, Counter[str]] = {label: Counter() for label in labels}
+    for estimate in (e for one in alone for e in one.estimates if e.label in counts):
+        counts[estimate.label][estimate.verdict.partition(" with ")[0]] += 1
+    return [
+        f"  {label}: " + ", ".join(f"{word} in {n}" for word, n in own.most_common())
+        for label, own in counts.items()
+        if own
+    ]
+
+
+def _together_lines(done: Calibration, one: Any) -> list[str]:
+    outcome, unit = done.outcome, done.request.made_error.unit
+    members = list(one.members)
+    before, after = outcome.nominal[members], one.errors
+    n = len(members)
+    of = outcome.keys[members[0]] if n == 1 else f"{n} experiments"
+    means, largest = (
+        " -> ".join(f"{length_of(error, unit):.4g}" for error in pair)
+        for pair in ((before.mean(), after.mean()), (before.max(), after.max()))
+    )
+    lines = [f"{of}, {one.how}: RMS error {means} mm"]
+    if n > 1:
+        lines[0] += f", largest {largest}"
+    if one.trace is not None:
+        lines.append(
+            f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
+        )
+    lines = [*one.misfit, *lines]  # first: it decides what the rest is worth
+    lines += [sentence for sentence in (one.note, one.noise) if sentence]
+    lines += _outlier_lines(done, one)
+    if len(one.solutions) > 1:
+        lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
+    free = done.request.space.free
+    pairs = zip(free, one.values(done.request.space.labels).tolist(), one.point, strict=True)
+    rows = [_row(u, value, best, one) for u, value, best in pairs]
+    head = ("parameter", "value", "unit", "interval", "verdict", "best fit")
+    lines += table(head, rows) if one.estimates else table(head[:3], [row[:3] for row in rows])
+    lines += [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
+    if one.misfit and one.estimates:
+        lines.append(BEST_FIT)
+    larger = enlarged_command(done.command, done.request) if one.misfit_ratio >= WARNED else ""
+    if not larger:
+        return lines
+    what = "let the centre of pressure free"
+    if PRESSURE in larger:
+        what = "with pressure under the whole body and its centre free"
+    return [*lines, f"Next, {what}:", f"  {larger}"]
+
+
+def _outlier_lines(done: Calibration, one: Found) -> list[str]:
+    """The experiments that stand out, and what to do about them."""
+    unit = done.request.made_error.unit
+    found = outliers(one.errors, unit)
+    if not found:
+        return []
+    named = ", ".join(
+        f"{done.outcome.keys[one.members[k]]} ({length_of(one.errors[k], unit):.3g} mm)"
+        for k in found[:MOST_OUTLIERS]
+    )
+    more = f" and {len(found) - MOST_OUTLIERS} more" if len(found) > MOST_OUTLIERS else ""
+    known = one.errors[np.isfinite(one.errors)]
+    share = float(one.errors[found].sum() / known.sum())
+    lines = [
+        f"{len(found)} of {len(one.errors)} experiments stand out, with {100 * share:.0f} % of the"
+        f" summed error: {named}{more}"
+    ]
+    if done.request.error.name != Robust.name:
+        lines.append(f"To count them for less, add: --error {Robust.name}")
+    return lines
+
+
+def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
+    """The value to quote inside its interval, and the one that predicts best."""
+    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
+    interval, verdict = "", ""
+    if estimate is not None:
+        ends = [estimate.low, estimate.high]
+        written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
+        interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
+        verdict = " ".join([estimate.verdict, *_known_end(estimate.verdict, written)])
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    shown, fitted = (f"{_shown(unknown.unit, x):.4g}" for x in (value, float(best)))
+    return (unknown.label, shown, unit, interval, verdict, fitted)
+
+
+def _known_end(verdict: str, written: list[str]) -> list[str]:
+    """The end of the interval, of both as they are written, that a one-sided verdict is about."""
+    return [written[ENDS.index(verdict)]] if verdict in ENDS else []
+
+
+def _headed(unknown: Any) -> str:
+    unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
+    return f"{unknown.label} [{unit}]"
+
+
+def _shown(unit: str, value: float) -> float:
+    """A value in the unit people read: mm and degrees."""
+    return value * {"m": 1e3, "rad": 57.29577951308232}.get(unit, 1.0)

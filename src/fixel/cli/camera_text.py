@@ -1,0 +1,152 @@
+"""What the commands of `fixel camera` say to people."""
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from fixel.workflows.acquisition.camera.calibrate import CameraAnswer
+
+MOST_ROWS = 40
+
+
+def show(
+    summary: dict[str, Any],
+    blocks: list[list[str]],
+    files: list[Path | None],
+    then: str,
+    as_json: bool,
+) -> None:
+    """One JSON object, or blocks of lines, files and what to type next."""
+    if as_json:
+        typer.echo(json.dumps(summary, allow_nan=False))
+        return
+    wrote = [f"wrote {file}" for file in files if file]
+    after = [f"Next: {then}"] if then else []
+    everything = [*blocks, wrote, after]
+    typer.echo("\n\n".join("\n".join(block) for block in everything if block))
+
+
+def lens_lines(answer: "CameraAnswer") -> list[str]:
+    """Resolution and parameters, with their standard deviations."""
+    camera, lens = answer.camera, answer.camera.lens
+    width, height = lens.image_size
+    known = camera.deviations
+
+    def number(name: str, value: float, unit: str = " px") -> str:
+        spread = f" +- {known[name]:.2g}" if name in known else ""
+        return f"{name} {value:.6g}{spread}{unit}"
+
+    names = (
+        ("k1", "k2", "k3", "k4")
+        if lens.fisheye
+        else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    )
+    terms = [
+        number(name, value, "")
+        for name, value in zip(names, lens.distortion.tolist(), strict=True)
+        if value or name in known
+    ]
+    skew = [number("skew", lens.skew, "")] if lens.skew else []
+    lines = [
+        f"{'fisheye' if lens.fisheye else 'lens'} for pictures of {width} x {height} px",
+        "  " + ", ".join(number(n, v) for n, v in zip(("fx", "fy"), lens.focal, strict=True)),
+        "  " + ", ".join(number(n, v) for n, v in zip(("cx", "cy"), lens.centre, strict=True)),
+    ]
+    return [*lines, "  " + ", ".join(skew + terms)] if skew or terms else lines
+
+
+def view_lines(answer: "CameraAnswer") -> list[str]:
+    """A table of the pictures, and what was left out."""
+    from fixel.cli.screen import table
+
+    found = answer.calibration
+    assert found is not None
+    rows = [
+        (u.name, str(u.corners), f"{u.rms:.3f}", f"{u.tilt * 57.29578:.0f}") for u in found.used
+    ]
+    head = ("picture", "corners", "rms [px]", "tilt [deg]")
+    used = {u.name for u in found.used}
+    left_out = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name not in used]
+    partly = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name in used]
+    return [
+        *table(head, rows[:MOST_ROWS]),
+        *([f"... and {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []),
+        f"{len(rows)} pictures used, rms {found.rms:.3f} px",
+        *([f"left out ({len(left_out)}):", *left_out[:MOST_ROWS]] if left_out else []),
+        *([f"used in part ({len(partly)}):", *partly[:MOST_ROWS]] if partly else []),
+    ]
+
+
+def coefficient_lines(answer: "CameraAnswer") -> list[str]:
+    """Whether more or fewer distortion coefficients would do."""
+    found = answer.calibration
+    assert found is not None
+    if not found.unseen:
+        return []
+    known = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    used = sum(name in known for name in answer.camera.names)
+    said = ", ".join(f"{count}: {rms:.4f} px" for count, rms in found.unseen.items())
+    more = (
+        "more than 5 are needed"
+        if used > 5
+        else "more are not needed, and with fewer the corners look surer than they are"
+    )
+    return [
+        f"Pictures left out of the fit, by distortion coefficients: {said}. {used} used; {more}."
+    ]
+
+
+def corner_lines(answer: "CameraAnswer") -> list[str]:
+    """Which corners of the picture no board was near."""
+    from fixel.workflows.acquisition.camera.report import empty_corners
+
+    empty = empty_corners(answer.camera.seen)
+    if not empty:
+        return ["Every corner of the picture had a board near."]
+    return [
+        f"No board was near {len(empty)} of 4 corners of the picture ({', '.join(empty)}): "
+        "take more pictures there, the lens is guessed at there."
+    ]
+
+
+def place_lines(answer: "CameraAnswer") -> list[str]:
+    """Where the camera is."""
+    camera = answer.camera.camera
+    if camera is None:
+        return []
+    x, y, z = 1e3 * camera.position
+    tilt = answer.camera.camera and _tilt(camera.rotation)
+    return [
+        f"camera {z:.1f} mm above the plate, over x {x:.1f} mm, y {y:.1f} mm, tilted by "
+        f"{tilt:.1f} deg; {1e3 * camera.metres_per_pixel():.3g} mm per pixel on the plate"
+    ]
+
+
+def _tilt(rotation: Any) -> float:
+    return math.degrees(math.acos(max(-1.0, min(1.0, -rotation[2, 2]))))
+
+
+def misfit_lines(answer: "CameraAnswer") -> list[str]:
+    """How far the points of the plate are from where they are said to be."""
+    found = answer.placement
+    assert found is not None
+    summary = answer.summary()
+    return [
+        f"{summary['points']} points lie {1e3 * summary['misfit_rms_m']:.2g} mm (rms), at worst "
+        f"{1e3 * summary['misfit_worst_m']:.2g} mm from where they are said to be "
+        f"({found.rms:.2g} px rms)"
+    ]
+
+
+def verdict_lines(answer: "CameraAnswer") -> list[str]:
+    """How right places are at each height."""
+    return [f"{each.sentence}." for each in answer.verdicts]
+
+
+def remark_lines(answer: "CameraAnswer") -> list[str]:
+    """What to know about a file."""
+    return [f"note: {remark}" for remark in answer.remarks]

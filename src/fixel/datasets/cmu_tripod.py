@@ -1,0 +1,261 @@
+"""Importer of CMU's pushes of a triangular block on known supports, with force."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.datasets.base import (
+    Importer,
+    ImportPlan,
+    Origin,
+    advancing,
+    rate_of,
+    refuse_giants,
+    refuse_repeated,
+    remark,
+    rows_of,
+    scene_or_flag,
+)
+from fixel.datasets.contact import (
+    LARGEST_CORRECTION,
+    corrected_path,
+    correction_flag,
+    moved_to_contact,
+)
+from fixel.datasets.raw.base import MM, FloatArray, Table, member, only_file, read_json, read_table
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Body,
+    Channel,
+    Disk,
+    Experiment,
+    Flag,
+    PathDrive,
+    Polygon,
+    Pusher,
+    Scene,
+    Support,
+    SupportPoints,
+    Trajectory,
+    UniformPressure,
+)
+
+DATASET: Final = "cmu-tripod"
+OBJECT, FINGER = "block", "finger"
+PUSHES, SETUP = "pushes.csv", "setup.json"
+FORCE, ROBOT = ("force.csv.gz", "force.csv"), ("robot.csv.gz", "robot.csv")
+
+# Friction of the finger on the block was not recorded; the authors search about this value.
+MU_FINGER = 0.5
+
+# Final gaps beyond these are no error of calibration [m].
+LARGEST_GAP = 1.3e-3
+
+# How long the correction of a path lasts that starts inside the object [s].
+FADE = 0.5
+
+POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
+
+
+@final
+class CmuTripod(Importer):
+    """Single-point pushes with force, of a block on three machined points or on its face."""
+
+    name = DATASET
+    title = "CMU tripod: pushes of a block on known support points, with force (2015)"
+    licence = "Apache-2.0"
+    citation = (
+        "J. Zhou, R. Paolini, J. A. Bagnell, M. T. Mason, A convex polynomial force-motion model"
+        " for planar sliding, ICRA 2016"
+    )
+
+    def recognised(self, source: Path) -> bool:
+        """A folder with pushes.csv, setup.json, force and robot."""
+        groups = ((PUSHES,), (SETUP,), FORCE, ROBOT)
+        return all(any((source / name).is_file() for name in names) for names in groups)
+
+    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+        data = _read(source)
+        pushes = data.table
+        origin, path = Origin(), source / PUSHES
+        force = rate_of(data.force[data.force_rows[data.names[0]], 0])
+        robot = rate_of(data.robot[data.robot_rows[data.names[0]], 0])
+        return ImportPlan(
+            DATASET,
+            source,
+            (
+                f"{len(pushes)} pushes: force at {force:.0f} Hz ({len(data.force)} rows), finger at"
+                f" {robot:.0f} Hz ({len(data.robot)} rows), each on times of its own from the first"
+                " force reading.",
+                "The pose of the block is known before and after, not during (no-pose-during-push):"
+                " at 0 s and at the last reading of force or finger.",
+                "Poses in m and rad at the centre of mass, in the frame of the robot; the finger"
+                " from mm to m, its angle from the quaternion; force on the block in N.",
+                f"Scenes: the machined support points, which carry what statics says, or even"
+                f" pressure for the patch; the authors' friction of the surface, {MU_FINGER:g}"
+                " assumed at the finger.",
+                f"Final gaps beyond {LARGEST_GAP / MM:g} mm are flagged (tip-gap).",
+            ),
+            len(pushes),
+            lambda: (_push(data, row, origin.of(path)) for row in range(len(pushes))),
+        )
+
+
+@final
+@dataclass(frozen=True)
+class _Data:
+    """All files of the folder, as numbers."""
+
+    table: Table
+    names: list[str]
+    poses: FloatArray  # (n, 6) before and after [m, m, rad]
+    gaps: FloatArray  # (n, 2) first and last [m]
+    surface: list[str]
+    support: list[str]
+    log: list[str]
+    force: FloatArray  # (n, 3) [s, N, N]
+    force_rows: Mapping[str, NDArray[np.intp]]
+    robot: FloatArray  # (n, 4) [s, m, m, rad]
+    robot_rows: Mapping[str, NDArray[np.intp]]
+    bodies: Mapping[tuple[str, str], Body]
+    finger: Disk
+
+
+def _read(folder: Path) -> _Data:
+    table, setup = read_table(only_file(folder, PUSHES)), read_json(only_file(folder, SETUP))
+    force, robot = read_table(only_file(folder, *FORCE)), read_table(only_file(folder, *ROBOT))
+    refuse_giants(table, *POSES, "tip_gap0_mm", "tip_gap1_mm")
+    refuse_giants(force, "t", "fx_on_object", "fy_on_object")
+    refuse_giants(robot, "t", "x_mm", "y_mm", "qw", "qz")
+    names = table.text("push_id").tolist()
+    refuse_repeated(names, table.source, "push_id")
+    surface, support = table.text("surface").tolist(), table.text("support").tolist()
+    data = _Data(
+        table=table,
+        names=names,
+        poses=table.stacked(*POSES),
+        gaps=table.stacked("tip_gap0_mm", "tip_gap1_mm") * MM,
+        surface=surface,
+        support=support,
+        log=table.text("source_log").tolist(),
+        force=force.stacked("t", "fx_on_object", "fy_on_object"),
+        force_rows=rows_of(force.text("push_id")),
+        robot=_finger_path(robot),
+        robot_rows=rows_of(robot.text("push_id")),
+        bodies={key: _body(setup, *key) for key in sorted(set(zip(surface, support, strict=True)))},
+        finger=Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
+    )
+    for row, name in enumerate(names):
+        for rows, source in ((data.force_rows, force.source), (data.robot_rows, robot.source)):
+            if name not in rows:
+                raise InvalidInput(
+                    f"{table.source}, row {row + 1}",
+                    found=f"{name}, of which {source} has no row",
+                    expected="readings of every push",
+                )
+    return data
+
+
+def _finger_path(robot: Table) -> FloatArray:
+    angle = 2.0 * np.arctan2(robot.numbers("qz"), robot.numbers("qw"))
+    return np.column_stack((robot.numbers("t"), robot.stacked("x_mm", "y_mm") * MM, angle))
+
+
+def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
+    friction = member(setup, f"author_friction_coefficient.{surface}", SETUP)
+    points = member(setup, "support_points_m", SETUP)
+    if support not in points:
+        raise InvalidInput(PUSHES, found=f"the support {support}", expected=", ".join(points))
+    # Three points carry what the balance says, which are the load fractions of the authors.
+    rests: Support = (
+        UniformPressure(friction=friction)
+        if points[support] is None
+        else SupportPoints(points=points[support], friction=friction)
+    )
+    return Body(
+        name=OBJECT,
+        shape=Polygon(member(setup, "object.vertices_m", SETUP)),
+        mass=member(setup, "object.mass_kg", SETUP),
+        centre_of_mass=np.zeros(2),
+        pose=np.zeros(3),
+        support=rests,
+    )
+
+
+def _push(data: _Data, row: int, provenance: Any) -> Experiment:
+    name = data.names[row]
+    force, path = data.force[data.force_rows[name]], data.robot[data.robot_rows[name]]
+    good = advancing(path[:, 0])
+    path = path[good]
+    path[:, 3] = np.unwrap(path[:, 3])
+    force = force[np.append(True, np.diff(np.maximum.accumulate(force[:, 0])) > 0.0)]
+    end = float(max(force[-1, 0], path[-1, 0]))
+    pose = data.poses[row].reshape(2, 3)
+    scene, flags = _scene(data, data.bodies[data.surface[row], data.support[row]], pose[0], path)
+    return Experiment(
+        dataset=DATASET,
+        name=name,
+        real=True,
+        provenance=provenance,
+        object_name=OBJECT,
+        trajectory=Trajectory(time=np.array([0.0, end]), pose=pose),
+        pusher=Trajectory(time=path[:, 0], pose=path[:, 1:]),
+        scene=scene,
+        channels=(
+            Channel(name="force", time=force[:, 0], columns=("fx_n", "fy_n"), values=force[:, 1:]),
+        ),
+        effective=(0.0, end),
+        conditions={
+            "surface": data.surface[row],
+            "support": data.support[row],
+            "log": data.log[row],
+            "gap0_m": float(data.gaps[row, 0]),
+            "gap1_m": float(data.gaps[row, 1]),
+        },
+        flags=(*flags, *_doubts(data, row, int((~good).sum()))),
+    )
+
+
+def _doubts(data: _Data, row: int, dropped: int) -> Iterator[Flag]:
+    yield remark("no-pose-during-push", "poses before and after, once the arm is away")
+    gap = float(data.gaps[row, 1])
+    if abs(gap) > LARGEST_GAP:
+        yield Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
+    if "mixed" in data.log[row]:
+        yield remark("joined-sessions", "the log was put together from two sessions")
+    if dropped:
+        yield remark("repeated-times", f"{dropped} rows of the finger dropped")
+
+
+def _scene(
+    data: _Data, body: Body, start: FloatArray, path: FloatArray
+) -> tuple[Scene | None, tuple[Flag, ...]]:
+    deep, offset = moved_to_contact(body.shape, data.finger.radius, start[None], path[:1, 1:3])
+    gap = float(deep[0])
+    if gap < -LARGEST_CORRECTION:
+        return None, (remark("no-scene", f"the finger starts {-gap / MM:.3g} mm inside the block"),)
+    waypoints = corrected_path(path, offset[0], FADE)
+
+    def build() -> Scene:
+        return Scene(
+            bodies=(replace(body, pose=start),),
+            pushers=(
+                Pusher(
+                    name=FINGER,
+                    shape=data.finger,
+                    pose=waypoints[0, 1:],
+                    drive=PathDrive(waypoints=waypoints),
+                    friction=MU_FINGER,
+                ),
+            ),
+            duration=float(path[-1, 0]),
+        )
+
+    scene, flags = scene_or_flag(build)
+    return scene, (*flags, correction_flag(gap)) if scene and gap < 0.0 else flags

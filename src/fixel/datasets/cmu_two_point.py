@@ -1,0 +1,158 @@
+"""Importer of CMU's repeated two-finger pushes of small blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.datasets.base import (
+    Importer,
+    ImportPlan,
+    Origin,
+    advancing,
+    rate_of,
+    refuse_giants,
+    refuse_repeated,
+    remark,
+    rows_of,
+    whole_numbers,
+)
+from fixel.datasets.raw.base import MM, FloatArray, only_file, read_table
+from fixel.errors import InvalidInput
+from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+
+DATASET: Final = "cmu-two-point"
+RUNS, POSES = "runs.csv", ("poses.csv.gz", "poses.csv")
+
+FINGER_RADIUS = 2.5e-3  # [m]
+FINGER_SPACING = 18e-3  # of all but an early script, which had 24 mm [m]
+
+MEASURED = ("t", "obj_x_mm", "obj_y_mm", "obj_th", "pusher_x_mm", "pusher_y_mm", "pusher_th")
+
+# What no recorded scene can do without; so there is none.
+UNKNOWN = (
+    remark("no-mass", "masses of the blocks were not recorded: no scene"),
+    remark("pusher-offset", "the frame of the fingers is off by millimetres in each action"),
+)
+NO_SUPPORT = remark("no-support", "where the three support points are was not recorded")
+
+
+@final
+class CmuTwoPoint(Importer):
+    """Stable pushes by two parallel fingers, each start repeated."""
+
+    name = DATASET
+    title = "CMU two-point: repeated two-finger pushes of small blocks (2017)"
+    licence = "Apache-2.0"
+    citation = (
+        "J. Zhou, M. T. Mason, logs of two-finger stable pushes, github.com/robinzhoucmu/Pushing"
+    )
+
+    def recognised(self, source: Path) -> bool:
+        """A folder with runs.csv and poses.csv.gz."""
+        return (source / RUNS).is_file() and any((source / name).is_file() for name in POSES)
+
+    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+        runs = read_table(only_file(source, RUNS))
+        runs.require(["run_id", "object", "start_pose"])
+        names = runs.text("run_id").tolist()
+        refuse_repeated(names, runs.source, "run_id")
+        file = only_file(source, *POSES)
+        table = read_table(file)
+        refuse_giants(table, *MEASURED)
+        readings = table.stacked(*MEASURED) * (1.0, MM, MM, 1.0, MM, MM, 1.0)
+        lost, action = whole_numbers(table, "obj_lost") > 0, whole_numbers(table, "action_id")
+        rows = rows_of(table.text("run_id"))
+        for row, name in enumerate(names):
+            if len(rows.get(name, ())) < 2:
+                raise InvalidInput(
+                    f"{runs.source}, row {row + 1}",
+                    found=f"{name}, of which {table.source} has no readings",
+                    expected="readings of every run",
+                )
+        origin = Origin()
+
+        def make() -> Iterator[Experiment]:
+            for row, name in enumerate(names):
+                own = rows[name][1:]  # the first row belongs to the action before
+                yield _run(
+                    name,
+                    {key: runs.columns[key][row] for key in ("object", "start_pose")},
+                    readings[own],
+                    lost[own],
+                    action[own],
+                    origin.of(file),
+                )
+
+        return ImportPlan(
+            DATASET,
+            source,
+            (
+                f"{len(names)} runs, {len(table)} rows at"
+                f" {rate_of(readings[rows[names[0]], 0]):.0f} Hz; the first row of each run belongs"
+                " to the action before and is dropped. Times in s from the second.",
+                "Positions from mm to m, angles in rad and unwrapped, in the frame of the robot.",
+                f"{int(lost.sum())} rows without the object hold the pose (0, 0, 0): they are"
+                " dropped from its trajectory (tracking-lost).",
+                "The pusher is the point midway between the two fingers, which moves freely between"
+                " actions; the number of the action is a channel.",
+                "No scenes: masses, and most supports, were not recorded (no-mass, no-support).",
+            ),
+            len(names),
+            make,
+        )
+
+
+def _run(
+    name: str,
+    about: Mapping[str, str],
+    readings: FloatArray,
+    lost: NDArray[np.bool_],
+    action: NDArray[np.int64],
+    provenance: Provenance,
+) -> Experiment:
+    if not advancing(readings[:, 0]).all():
+        raise InvalidInput(f"run {name}", found="time going back", expected="increasing times")
+    time = readings[:, 0] - readings[0, 0]
+    seen = ~lost
+    if not seen.any():
+        raise InvalidInput(f"run {name}", found="no pose of the object", expected="at least one")
+    return Experiment(
+        dataset=DATASET,
+        name=name,
+        real=True,
+        provenance=provenance,
+        object_name=about["object"],
+        trajectory=_trajectory(time[seen], readings[seen, 1:4]),
+        pusher=_trajectory(time, readings[:, 4:7]),
+        channels=(
+            Channel(
+                name="action",
+                time=time,
+                columns=("action_id_count",),
+                values=action[:, None].astype(np.float64),
+            ),
+        ),
+        conditions={
+            **about,
+            "finger_radius_m": FINGER_RADIUS,
+            "nominal_finger_spacing_m": FINGER_SPACING,
+        },
+        flags=tuple(_doubts(about["object"], lost)),
+    )
+
+
+def _doubts(kind: str, lost: NDArray[np.bool_]) -> Iterator[Flag]:
+    yield from UNKNOWN
+    if kind.endswith("3pts"):
+        yield NO_SUPPORT
+    if lost.any():
+        yield remark("tracking-lost", f"{int(lost.sum())} of {len(lost)} rows without the object")
+
+
+def _trajectory(time: FloatArray, pose: FloatArray) -> Trajectory:
+    return Trajectory(time=time, pose=np.column_stack((pose[:, :2], np.unwrap(pose[:, 2]))))

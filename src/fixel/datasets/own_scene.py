@@ -1,0 +1,280 @@
+"""Scenes for your own tables: a scene file completed with what was measured, and a template."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.calibration.registration import gaps_and_normals
+from fixel.datasets.contact import (
+    LARGEST_CORRECTION,
+    corrected_path,
+    correction_flag,
+    moved_to_contact,
+)
+from fixel.datasets.plausible import WORDS, hint_of, rescaled
+from fixel.datasets.raw.base import FloatArray
+from fixel.errors import InvalidInput
+from fixel.formats.scene_build import scene_of
+from fixel.formats.scene_schema import FILL_IN, scene_record
+from fixel.io.document import read_document, yaml_text
+from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
+
+# How long the correction of a path lasts that starts inside the object [s].
+FADE: Final = 0.5
+# A pusher that stays farther from the object than this many of the object's radii belongs to
+# another unit or another frame.
+FARTHEST: Final = 5.0
+
+# Share of the instants at which a pusher must be inside the object to say so.
+OFTEN: Final = 0.1
+# A pusher this share of the object's radius inside it under one unit of the angles, and less than
+# a quarter of that under the other: the other is meant.
+INSIDE: Final = 0.03
+
+FAR: Final = 1e3  # [m] from everything
+
+NOMINAL_FRICTION: Final = 0.25
+
+
+def with_scene(
+    experiment: Experiment,
+    path: Path,
+    object_name: str | None = None,
+    *,
+    sure_of_angles: bool = False,
+) -> tuple[Experiment, tuple[str, ...]]:
+    """Complete an experiment with the scene of a file.
+
+    The object starts at the first measured pose. A pusher whose path was measured follows it, and
+    the scene lasts as long as the table.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Without a scene.
+    path : Path
+        Scene file.
+    object_name : str, optional
+        Body of the scene whose motion was measured; needed where it has several.
+    sure_of_angles : bool
+        Whether the unit of the angles was given by the user, so that it is not questioned.
+
+    Returns
+    -------
+    experiment : Experiment
+    understood : tuple of str
+        How the scene was completed, one sentence each.
+
+    Raises
+    ------
+    InvalidInput
+        A placeholder that is left, a body that is not there, or a pusher that cannot be where the
+        table has it.
+    """
+    scene = _loaded(path, experiment)
+    body = _object_of(scene, path, object_name)
+    track, flags = experiment.trajectory, experiment.flags
+    said = [
+        f"Scene of {path.name}: {body.name!r} starts at the first measured pose.",
+    ]
+    pushers = scene.pushers
+    if experiment.pusher is not None:
+        pusher = _pusher_of(scene, path)
+        if isinstance(pusher.shape, Disk):
+            _refuse_strangers(body.shape, pusher.shape.radius, track, experiment.pusher, path)
+            if not sure_of_angles:
+                _refuse_other_angles(body.shape, pusher.shape.radius, track, experiment.pusher)
+        driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
+        pushers, flags = (driven,), (*flags, *more)
+        said.append(sentence)
+    elif pushers:
+        said.append(f"No pusher was measured: {pushers[0].name!r} moves as the scene has it.")
+    completed = replace(
+        scene,
+        bodies=tuple(
+            replace(one, pose=track.pose[0]) if one is body else one for one in scene.bodies
+        ),
+        pushers=pushers,
+        duration=max(float(track.time[-1]), scene.duration if not pushers else 0.0),
+    )
+    found = replace(
+        experiment,
+        scene=completed,
+        object_name=body.name,
+        flags=tuple(flag for flag in flags if flag.name != "no-scene"),
+    )
+    return found, tuple(said)
+
+
+def template_text(experiment: Experiment, source: str) -> str:
+    """Return a scene file with what a table tells, and placeholders for what it does not.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    source : str
+        Name of the table.
+    """
+    start = np.round(experiment.trajectory.pose[0], 9).tolist()
+    body: dict[str, Any] = {
+        "name": experiment.object_name,
+        "shape": FILL_IN,
+        "mass": FILL_IN,
+        "pose": start,
+        "support": {"uniform": {"friction": NOMINAL_FRICTION}},
+    }
+    content: dict[str, Any] = {
+        "fixel": 1,
+        "duration": float(experiment.trajectory.time[-1]) or 1.0,
+        "motion": "quasistatic",
+        "bodies": [body],
+    }
+    if experiment.pusher is not None:
+        path = np.column_stack((experiment.pusher.time, experiment.pusher.pose))[[0, -1]]
+        content["pushers"] = [
+            {
+                "name": "pusher",
+                "shape": FILL_IN,
+                "drive": {"waypoints": np.round(path, 9).tolist()},
+                "friction": NOMINAL_FRICTION,
+            }
+        ]
+    return f"{_HEAD.format(source=source, fill=FILL_IN)}{yaml_text(content)}"
+
+
+_HEAD: Final = """\
+# Scene of {source}. Lengths in m, angles in rad, masses in kg. Replace every {fill}:
+#   shape of the object   {{polygon: [[x, y], ...]}}, corners counter-clockwise in the frame whose
+#                         pose the table holds; or {{disk: radius}}
+#   mass                  in kg; it does not matter to quasi-static motion
+#   shape of the pusher   {{disk: radius}} for a round tip, or {{polygon: ...}}
+# Frictions are nominal values: calibrate them. Starting pose, path of the pusher and duration come
+# from the table each time it is imported; pegs can be added under the key fixels.
+"""
+
+
+def _loaded(path: Path, experiment: Experiment) -> Scene:
+    """The scene of a file, its pusher far away where its path was measured.
+
+    The file has poses of its own, of another run or with noise, in which the two may overlap.
+    """
+    record = scene_record(read_document(path))
+    if experiment.pusher is not None:
+        for pusher in record.pushers:
+            pusher.pose = None
+            pusher.drive.direction = pusher.drive.speed = pusher.drive.travel = None
+            pusher.drive.waypoints = [[0.0, FAR, FAR, 0.0], [1.0, FAR, FAR, 0.0]]
+    return scene_of(record)
+
+
+def _object_of(scene: Scene, path: Path, name: str | None) -> Any:
+    names = [body.name for body in scene.bodies]
+    if name is None and len(names) == 1:
+        return scene.bodies[0]
+    if name not in names:
+        raise InvalidInput(
+            f"{path.name}: bodies",
+            found=", ".join(names) or "none",
+            expected="one body, the object" if name is None else f"the object {name!r}",
+            hint="--option object_name=NAME names the body that was measured",
+        )
+    return scene.bodies[names.index(name)]
+
+
+def _pusher_of(scene: Scene, path: Path) -> Pusher:
+    if len(scene.pushers) != 1:
+        raise InvalidInput(
+            f"{path.name}: pushers",
+            found=f"{len(scene.pushers)} of them",
+            expected="one, as the table holds the path of one pusher",
+        )
+    return scene.pushers[0]
+
+
+def _driven(
+    pusher: Pusher, shape: Shape, track: Trajectory, tip: Trajectory
+) -> tuple[Pusher, tuple[Flag, ...], str]:
+    """The pusher on its measured path, out of the object where it starts inside."""
+    measured = np.column_stack((tip.time, tip.pose))
+    flags: tuple[Flag, ...] = ()
+    sentence = f"{pusher.name!r} follows its measured path"
+    if isinstance(pusher.shape, Disk):
+        gaps = _gaps(shape, pusher.shape.radius, track, tip)
+        gap, offset = moved_to_contact(
+            shape, pusher.shape.radius, track.at(tip.time[:1]), tip.pose[:1, :2]
+        )
+        if gap[0] < 0.0:
+            flags = (correction_flag(float(gap[0])),)
+            measured = corrected_path(measured, offset[0], FADE)
+            sentence += f", moved out of the object at the start, {-1e3 * gap[0]:.3g} mm"
+        sentence += (
+            f"; its surface comes within {1e3 * float(gaps.min()):.3g} mm of the outline and was"
+            f" {1e3 * float(gaps[0]):.3g} mm from it at the start."
+        )
+        if (deep := -float(np.quantile(gaps, OFTEN))) > LARGEST_CORRECTION:
+            flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
+            sentence += " It is often deep inside the object: listings leave the experiment out."
+    else:
+        sentence += "."
+    drive = PathDrive(waypoints=measured, force_limit=pusher.drive.force_limit)
+    return replace(pusher, pose=measured[0, 1:], drive=drive), flags, sentence
+
+
+def _gaps(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> FloatArray:
+    """(n,) from the surface of the tip to the outline at every measured instant [m]."""
+    gap, _ = gaps_and_normals(shape, radius, track.at(tip.time), tip.pose[:, :2])
+    return gap
+
+
+def _refuse_other_angles(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> None:
+    """Refuse angles under whose unit the pusher passes through the object, where another fits."""
+
+    def depth(turned: Trajectory) -> float:
+        return -float(np.quantile(_gaps(shape, radius, turned, tip), OFTEN))
+
+    own = depth(track)
+    for unit, factor in (("rad", np.pi / 180.0), ("deg", 180.0 / np.pi)):
+        other = "deg" if unit == "rad" else "rad"
+        fits = depth(rescaled(track, factor))
+        if own > INSIDE * _radius(shape) and fits < 0.25 * own:
+            raise InvalidInput(
+                "angles of the object",
+                found=f"a pusher {1e3 * own:.3g} mm inside the object for a tenth of the time",
+                expected=f"one outside, as it would be with angles in {WORDS[other]}",
+                hint=hint_of(other, unit),
+            )
+
+
+def _radius(shape: Shape) -> float:
+    return float(np.hypot(*np.asarray(shape.outline).T).max())
+
+
+def _refuse_strangers(
+    shape: Shape, radius: float, track: Trajectory, tip: Trajectory, path: Path
+) -> None:
+    """Refuse a pusher that starts deep inside the object, or never comes near it."""
+    gaps = _gaps(shape, radius, track, tip)
+    size = _radius(shape)
+    hint = (
+        "are the units of the table those of its header, are its poses those of the frame in which"
+        " the outline is drawn, and are outline and tip in metres?"
+    )
+    if gaps[0] < -LARGEST_CORRECTION:
+        raise InvalidInput(
+            f"{path.name} and the table",
+            found=f"a pusher {-1e3 * float(gaps[0]):.3g} mm inside the object at the start",
+            expected="one that touches it at most",
+            hint=hint,
+        )
+    if float(gaps.min()) > FARTHEST * size:
+        raise InvalidInput(
+            f"{path.name} and the table",
+            found=f"a pusher that stays {1e3 * float(gaps.min()):.3g} mm from an object of radius"
+            f" {1e3 * size:.3g} mm",
+            expected="one that comes near it",
+            hint=hint,
+        )

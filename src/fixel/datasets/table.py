@@ -1,0 +1,461 @@
+"""Importer of your own recordings: a CSV table whose header names columns and units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.datasets.base import LARGEST_NUMBER, Importer, ImportPlan, Origin, rate_of, remark
+from fixel.datasets.own_scene import with_scene
+from fixel.datasets.plausible import refuse_implausible
+from fixel.datasets.raw.base import FloatArray, Table, increasing, read_table
+from fixel.errors import InvalidInput
+from fixel.model import Channel, Experiment, Flag, Trajectory
+
+DATASET: Final = "csv"
+ENDINGS = (".csv", ".csv.gz")
+
+
+class Unit(NamedTuple):
+    """A unit at the end of a column's name."""
+
+    kind: str
+    scale: float  # to SI
+    si: str  # ending of the channel's column
+
+
+UNITS: Final[Mapping[str, Unit]] = {
+    "s": Unit("time", 1.0, "s"),
+    "ms": Unit("time", 1e-3, "s"),
+    "us": Unit("time", 1e-6, "s"),
+    "m": Unit("length", 1.0, "m"),
+    "mm": Unit("length", 1e-3, "m"),
+    "cm": Unit("length", 1e-2, "m"),
+    "um": Unit("length", 1e-6, "m"),
+    "rad": Unit("angle", 1.0, "rad"),
+    "deg": Unit("angle", math.pi / 180.0, "rad"),
+    "n": Unit("force", 1.0, "n"),
+    "nm": Unit("torque", 1.0, "nm"),
+    "m_s": Unit("speed", 1.0, "m_s"),
+    "mm_s": Unit("speed", 1e-3, "m_s"),
+    "rad_s": Unit("turning", 1.0, "rad_s"),
+    "deg_s": Unit("turning", math.pi / 180.0, "rad_s"),
+    "bool": Unit("bool", 1.0, "bool"),
+    "count": Unit("count", 1.0, "count"),
+    "ratio": Unit("ratio", 1.0, "ratio"),
+}
+
+# What columns may be called; the role they have; and what kind of unit it asks for.
+_TIME = ("time", "t", "timestamp")
+_ANGLE = ("theta", "angle", "yaw", "th", "heading", "phi")
+_OBJECT = ("", "object_", "obj_", "slider_")
+_PUSHER = ("pusher_", "tip_", "finger_", "actuator_")
+_KINDS: Final = {"time": "time", "x": "length", "y": "length", "theta": "angle"}
+
+
+def _roles() -> dict[str, str]:
+    roles = dict.fromkeys(_TIME, "time")
+    for whose, prefixes in (("", _OBJECT), ("pusher_", _PUSHER)):
+        for prefix in prefixes:
+            roles |= {f"{prefix}{axis}": f"{whose}{axis}" for axis in ("x", "y")}
+            roles |= {f"{prefix}{angle}": f"{whose}theta" for angle in _ANGLE}
+    return roles
+
+
+_ROLES: Final = _roles()
+
+# Values larger than these tell units apart where the header does not: a plate is no 5 m across, and
+# an angle is seldom more than a turn.
+LARGEST_METRES, LARGEST_RADIANS = 5.0, 2.0 * math.pi + 0.1
+# Readings come at more than one a second, and at less than a thousand.
+LONGEST_SECONDS, LONGEST_MILLISECONDS = 1.0, 1000.0
+
+_GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
+
+_OPTIONS: Final = {
+    "name": "of the experiment; the file's where left out",
+    "object_name": "what was pushed",
+    "simulated_by": "what made the table, where it was not measured",
+    "time_unit": "of a time without unit: s, ms or us",
+    "length_unit": "of positions without unit: m, mm, cm or um",
+    "angle_unit": "of angles, whatever the header has: rad or deg",
+    "scene": "scene file with the object, the pusher and the pegs",
+}
+
+
+@final
+class CsvTable(Importer):
+    """Any table with time and pose of one object, one experiment a file."""
+
+    name = DATASET
+    title = "CSV table of your own: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, ..."
+    licence = "yours"
+    citation = ""
+    options: ClassVar[Mapping[str, str]] = _OPTIONS
+
+    def recognised(self, source: Path) -> bool:
+        """A file called something.csv or something.csv.gz."""
+        return source.is_file() and source.name.lower().endswith(ENDINGS)
+
+    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+        if not source.is_file():
+            raise InvalidInput(source.name, found="a folder", expected="one CSV file")
+        plain = {name: _text_option(name, value) for name, value in options.items()}
+        experiment, understood = _experiment(source, read_table(source), plain)
+        scene = plain.get("scene")
+        if scene is not None:
+            experiment, more = with_scene(
+                experiment,
+                Path(scene),
+                plain.get("object_name"),
+                sure_of_angles="angle_unit" in plain,
+            )
+            understood += more
+        else:
+            understood += ("There is no scene, so it can be shown but not simulated.",)
+        return ImportPlan(DATASET, source, understood, 1, lambda: iter((experiment,)))
+
+
+def _text_option(name: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise InvalidInput(f"option {name}", found=value, expected="a text")
+    return value
+
+
+@dataclass
+class _Column:
+    """One column: how it is called in the file, what it is, and its unit once that is known."""
+
+    title: str
+    stem: str
+    role: str | None
+    unit: Unit | None
+    unknown: str = ""  # an ending that is no known unit
+
+
+@dataclass
+class _Reading:
+    """What is found out on the way."""
+
+    table: Table
+    roles: dict[str, _Column]
+    others: list[_Column]
+    options: Mapping[str, str]
+    guesses: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def numbers(self, column: _Column, *, blank: bool = True) -> FloatArray:
+        """(n,) as they stand; blank cells are NaN."""
+        numbers = self.table.numbers(column.title, blank=blank)
+        if (np.abs(numbers) > LARGEST_NUMBER).any():
+            raise InvalidInput(
+                f"{self.table.source}, column {column.title}",
+                found=float(np.nanmax(np.abs(numbers))),
+                expected=f"numbers within {LARGEST_NUMBER:g}",
+            )
+        return numbers
+
+    def si(self, role: str) -> FloatArray:
+        """(n,) one role in SI units."""
+        column = self.roles[role]
+        assert column.unit is not None
+        return self.numbers(column) * column.unit.scale
+
+
+def _experiment(
+    path: Path, table: Table, options: Mapping[str, str]
+) -> tuple[Experiment, tuple[str, ...]]:
+    reading = _columns(table, options)
+    _refuse_incomplete(reading)
+    for role in ("time", "x", "y", "theta", "pusher_x", "pusher_y", "pusher_theta"):
+        if role in reading.roles:
+            _settle_unit(reading, role)
+    time = _time(reading)
+    trajectory, flags = _poses(reading, time, "")
+    pusher = None
+    if "pusher_x" in reading.roles:
+        pusher, more = _poses(reading, time, "pusher_")
+        flags = (*flags, *more)
+    if "angle_unit" not in options:
+        _check_units(reading, trajectory, pusher)
+    channels, conditions = _channels(reading, time), _conditions(reading)
+    if reading.guesses:
+        flags = (*flags, remark("guessed-units", " ".join(reading.guesses)))
+    experiment = Experiment(
+        dataset=DATASET,
+        name=options.get("name", _stem(path)),
+        real="simulated_by" not in options,
+        simulated_by=options.get("simulated_by", ""),
+        provenance=Origin().of(path),
+        object_name=options.get("object_name", "object"),
+        trajectory=trajectory,
+        pusher=pusher,
+        channels=channels,
+        conditions=conditions,
+        flags=flags,
+    )
+    return experiment, _understood(reading, experiment, time)
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").rpartition(".")[0]
+
+
+# --- the header
+
+
+def _columns(table: Table, options: Mapping[str, str]) -> _Reading:
+    if len(table.columns) == 1 and ";" in next(iter(table.columns)):
+        raise InvalidInput(
+            f"{table.source}, header",
+            found="semicolons",
+            expected="columns separated by commas",
+            hint="save the table with commas between the columns, and points in the numbers",
+        )
+    parsed = [_parsed(title) for title in table.columns]
+    named = {column.role for column in parsed if column.role and not column.unknown}
+    for column in parsed:
+        # x_raw beside x_mm is something else; alone it is x in a unit nobody knows.
+        if column.unknown and column.role in named:
+            column.role = None
+    roles: dict[str, _Column] = {}
+    for column in parsed:
+        if column.role in roles:
+            raise InvalidInput(
+                f"{table.source}, header",
+                found=f"{roles[column.role].title!r} and {column.title!r}",
+                expected=f"one column of {column.role}",
+            )
+        if column.role:
+            roles[column.role] = column
+    return _Reading(table, roles, [column for column in parsed if not column.role], options)
+
+
+def _parsed(title: str) -> _Column:
+    """`Tip x [mm]` is pusher_x in mm."""
+    plain = re.sub(r"\W+", "_", title.strip().lower().lstrip("\ufeff")).strip("_")
+    for ending in sorted(UNITS, key=len, reverse=True):
+        if plain.endswith(f"_{ending}"):
+            stem = plain.removesuffix(f"_{ending}")
+            return _checked(_Column(title, stem, _ROLES.get(stem), UNITS[ending]))
+    if plain in _ROLES:
+        return _Column(title, plain, _ROLES[plain], None)
+    stem, _, ending = plain.rpartition("_")
+    unknown = ending if stem in _ROLES and re.fullmatch(r"[a-z]{1,4}", ending) else ""
+    return _Column(title, plain, _ROLES[stem] if unknown else None, None, unknown)
+
+
+def _checked(column: _Column) -> _Column:
+    if column.role and column.unit and column.unit.kind != _kind(column.role):
+        raise InvalidInput(
+            f"column {column.title}",
+            found=f"a unit of {column.unit.kind}",
+            expected=f"a unit of {_kind(column.role)}",
+        )
+    return column
+
+
+def _kind(role: str) -> str:
+    return _KINDS[role.removeprefix("pusher_")]
+
+
+def _refuse_incomplete(reading: _Reading) -> None:
+    wanted = ["time", "x", "y"]
+    if any(role.startswith("pusher_") for role in reading.roles):
+        wanted += ["pusher_x", "pusher_y"]
+    missing = [role for role in wanted if role not in reading.roles]
+    if missing:
+        raise InvalidInput(
+            reading.table.source,
+            found="the columns " + ", ".join(reading.table.columns)[:200],
+            expected="a column for " + " and ".join(missing),
+            hint="name columns for what they are and their unit: time_s, x_mm, y_mm, theta_deg,"
+            " pusher_x_mm, pusher_y_mm",
+        )
+
+
+# --- units that the header does not say
+
+
+def _settle_unit(reading: _Reading, role: str) -> None:
+    column = reading.roles[role]
+    kind = _kind(role)
+    given = reading.options.get(f"{kind}_unit")
+    # The header decides, but for angles: their unit is what headers most often get wrong.
+    if column.unit is not None and (given is None or kind != "angle"):
+        return
+    lack = f"the unknown unit {column.unknown!r}" if column.unknown else "no unit"
+    if column.unit is not None:
+        lack = f"the unit {_name(column.unit)}"
+    if given is not None:
+        if given not in UNITS or UNITS[given].kind != kind:
+            known = ", ".join(name for name, unit in UNITS.items() if unit.kind == kind)
+            raise InvalidInput(f"option {kind}_unit", found=repr(given), expected=f"one of {known}")
+        column.unit = UNITS[given]
+        reading.remarks.append(f"{column.title} has {lack}: taken as {given}, as asked.")
+        return
+    name, why = _guess(reading, kind, column)
+    column.unit = UNITS[name]
+    words = {"deg": "degrees", "rad": "radians"}
+    reading.guesses.append(
+        f"{column.title} has {lack} and {why}: taken as {words.get(name, name)}."
+    )
+
+
+def _name(wanted: Unit) -> str:
+    return next(name for name, unit in UNITS.items() if unit == wanted)
+
+
+def _guess(reading: _Reading, kind: str, column: _Column) -> tuple[str, str]:
+    """A unit, and why."""
+    siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
+    if len(siblings) == 1:
+        (sibling,) = siblings
+        name = _name(sibling)
+        return name, f"others of its kind are in {name}"
+    if kind == "time":
+        numbers = reading.numbers(column)
+        step = float(np.nanmedian(np.diff(numbers))) if len(numbers) > 1 else 0.0
+        scale = (step >= LONGEST_SECONDS) + (step >= LONGEST_MILLISECONDS)
+        return ("s", "ms", "us")[scale], f"typical steps of {step:g}"
+    # Positions without unit share one, so the largest of them decides.
+    alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
+    values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
+    largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+    small, large, limit = {
+        "length": ("m", "mm", LARGEST_METRES),
+        "angle": ("rad", "deg", LARGEST_RADIANS),
+    }[kind]
+    return (large if largest > limit else small), f"values up to {largest:g}"
+
+
+# --- the rows
+
+
+def _time(reading: _Reading) -> FloatArray:
+    """(n,) instants from the first row on [s]."""
+    column = reading.roles["time"]
+    assert column.unit is not None
+    numbers = reading.numbers(column, blank=False)
+    # First the difference: seconds since 1970 leave few digits for what comes behind the point.
+    return increasing((numbers - numbers[0]) * column.unit.scale, reading.table.source)
+
+
+def _poses(reading: _Reading, time: FloatArray, whose: str) -> tuple[Trajectory, tuple[Flag, ...]]:
+    """Of the object, or with `pusher_` of the pusher, without the rows that lack something."""
+    columns = [reading.si(f"{whose}x"), reading.si(f"{whose}y")]
+    what = whose.removesuffix("_") or "object"
+    flags: tuple[Flag, ...] = ()
+    if f"{whose}theta" in reading.roles:
+        columns.append(reading.si(f"{whose}theta"))
+    else:
+        columns.append(np.zeros(len(time)))
+        reading.remarks.append(f"No angle of the {what}: taken as 0 throughout.")
+        flags = () if whose else (remark("no-angle", "the table has none: 0 throughout"),)
+    pose = np.column_stack(columns)
+    there = np.asarray(~np.isnan(pose).any(axis=1))
+    if not there.any():
+        raise InvalidInput(
+            reading.table.source, found=f"no pose of the {what}", expected="at least one"
+        )
+    missing = int((~there).sum())
+    if missing:
+        found = f"{missing} of {len(time)} rows lack the pose of the {what}"
+        reading.remarks.append(f"{found}: left out of its trajectory.")
+        flags = (*flags, remark("missing-poses", found))
+    kept = pose[there]
+    kept[:, 2] = np.unwrap(kept[:, 2])
+    return Trajectory(time=time[there], pose=kept), flags
+
+
+def _check_units(reading: _Reading, track: Trajectory, pusher: Trajectory | None) -> None:
+    """Refuse units in which nothing on a plate moves so; the angles as the file has them."""
+    column = reading.roles.get("theta")
+    unit = None if column is None or column.unit is None else _name(column.unit)
+    turned = track
+    if unit is not None:  # before angles were unwrapped in a unit that may be wrong
+        pose = np.column_stack([reading.si(role) for role in ("x", "y", "theta")])
+        turned = Trajectory(time=track.time, pose=pose[~np.isnan(pose).any(axis=1)])
+    where = f"{reading.table.source}, column {column.title if column else ''}"
+    refuse_implausible(turned, pusher, reading.table.source, where, unit)
+
+
+def _channels(reading: _Reading, time: FloatArray) -> tuple[Channel, ...]:
+    groups: dict[str, dict[str, FloatArray]] = {}
+    for column in reading.others:
+        if column.unit is None or not column.stem:
+            continue
+        group = groups.setdefault(_GROUPS.get(column.unit.kind, "readings"), {})
+        name = f"{column.stem}_{column.unit.si}"
+        if name in group:
+            raise InvalidInput(
+                f"{reading.table.source}, header", found=f"{name} twice", expected="it once"
+            )
+        group[name] = _values(reading, column, column.unit)
+    return tuple(
+        Channel(
+            name=name,
+            time=time,
+            columns=tuple(columns),
+            values=np.column_stack(list(columns.values())),
+        )
+        for name, columns in sorted(groups.items())
+    )
+
+
+def _values(reading: _Reading, column: _Column, unit: Unit) -> FloatArray:
+    if unit.kind != "bool":
+        return reading.numbers(column) * unit.scale
+    words = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "1.0": 1.0, "0.0": 0.0, "": math.nan}
+    cells = [cell.strip().lower() for cell in reading.table.columns[column.title]]
+    for row, cell in enumerate(cells):
+        if cell not in words:
+            raise InvalidInput(
+                f"{reading.table.source}, row {row + 1}, column {column.title}",
+                found=repr(cell),
+                expected="0 or 1, true or false",
+            )
+    return np.array([words[cell] for cell in cells])
+
+
+def _conditions(reading: _Reading) -> dict[str, str | float]:
+    """Columns without a unit that say the same in every row."""
+    conditions: dict[str, str | float] = {}
+    for column in reading.others:
+        if column.unit is not None:
+            continue
+        cells = set(reading.table.columns[column.title])
+        if len(cells) == 1 and column.stem and (cell := cells.pop().strip()):
+            conditions[column.stem] = cell
+        else:
+            reading.remarks.append(f"{column.title!r} has no unit: left out.")
+    return conditions
+
+
+def _understood(reading: _Reading, experiment: Experiment, time: FloatArray) -> tuple[str, ...]:
+    def lines() -> Iterator[str]:
+        rate = rate_of(time)
+        yield (
+            f"One experiment of {len(time)} rows at {rate:.4g} Hz over {time[-1]:.4g} s; its clock"
+            " starts at the first row."
+        )
+        for role, column in reading.roles.items():
+            assert column.unit is not None
+            unit = _name(column.unit)
+            si = UNITS[unit].si
+            into = f"{unit} to {si}" if unit != si else si
+            unwrapped = ", unwrapped" if role.endswith("theta") else ""
+            yield f"{column.title} is {role.replace('_', ' ')}, {into}{unwrapped}."
+        for channel in experiment.channels:
+            yield f"Channel {channel.name}: {', '.join(channel.columns)}."
+        yield from (f"Guess: {guess}" for guess in reading.guesses)
+        yield from reading.remarks
+        yield "Positions are taken as those of the object's own frame."
+
+    return tuple(lines())

@@ -1,0 +1,255 @@
+"""One set of parameters, found on a few experiments along an axis, on all experiments of it.
+
+Source: RPI thesis, chapter 6, figures 6.1 to 6.13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.objective import Evaluated
+from fixel.domain.growth import NONE, OneSet, Singles, Wanted, one_set
+from fixel.domain.places import AXES, Group, along, interval
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+
+# Samples that the thesis fits on (section 6.1).
+SIZES: Final[Mapping[str, tuple[int, ...]]] = {"x": (2, 4), "y": (3, 5), "theta": (2, 4)}
+MOST_SAMPLES: Final = 5
+
+
+class Edges(NamedTuple):
+    """How far from the nominal experiment an error stays within a threshold, in steps."""
+
+    low: float | None  # none where it is beyond at the nominal experiment already
+    high: float | None
+    low_open: bool = False  # still within at the last experiment
+    high_open: bool = False
+
+
+def edges(steps: IntArray, errors: FloatArray, threshold: float) -> Edges:
+    """Where a curve through the nominal experiment first meets a threshold, on either side.
+
+    Between two experiments the error is taken to change in proportion. What comes back below the
+    threshold farther out is no part of the domain.
+
+    Parameters
+    ----------
+    steps : (n,) int
+        Ascending; 0 among them.
+    errors : (n,) float64
+        Not finite where there is none: the domain ends at the last one before.
+    threshold : float
+        What is equal to it is within.
+    """
+    start = int(np.flatnonzero(steps == 0)[0])
+    if not errors[start] <= threshold:
+        return Edges(None, None)
+    low, low_open = _walked(steps[start::-1], errors[start::-1], threshold)
+    high, high_open = _walked(steps[start:], errors[start:], threshold)
+    return Edges(low, high, low_open, high_open)
+
+
+def _walked(steps: IntArray, errors: FloatArray, threshold: float) -> tuple[float, bool]:
+    for k in range(1, len(steps)):
+        if errors[k] <= threshold:
+            continue
+        inner, outer = float(steps[k - 1]), float(steps[k])
+        if not np.isfinite(errors[k]):
+            return inner, False
+        share = (threshold - errors[k - 1]) / (errors[k] - errors[k - 1])
+        return inner + float(share) * (outer - inner), False
+    return float(steps[-1]), True
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisStudy:
+    """All layouts of one shape along one axis, each under the set of its own interval.
+
+    Attributes
+    ----------
+    shape, axis : str
+    size : int
+        Samples in the interval.
+    interval : (int, int)
+        First and last step of these.
+    steps : (n_step,) int
+        Of the experiments on the axis, ascending.
+    layouts : tuple of str
+    sets : tuple of OneSet
+        One a layout.
+    error : (n_layout, n_step) float64
+        E under the set; nan where there is no experiment or no set, inf where it failed.
+    own : (n_layout, n_step) float64
+        E of each under its own best set.
+    """
+
+    shape: str
+    axis: str
+    size: int
+    interval: tuple[int, int]
+    steps: IntArray
+    layouts: tuple[str, ...]
+    sets: tuple[OneSet, ...]
+    error: FloatArray
+    own: FloatArray
+
+    @property
+    def average(self) -> FloatArray:
+        """(n_step,) mean error over the layouts that have one; inf where any failed."""
+        return _mean(self.error)
+
+    @property
+    def own_average(self) -> FloatArray:
+        """(n_step,) the same under the experiments' own best sets, over the same layouts."""
+        return _mean(np.where(np.isnan(self.error), np.nan, self.own))
+
+    @property
+    def excess(self) -> FloatArray:
+        """(n_layout, n_step) error minus the experiment's own best: the relative error of 6.4.3."""
+        return _against(self.error, self.own, np.subtract)
+
+    @property
+    def average_excess(self) -> FloatArray:
+        """(n_step,) mean of these over the layouts."""
+        return _mean(self.excess)
+
+    @property
+    def ratio(self) -> FloatArray:
+        """(n_step,) average error over average own best."""
+        return _against(self.average, self.own_average, np.divide)
+
+    def counted(self) -> IntArray:
+        """(n_step,) layouts in the average."""
+        return np.asarray((~np.isnan(self.error)).sum(axis=0))
+
+    def edges(self, threshold: float) -> Edges:
+        """Of the average."""
+        return edges(self.steps, self.average, threshold)
+
+    def relative_edges(self, threshold: float) -> Edges:
+        """Of the average excess."""
+        return edges(self.steps, self.average_excess, threshold)
+
+
+def _against(error: FloatArray, own: FloatArray, how: np.ufunc) -> FloatArray:
+    """Of two errors; no number where one has none, infinite where the first failed alone."""
+    known = np.isfinite(own) & ~np.isnan(error)
+    found = np.full(error.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        how(error, own, out=found, where=known)
+    return found
+
+
+def _mean(table: FloatArray) -> FloatArray:
+    """Mean of each column over what is there; nan where nothing is."""
+    there = ~np.isnan(table)
+    count = there.sum(axis=0)
+    total = np.where(there, table, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+class AxisStudies:
+    """Says which rollouts the studies take, then reads the answers.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+    singles : Singles
+    sizes : mapping from axis to sizes, optional
+        Samples of the intervals; the thesis's where left out.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        singles: Singles,
+        sizes: Mapping[str, Sequence[int]] = SIZES,
+    ) -> None:
+        self.singles = singles
+        self._layouts: dict[str, list[Group]] = {}
+        for group in groups:
+            self._layouts.setdefault(group.shape, []).append(group)
+        self._sizes = _checked(sizes)
+        self._plan: list[_Planned] = []
+
+    def ask(self, wanted: Wanted) -> None:
+        """Collect the rollouts."""
+        self._plan = [
+            self._planned(shape, axis, size, wanted)
+            for shape, groups in self._layouts.items()
+            for axis in AXES
+            if any(place.axis == axis for group in groups for place in group.at)
+            for size in self._sizes[axis]
+        ]
+
+    def _planned(self, shape: str, axis: str, size: int, wanted: Wanted) -> _Planned:
+        groups, (low, high) = self._layouts[shape], interval(axis, size)
+        on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
+        steps = np.array(sorted(on_axis | {0}))
+        inside = [along(axis, k) for k in range(low, high + 1)]
+        sets, places = [], np.full((len(groups), len(steps)), -1)
+        for row, group in enumerate(groups):
+            missing = group.missing(inside)
+            members = group.found(inside)
+            if missing:
+                reason = "not performed: " + ", ".join(place.name for place in missing)
+                sets.append(OneSet(members, None, NONE, reason=reason))
+                continue
+            sets.append(one_set(members, self.singles))
+            point = sets[-1].point
+            for column, step in enumerate(steps.tolist()):
+                place = along(axis, step)
+                if point is not None and place in group.at:
+                    places[row, column] = wanted.add(group.at[place], point)
+        return _Planned(shape, axis, size, steps, tuple(sets), places)
+
+    def read(self, answer: Evaluated) -> list[AxisStudy]:
+        """The studies, of the answers to what was collected."""
+        return [self._study(planned, answer) for planned in self._plan]
+
+    def _study(self, planned: _Planned, answer: Evaluated) -> AxisStudy:
+        groups = self._layouts[planned.shape]
+        error = np.where(planned.places >= 0, answer.error[planned.places], np.nan)
+        own = np.full(error.shape, np.nan)
+        for row, group in enumerate(groups):
+            for column, step in enumerate(planned.steps.tolist()):
+                place = along(planned.axis, step)
+                if place in group.at:
+                    own[row, column] = self.singles.errors[group.at[place]]
+        return AxisStudy(
+            shape=planned.shape,
+            axis=planned.axis,
+            size=planned.size,
+            interval=interval(planned.axis, planned.size),
+            steps=planned.steps,
+            layouts=tuple(group.layout for group in groups),
+            sets=planned.sets,
+            error=error,
+            own=own,
+        )
+
+
+class _Planned(NamedTuple):
+    shape: str
+    axis: str
+    size: int
+    steps: IntArray
+    sets: tuple[OneSet, ...]
+    places: IntArray  # (n_layout, n_step) of the rollouts among the answers; -1 where there is none
+
+
+def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:
+    found = {axis: tuple(dict.fromkeys(sizes.get(axis, SIZES[axis]))) for axis in AXES}
+    for axis, own in found.items():
+        for size in own:
+            if not 2 <= size <= MOST_SAMPLES:
+                raise InvalidInput(
+                    f"sizes of {axis}", found=size, expected=f"2 to {MOST_SAMPLES} samples"
+                )
+    return found

@@ -1,0 +1,308 @@
+"""Cells of a map: values or ranges of some coordinates, and which of them touch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Final, final
+
+import numpy as np
+
+from fixel.domain.evidence import Evidence, Value, unit_in
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+
+FEW: Final = 25  # distinct values that get a cell each
+BINS: Final = 8  # ranges of equal share, of more than that
+MOST_CELLS: Final = 2500
+SAME: Final = 1e-9  # share of the extent by which equal values may differ
+
+_READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellAxis:
+    """A coordinate cut into cells.
+
+    Parameters
+    ----------
+    name : str
+        Of the condition.
+    labels : tuple of str
+        Values of a text; empty for numbers.
+    centres : tuple of float
+        Of numbers [SI], ascending.
+    edges : tuple of float
+        Where cells are ranges, one more than centres; empty where they are values.
+    """
+
+    name: str
+    labels: tuple[str, ...] = ()
+    centres: tuple[float, ...] = ()
+    edges: tuple[float, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.labels) or len(self.centres)
+
+    @property
+    def is_text(self) -> bool:
+        """Whether its values have no order."""
+        return bool(self.labels)
+
+    @property
+    def unit(self) -> str:
+        """As people read it; empty for none."""
+        return _READ.get(unit_in(self.name), (unit_in(self.name), 1.0))[0]
+
+    @property
+    def factor(self) -> float:
+        """From SI to that unit."""
+        return _READ.get(unit_in(self.name), ("", 1.0))[1]
+
+    def text(self, k: int) -> str:
+        """A cell as people read it, without the unit."""
+        if self.is_text:
+            return self.labels[k]
+        if self.edges:
+            return f"{self.shown(self.edges[k])} to {self.shown(self.edges[k + 1])}"
+        return self.shown(self.centres[k])
+
+    def shown(self, value: float) -> str:
+        """A number in the unit people read."""
+        return f"{self.factor * value + 0.0:.4g}"
+
+    def find(self, values: Sequence[Value]) -> IntArray:
+        """(n,) cell of each value; -1 for none."""
+        return np.array([self._find(value) for value in values], np.int64)
+
+    def _find(self, value: Value) -> int:
+        if value is None:
+            return -1
+        if self.is_text:
+            return self.labels.index(str(value)) if str(value) in self.labels else -1
+        if isinstance(value, str):
+            return -1
+        if self.edges:
+            inside = self.edges[0] <= value <= self.edges[-1]
+            k = int(np.searchsorted(self.edges, value, side="right")) - 1
+            return min(k, len(self) - 1) if inside else -1
+        near = np.abs(np.array(self.centres) - value)
+        k = int(near.argmin())
+        extent = self.centres[-1] - self.centres[0]
+        return k if near[k] <= max(SAME * extent, 1e-12) * 10.0 else -1
+
+    @property
+    def places(self) -> FloatArray:
+        """(n, d) where cells are, for distances between them: numbers as shares of the extent,
+        texts as corners that are all equally far from one another."""
+        if self.is_text:
+            return np.eye(len(self)) / math.sqrt(2.0)
+        centres = np.array(self.centres)
+        extent = float(np.ptp(centres)) or 1.0
+        return np.asarray(((centres - centres[0]) / extent)[:, None])
+
+
+def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> CellAxis:
+    """An axis for values: a cell a value where these are few or text, else ranges.
+
+    Parameters
+    ----------
+    name : str
+    values : sequence of (str, float or None)
+    step : float, optional
+        Width of ranges, one of which is about zero [SI].
+    """
+    known = [value for value in values if value is not None]
+    if not known:
+        raise InvalidInput(f"axis {name}", found="no values", expected="one at least")
+    if any(isinstance(value, str) for value in known):
+        return CellAxis(name=name, labels=tuple(sorted({str(value) for value in known})))
+    numbers = np.unique(np.array(known, np.float64))
+    if step is not None:
+        return _regular(name, numbers, step)
+    gap = max(SAME * float(np.ptp(numbers)), 1e-12)
+    distinct = numbers[np.concatenate(([True], np.diff(numbers) > gap))]
+    if len(distinct) <= FEW:
+        return CellAxis(name=name, centres=tuple(distinct.tolist()))
+    shares = np.linspace(0.0, 1.0, BINS + 1)
+    edges = np.unique(np.quantile(np.array(known, np.float64), shares))
+    return _ranges(name, np.asarray(edges, np.float64))
+
+
+def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:
+    if not (math.isfinite(step) and step > 0.0):
+        raise InvalidInput(f"axis {name}", found=f"a step of {step}", expected="a positive one")
+    first = math.floor(float(numbers[0]) / step + 0.5)
+    last = math.floor(float(numbers[-1]) / step + 0.5)
+    if last - first >= MOST_CELLS:
+        raise InvalidInput(f"axis {name}", found=f"{last - first + 1} cells", expected="a few")
+    return _ranges(name, np.asarray((np.arange(first, last + 2) - 0.5) * step, np.float64))
+
+
+def _ranges(name: str, edges: FloatArray) -> CellAxis:
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    return CellAxis(name=name, centres=tuple(centres.tolist()), edges=tuple(edges.tolist()))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cells:
+    """The cells of a map.
+
+    Parameters
+    ----------
+    axes : tuple of CellAxis
+    index : tuple of tuple of int
+        Place of each cell along every axis.
+    nominal : int
+        Which of them is the nominal.
+    arms : bool
+        Whether they are only those that differ from the nominal along one axis.
+    """
+
+    axes: tuple[CellAxis, ...]
+    index: tuple[tuple[int, ...], ...]
+    nominal: int
+    arms: bool
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def text(self, k: int) -> str:
+        """A cell in the user's words."""
+        parts = []
+        for axis, place in zip(self.axes, self.index[k], strict=True):
+            nominal = place == self.index[self.nominal][self.axes.index(axis)]
+            if not (self.arms and nominal and k != self.nominal):
+                parts.append(f"{axis.name} = {axis.text(place)} {axis.unit}".rstrip())
+        return ", ".join(parts)
+
+    @property
+    def places(self) -> FloatArray:
+        """(n_cell, d), for distances between them."""
+        columns = [
+            axis.places[[index[a] for index in self.index]] for a, axis in enumerate(self.axes)
+        ]
+        return np.concatenate(columns, axis=1)
+
+    def find(self, evidence: Evidence) -> IntArray:
+        """(n,) cell of every experiment; -1 for none."""
+        columns = [axis.find(evidence.column(axis.name)) for axis in self.axes]
+        number = {index: k for k, index in enumerate(self.index)}
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return np.array([number.get(row, -1) for row in rows], np.int64)
+
+    @property
+    def edges(self) -> list[tuple[int, int]]:
+        """Pairs of cells that touch: one step along one axis, or another text on one axis."""
+        number = {index: k for k, index in enumerate(self.index)}
+        found = []
+        for index, k in number.items():
+            for a, axis in enumerate(self.axes):
+                ahead = range(index[a] + 1, len(axis) if axis.is_text else index[a] + 2)
+                for place in ahead:
+                    other = number.get((*index[:a], place, *index[a + 1 :]))
+                    if other is not None:
+                        found.append((k, other))
+        return found
+
+    def component(self, inside: Sequence[bool]) -> list[int]:
+        """Cells inside that are connected to the nominal; none where that is not inside."""
+        touching: dict[int, list[int]] = {k: [] for k in range(len(self))}
+        for a, b in self.edges:
+            touching[a].append(b)
+            touching[b].append(a)
+        if not inside[self.nominal]:
+            return []
+        seen, todo = {self.nominal}, [self.nominal]
+        while todo:
+            for other in touching[todo.pop()]:
+                if inside[other] and other not in seen:
+                    seen.add(other)
+                    todo.append(other)
+        return sorted(seen)
+
+
+def cells_of(
+    evidence: Evidence,
+    axes: Sequence[str],
+    nominal: Mapping[str, str | float] | None = None,
+    steps: Mapping[str, float] | None = None,
+) -> Cells:
+    """Cut coordinates of the evidence into cells.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    axes : sequence of str
+        Names of coordinates. More than two only where every experiment differs from the nominal
+        along one of them at most, as in a plan of offsets axis by axis.
+    nominal : mapping of name to value, optional
+        Zero for numbers that include it, else their middle; the most frequent of texts.
+    steps : mapping of name to float, optional
+        Widths of ranges [SI].
+    """
+    if not axes or len(set(axes)) < len(axes):
+        raise InvalidInput("--axes", found=", ".join(axes) or "none", expected="each axis once")
+    strangers = set(nominal or {}) - set(axes)
+    if strangers:
+        expected = "one of the axes: " + ", ".join(axes)
+        raise InvalidInput("--nominal", found=", ".join(sorted(strangers)), expected=expected)
+    made = tuple(axis_of(n, evidence.column(n), (steps or {}).get(n)) for n in axes)
+    centre = tuple(_nominal(axis, evidence, (nominal or {}).get(axis.name)) for axis in made)
+    columns = np.stack([axis.find(evidence.column(axis.name)) for axis in made], axis=1)
+    known = columns[(columns >= 0).all(axis=1)]
+    arms = len(made) > 1 and bool(((known != centre).sum(axis=1) <= 1).all()) and len(known) > 0
+    if arms:
+        index = _arms(made, centre)
+    elif len(made) > 2:
+        raise InvalidInput(
+            "--axes",
+            found=f"{len(made)} axes",
+            expected="one or two, where experiments differ along several axes at once",
+        )
+    else:
+        index = list(product(*(range(len(axis)) for axis in made)))
+    if len(index) > MOST_CELLS:
+        hint = "choose wider steps: --step NAME=WIDTH"
+        raise InvalidInput("cells", found=len(index), expected=f"{MOST_CELLS} at most", hint=hint)
+    return Cells(axes=made, index=tuple(index), nominal=index.index(centre), arms=arms)
+
+
+def _arms(axes: Sequence[CellAxis], centre: tuple[int, ...]) -> list[tuple[int, ...]]:
+    found = {centre: None}
+    for a, axis in enumerate(axes):
+        for place in range(len(axis)):
+            found[(*centre[:a], place, *centre[a + 1 :])] = None
+    return sorted(found)
+
+
+def _nominal(axis: CellAxis, evidence: Evidence, wanted: str | float | None) -> int:
+    values = evidence.column(axis.name)
+    if wanted is None:
+        places = axis.find(values)
+        if axis.is_text:
+            return int(np.bincount(places[places >= 0]).argmax())
+        zero = int(axis.find([0.0])[0])
+        middle = float(np.median(np.array([v for v in values if v is not None], np.float64)))
+        return zero if zero >= 0 else int(np.abs(np.array(axis.centres) - middle).argmin())
+    found = int(axis.find([wanted])[0])
+    if found < 0:
+        raise InvalidInput(
+            f"--nominal {axis.name}",
+            found=wanted,
+            expected="a value with experiments: " + ", ".join(map(axis.text, range(len(axis)))),
+        )
+    return found
+
+
+def varying(evidence: Evidence, names: Sequence[str]) -> list[str]:
+    """Those of the coordinates that take more than one value."""
+    return [
+        name
+        for name in names
+        if len({v for v in evidence.coordinates.get(name, ()) if v is not None}) > 1
+    ]

@@ -1,0 +1,160 @@
+"""Contacts of pushes: which sides of a part, places on them and speeds have been pushed.
+
+Bounds on errors are learned from pushes. A side that was never pushed, or a speed, can be close to
+these in all features and still be unlike them in what the side or the speed itself does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.registration import gaps_and_normals
+from fixel.domain.features import Configurations
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
+
+# A contact is new where it differs by more than this from every pushed one of the part.
+MAX_TURN: Final = float(np.radians(20.0))  # of the outline's normal, in the frame of the part [rad]
+MAX_DISTANCE: Final = 0.5  # along the outline, in radii of a disk of the part's area [-]
+MAX_RATIO: Final = 1.25  # of speeds [-]
+
+# The condition of an experiment that says where the pusher stands around the part.
+CONTACT_ANGLE: Final = "contact_angle_rad"
+
+SIDE: Final = "side"
+SPEED: Final = "speed"
+BOTH: Final = "side and speed"
+PART: Final = "part"
+
+
+class Contacts(NamedTuple):
+    """Places and speeds at which pushers touch parts.
+
+    Attributes
+    ----------
+    normal : (n,) float64
+        Direction of the outward normal at the contact, in the frame of the part [rad].
+    place : (n, 2) float64
+        Contact point from the centroid, in the frame of the part, in radii of a disk of the same
+        area [-].
+    speed : (n,) float64
+        Speed of the pusher [m/s].
+    """
+
+    normal: FloatArray
+    place: FloatArray
+    speed: FloatArray
+
+    def rows(self, which: IntArray) -> Contacts:
+        """Return some of them."""
+        return Contacts(self.normal[which], self.place[which], self.speed[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Contacts]) -> Contacts:
+        """Return several tables as one."""
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def contacts_of(asked: Configurations, speed: FloatArray) -> Contacts:
+    """Return the first contact of straight pushes.
+
+    Parameters
+    ----------
+    asked : Configurations
+    speed : (n,) float64
+        Speeds of the pusher [m/s].
+    """
+    gap, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
+    point = asked.tip_start - (asked.radius + gap)[:, None] * normal - asked.start[:, :2]
+    c, s = np.cos(asked.start[:, 2]), np.sin(asked.start[:, 2])
+    turned = [np.column_stack((c * x + s * y, c * y - s * x)) for x, y in (normal.T, point.T)]
+    place = (turned[1] - np.asarray(asked.shape.centroid)) / np.sqrt(asked.shape.area / np.pi)
+    return Contacts(np.arctan2(turned[0][:, 1], turned[0][:, 0]), place, np.asarray(speed))
+
+
+class Novelty(NamedTuple):
+    """Kind of novelty of each contact, with its reason.
+
+    Attributes
+    ----------
+    kind : (n,) tuple of str
+        `"side"`, `"speed"`, `"side and speed"` or `"part"`; empty for contacts like pushed ones.
+    reason : (n,) tuple of str
+        The same as a sentence.
+    """
+
+    kind: tuple[str, ...]
+    reason: tuple[str, ...]
+
+
+@final
+class PushedContacts:
+    """Contacts that have been pushed, part by part.
+
+    Parameters
+    ----------
+    contacts : Contacts
+    parts : (n,) sequence
+        Label of the part of each: what was pushed of one part says nothing about another.
+    """
+
+    def __init__(self, contacts: Contacts, parts: Sequence[Hashable]) -> None:
+        _check(contacts, len(parts))
+        rows: dict[Hashable, list[int]] = {}
+        for k, part in enumerate(parts):
+            rows.setdefault(part, []).append(k)
+        self._known = {part: contacts.rows(np.array(own)) for part, own in rows.items()}
+
+    def novelty(self, contacts: Contacts, parts: Sequence[Hashable]) -> Novelty:
+        """Return what is new about other contacts."""
+        _check(contacts, len(parts))
+        found = [self._one(contacts.rows(np.array([k])), part) for k, part in enumerate(parts)]
+        return Novelty(tuple(kind for kind, _ in found), tuple(reason for _, reason in found))
+
+    def _one(self, asked: Contacts, part: Hashable) -> tuple[str, str]:
+        known = self._known.get(part)
+        if known is None:
+            return PART, "no push of this part"
+        turn = np.abs(wrapped(known.normal - asked.normal))
+        away = np.linalg.norm(known.place - asked.place, axis=1)
+        speed = float(asked.speed[0])
+        fast = (known.speed <= MAX_RATIO * speed) & (speed <= MAX_RATIO * known.speed)
+        on_side = turn <= MAX_TURN
+        near = on_side & (away <= MAX_DISTANCE)
+        if (near & fast).any():
+            return "", ""
+        said = []
+        if not on_side.any():
+            apart = np.degrees(turn.min())
+            said.append(
+                f"side never pushed: its normal is {apart:.0f} degrees from all pushed ones"
+            )
+        elif not near.any():
+            apart = away[on_side].min()
+            said.append(f"place never pushed: {apart:.2g} part radii from all pushes of the side")
+        at_speed = f"{1e3 * speed:.3g} mm/s"
+        if not fast.any():
+            nearest = 1e3 * known.speed[np.abs(np.log(known.speed / speed)).argmin()]
+            said.append(f"speed never pushed: {at_speed}, nearest {nearest:.3g} mm/s")
+        if not said:
+            said.append(f"side never pushed at {at_speed}")
+        kind = BOTH if len(said) == 2 else SPEED if near.any() else SIDE
+        return kind, "; ".join(said)
+
+
+def _check(contacts: Contacts, n: int) -> None:
+    shapes = (contacts.normal.shape, contacts.place.shape, contacts.speed.shape)
+    if shapes != ((n,), (n, 2), (n,)):
+        raise InvalidInput(
+            "contacts", found=f"shapes {shapes}", expected=f"({n},), ({n}, 2), ({n},)"
+        )
+    if not all(np.isfinite(column).all() for column in contacts):
+        raise InvalidInput(
+            "contacts", found="numbers that are not finite", expected="finite numbers"
+        )
+    if (contacts.speed <= 0.0).any():
+        raise InvalidInput("contacts.speed", found="0 or less", expected="positive speeds [m/s]")

@@ -1,0 +1,129 @@
+"""Which experiment would teach most about a map.
+
+Where the domain might still grow, or a cell is doubtful: the cell at which one more experiment is
+expected to leave the colours of the map's cells least open, before it is known how it turns out.
+Source: Lindley (1956), on the information an experiment provides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, Claim, DomainMap, Verdict
+from fixel.kernels.arrays import FloatArray
+
+NODES: Final = 9  # of the quadrature over how the experiment might turn out
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """An experiment worth making.
+
+    Attributes
+    ----------
+    group : str
+        Of which map.
+    cell : int
+    where : str
+        In the user's words.
+    bits : float
+        Expected fall of the entropy of the colours of all cells of the map [bit].
+    reason : str
+    """
+
+    group: str
+    cell: int
+    where: str
+    bits: float
+    reason: str
+
+
+def proposals(
+    domain: DomainMap, claim: Claim, most: int = 5, verdicts: list[list[Verdict]] | None = None
+) -> list[Proposal]:
+    """The most instructive experiments over all maps, the best first; one a map at most once each.
+
+    Parameters
+    ----------
+    domain : DomainMap
+    claim : Claim
+    most : int
+        How many.
+    verdicts : list of list of Verdict, optional
+        Of the claim, where they are at hand.
+    """
+    verdicts = domain.verdicts(claim) if verdicts is None else verdicts
+    inside = domain.domains(claim)
+    found = []
+    for g, group in enumerate(domain.groups):
+        worth = _bits(domain, claim, g)
+        for c in _candidates(domain, verdicts[g], inside[g]):
+            reason = _reason(domain, verdicts[g][c], inside[g], c)
+            found.append(
+                Proposal(
+                    group=group,
+                    cell=c,
+                    where=domain.cells.text(c),
+                    bits=float(worth[c]),
+                    reason=reason,
+                )
+            )
+    return sorted(found, key=lambda one: -one.bits)[:most]
+
+
+def _candidates(domain: DomainMap, verdicts: list[Verdict], inside: list[int]) -> list[int]:
+    """Doubtful cells, those without data that touch the domain, a nominal without data."""
+    near = {b for a, b in domain.cells.edges if a in inside}
+    near |= {a for a, b in domain.cells.edges if b in inside}
+    near.add(domain.cells.nominal)
+    found = []
+    for c, verdict in enumerate(verdicts):
+        open_still = verdict.colour == DOUBTFUL
+        unknown = verdict.colour in (NO_DATA, PREDICTED) and c in near
+        if open_still or unknown:
+            found.append(c)
+    return found
+
+
+def _bits(domain: DomainMap, claim: Claim, g: int) -> FloatArray:
+    """(n_cell,) expected fall of the entropy if one more experiment is made in each cell."""
+    from scipy.special import ndtr, ndtri
+
+    surface = domain.surface
+    covariance = surface.covariance[g]
+    scatter = float(surface.values[5])
+    mean = surface.mean[0, g] + float(ndtri(claim.level)) * scatter
+    variance = np.maximum(np.diag(covariance), 1e-9)
+    before = _entropy(ndtr((claim.score - mean) / np.sqrt(variance)))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    weights = weights / weights.sum()
+    found = np.zeros(len(mean))
+    for c in range(len(mean)):
+        total = float(variance[c]) + scatter**2
+        left = np.maximum(variance - covariance[:, c] ** 2 / total, 1e-9)
+        shift = covariance[:, c] / math.sqrt(total)
+        after = np.zeros(len(mean))
+        for z, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+            chance = ndtr((claim.score - mean - shift * z) / np.sqrt(left))
+            after += weight * _entropy(chance)
+        found[c] = float((before - after).sum())
+    return np.maximum(found, 0.0)
+
+
+def _entropy(chance: FloatArray) -> FloatArray:
+    """Of yes or no [bit]."""
+    p = np.clip(chance, 1e-12, 1.0 - 1e-12)
+    return np.asarray(-(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)))
+
+
+def _reason(domain: DomainMap, verdict: Verdict, inside: list[int], c: int) -> str:
+    if verdict.colour != DOUBTFUL:
+        nominal = c == domain.cells.nominal
+        return "no experiment at the nominal" if nominal else "no experiment there; it touches D"
+    touches = any(c in edge and (set(edge) & set(inside)) for edge in domain.cells.edges)
+    return f"doubtful{' and next to D' if touches else ''}: {verdict.reason}"

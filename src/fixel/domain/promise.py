@@ -1,0 +1,500 @@
+"""Bounds on the error of the calibrated simulator that hold with a stated probability.
+
+For configurations never tried, from experiments the calibration has not seen. See
+docs/theory/promise.md for the guarantee and what it rests on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fixel.domain.contacts import SIDE, SPEED, Contacts, Novelty, PushedContacts
+from fixel.domain.scale_model import (
+    Scale,
+    ScaleModel,
+    fitted_model,
+    powered,
+    unpowered,
+    usual_model,
+)
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model.fields import BoolArray
+
+LEVEL: Final = 0.9
+# Parts that are left out in turn, so that every score is of an experiment its model has not seen.
+FOLDS: Final = 5
+# The scores of all groups together count as so many of a group's own. More is sharper and lets
+# groups that are unlike the others down; chosen on inner splits of real pushes.
+BORROWED: Final = 40.0
+# Nothing is promised farther from all evidence than this times what is far among the evidence.
+FAR: Final = 2.0
+FAR_SHARE: Final = 0.99
+FAR_AWAY: Final = "far from all experiments in its features"
+
+TRUSTED: Final = "trusted"
+DOUBTFUL: Final = "doubtful"
+NOT_TRUSTED: Final = "not trusted"
+NO_DATA: Final = "no data"
+COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA)
+
+Labels = Sequence[Hashable]
+
+
+class Experience(NamedTuple):
+    """Features and errors that may shape the model of errors, and never judge it: those of the
+    experiments that the calibration was fitted to, say."""
+
+    features: FloatArray  # (n, f)
+    errors: FloatArray  # (n,)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Promise:
+    """Made by `Promise.fit`.
+
+    Attributes
+    ----------
+    level : float
+        Probability with which a bound holds.
+    model : str
+        `"forest"`, `"neighbours"` (without scikit-learn) or `"constant"` (few experiments).
+    n : int
+        Experiments that judge it.
+    """
+
+    level: float
+    model: str
+    n: int
+    _models: tuple[ScaleModel, ...]
+    _fold: IntArray  # (n,) which model has not seen an experiment
+    _score: FloatArray  # (n,) power of the error above what that model says; may be inf
+    _group: IntArray  # (n,)
+    _groups: tuple[Hashable, ...]
+    _near: _Near
+    _unit: IntArray | None = None  # (n,) of what was left out together
+    _pushed: PushedContacts | None = None
+    _beyond: Promise | None = None
+
+    @classmethod
+    def fit(
+        cls,
+        features: ArrayLike,
+        errors: ArrayLike,
+        groups: Labels | None = None,
+        level: float = LEVEL,
+        seed: int = 0,
+        *,
+        also: Experience | None = None,
+        model: str | None = None,
+        units: Labels | None = None,
+    ) -> Promise:
+        """Learn from experiments that the calibration has not seen.
+
+        Parameters
+        ----------
+        features : (n, f) array_like
+            What is known of each before it is tried; finite, any units.
+        errors : (n,) array_like
+            Of the calibrated simulator, 0 or more in any unit; inf where it came to no end.
+        groups : (n,) sequence, optional
+            Labels, such as shape and surface: bounds hold in each of them, as far as it has
+            experiments.
+        level : float
+            Between 0 and 1, both excluded.
+        seed : int
+            Of the folds and trees.
+        also : Experience, optional
+        model : str, optional
+            The best there is where left out.
+        units : (n,) sequence, optional
+            Labels of sides or speeds that the calibration was fitted without, whole. Bounds then
+            hold for a unit that is not among these: models leave out whole groups (whole units
+            without groups), and every unit weighs the same, however many experiments it has.
+
+        Raises
+        ------
+        InvalidInput
+            Too few experiments for the level; numbers that cannot be.
+        """
+        table, off = _checked(features, errors)
+        labels = _labels(groups, len(off))
+        _refuse_level(level, len(off))
+        more, more_off = (table[:0], off[:0]) if also is None else _checked(*also)
+        if more.shape[1] != table.shape[1]:
+            raise InvalidInput("also.features", found=f"{more.shape[1]} columns",
+                               expected=f"{table.shape[1]}")  # fmt: skip
+        known = tuple(dict.fromkeys(labels))
+        group = _numbered(labels)
+        unit = None if units is None else _numbered(_labels(units, len(off)))
+        if unit is not None:
+            _refuse_units(level, int(unit.max()) + 1)
+        whole = unit if len(known) == 1 else group
+        fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
+        name = model or usual_model(len(off))
+        models, score = [], np.empty(len(off))
+        for k in range(FOLDS):
+            own = fold == k
+            use = np.concatenate((table[~own], more))
+            value = powered(np.concatenate((off[~own], more_off)))
+            good = np.isfinite(value)
+            models.append(fitted_model(name, use[good], value[good], seed + k))
+            if own.any():
+                score[own] = powered(off[own]) - models[-1](table[own])
+        near = _Near.of(np.concatenate((table, more)))
+        return cls(level, name, len(off), tuple(models), fold, score, group, known, near, unit)
+
+    def for_contacts(
+        self, contacts: Contacts, groups: Labels | None = None, beyond: Promise | None = None
+    ) -> Promise:
+        """Return the promise that has no data on sides and at speeds that were never pushed.
+
+        Parameters
+        ----------
+        contacts : Contacts
+            Of experiments.
+        groups : (k,) sequence, optional
+            Labels of these; a group is one part.
+        beyond : Promise, optional
+            Fitted with `units`: gives bounds on a new side or at a new speed of a pushed part. What
+            is new in both has none.
+        """
+        if beyond is not None and beyond._unit is None:
+            raise InvalidInput("beyond", found="a promise fitted without units",
+                               expected="units=, with sides or speeds left out whole")  # fmt: skip
+        pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
+        return replace(self, _pushed=pushed, _beyond=beyond)
+
+    def bounds(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> FloatArray:
+        """Return bounds on the errors of new configurations (m,).
+
+        Each error stays below with probability `level`. Infinite where there is no data (see
+        `reasons`), and in a group whose simulations fail.
+        """
+        return np.asarray(self.quantiles(features, groups, (self.level,), contacts)[0])
+
+    def expected(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> FloatArray:
+        """Return medians of the errors of new configurations (m,); infinite without data."""
+        return np.asarray(self.quantiles(features, groups, (0.5,), contacts)[0])
+
+    def quantiles(
+        self,
+        features: ArrayLike,
+        groups: Labels | None,
+        levels: Sequence[float],
+        contacts: Contacts | None = None,
+    ) -> FloatArray:
+        """Return bounds at several levels (n_level, m).
+
+        Parameters
+        ----------
+        features : (m, f) array_like
+        groups : (m,) sequence or None
+        levels : (n_level,) sequence of float
+        contacts : Contacts, optional
+            Of the new configurations; required of a promise `for_contacts`.
+        """
+        table = self._table(features)
+        for level in levels:
+            _refuse_share(level)
+        labels = _labels(groups, len(table))
+        kind = np.array(self._novelty(contacts, labels).kind, object)
+        answer = self._quantiles(table, labels, levels)
+        answer[:, kind != ""] = np.inf
+        new = np.isin(kind, (SIDE, SPEED))
+        if self._beyond is not None and new.any():
+            answer[:, new] = self._beyond.quantiles(table[new], None, levels)
+        return answer
+
+    def reasons(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> tuple[str, ...]:
+        """Return why there is no data for new configurations (m,); empty where there is."""
+        table = self._table(features)
+        novelty = self._novelty(contacts, _labels(groups, len(table)))
+        far = np.where(self._near(table), "", FAR_AWAY)
+        answer = [new or away for new, away in zip(novelty.reason, far.tolist(), strict=True)]
+        if self._beyond is not None:
+            new = np.flatnonzero(np.isin(novelty.kind, (SIDE, SPEED)))
+            for k, why in zip(new.tolist(), self._beyond.reasons(table[new]), strict=True):
+                answer[k] = why
+        return tuple(answer)
+
+    def near(
+        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+    ) -> BoolArray:
+        """Return whether there is data for a bound (m,)."""
+        return np.array([not reason for reason in self.reasons(features, groups, contacts)], bool)
+
+    def _novelty(self, contacts: Contacts | None, labels: list[Hashable]) -> Novelty:
+        if (self._pushed is None) != (contacts is None):
+            found = "none" if contacts is None else "some, of a promise that knows none"
+            raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
+        if self._pushed is None or contacts is None:
+            return Novelty(("",) * len(labels), ("",) * len(labels))
+        return self._pushed.novelty(contacts, labels)
+
+    def _table(self, features: ArrayLike) -> FloatArray:
+        table = _table(features, "features")
+        if table.shape[1] != self._near.n_column:
+            raise InvalidInput("features", found=f"{table.shape[1]} columns",
+                               expected=f"{self._near.n_column}, as in the evidence")  # fmt: skip
+        return table
+
+    def _quantiles(
+        self, table: FloatArray, labels: list[Hashable], levels: Sequence[float]
+    ) -> FloatArray:
+        """Bounds (n_level, m), whatever the contacts."""
+        if not len(table):
+            return np.zeros((len(levels), 0))
+        expected = np.stack([model(table) for model in self._models])
+        answer = np.full((len(levels), len(table)), np.inf)
+        near = self._near(table)
+        for label in dict.fromkeys(labels):
+            own = np.flatnonzero(near & np.array([other == label for other in labels], bool))
+            weight, itself = self._weights(label)
+            reached = expected[:, own][self._fold] + self._score[:, None]
+            answer[:, own] = _weighted(reached, weight, itself, levels)
+        return unpowered(answer)
+
+    def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
+        """(n,) of the scores for a configuration of a group, and of the configuration itself."""
+        if self._unit is not None:
+            return 1.0 / np.bincount(self._unit)[self._unit], 1.0
+        if label not in self._groups or len(self._groups) == 1:
+            return np.ones(self.n), 1.0
+        own = self._group == self._groups.index(label)
+        borrowed = BORROWED / self.n
+        return np.where(own, 1.0 + borrowed, borrowed), 1.0 + borrowed
+
+
+def least_experiments(level: float) -> int:
+    """How many held-out experiments a finite bound takes: 9 for 90 %, 19 for 95 %."""
+    _refuse_share(level)
+    return math.ceil(round(level / (1.0 - level), 9))
+
+
+def constant_bound(errors: ArrayLike, level: float = LEVEL) -> float:
+    """The same bound for everything: split conformal without features, what any other is to beat.
+
+    Source: Vovk, Gammerman & Shafer (2005); the (n + 1) level'th smallest error.
+    """
+    off = np.sort(np.asarray(errors, np.float64))
+    _refuse_level(level, len(off))
+    return float(off[math.ceil(round((len(off) + 1) * level, 9)) - 1])
+
+
+def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: float) -> NDArray:  # type: ignore[type-arg]
+    """(m,) out of `COLOURS`, for a tolerance.
+
+    Parameters
+    ----------
+    bounds, expected : (m,) float64
+        Of `Promise`, in one unit.
+    near : (m,) bool
+        Whether there is evidence.
+    tau : float
+        What errors are tolerated up to, in the same unit.
+
+    Returns
+    -------
+    (m,) of str
+        Trusted: the bound is within the tolerance. Doubtful: the expected error is, the bound is
+        not. Not trusted: the expected error is beyond it. No data: nothing is promised.
+    """
+    if not (math.isfinite(tau) and tau > 0.0):
+        raise InvalidInput("tau", found=tau, expected="a positive tolerance")
+    chosen = np.where(bounds <= tau, 0, np.where(expected <= tau, 1, 2))
+    return np.array(COLOURS)[np.where(near, chosen, 3)]
+
+
+class Promised(NamedTuple):
+    """What is promised of configurations never tried."""
+
+    bound: FloatArray  # (m,) inf where nothing is
+    expected: FloatArray  # (m,) median; inf where nothing is
+    near: BoolArray  # (m,)
+    reasons: tuple[str, ...]  # (m,) why there is no data; empty where there is
+
+    def colours(self, tau: float) -> NDArray:  # type: ignore[type-arg]
+        """(m,) out of `COLOURS`; see `colours`."""
+        return colours(self.bound, self.expected, self.near, tau)
+
+
+def promised(
+    evidence: ArrayLike,
+    errors: ArrayLike,
+    new: ArrayLike,
+    level: float = LEVEL,
+    *,
+    seed: int = 0,
+    contacts: tuple[Contacts, Contacts] | None = None,
+) -> Promised:
+    """Bounds for new configurations of one part in one call.
+
+    Parameters
+    ----------
+    evidence : (n, f) array_like
+        Features of experiments that the calibration has not seen.
+    errors : (n,) array_like
+        Of the calibrated simulator there.
+    new : (m, f) array_like
+        Features of configurations never tried.
+    level : float
+    seed : int
+    contacts : (Contacts, Contacts), optional
+        Of the experiments and of the new configurations: sides and speeds that were never pushed
+        then have no data.
+    """
+    known, asked = (None, None) if contacts is None else contacts
+    promise = Promise.fit(evidence, errors, None, level, seed)
+    if known is not None:
+        promise = promise.for_contacts(known)
+    bound, expected = promise.quantiles(new, None, (level, 0.5), asked)
+    reasons = promise.reasons(new, None, asked)
+    near = np.array([not reason for reason in reasons], bool)
+    return Promised(bound, expected, near, reasons)
+
+
+# --- how ----------------------------------------------------------------------------------------
+
+
+class _Near(NamedTuple):
+    """What is near evidence: within a multiple of how far evidence lies apart."""
+
+    evidence: FloatArray
+    scale: Scale
+    farthest: float
+
+    @classmethod
+    def of(cls, features: FloatArray) -> _Near:
+        from scipy.spatial import KDTree
+
+        scale = Scale.of(features)
+        table = scale(features)
+        if table.shape[1] == 0 or len(table) < 2:
+            return cls(features, scale, 0.0)
+        apart = KDTree(table).query(table, k=2)[0][:, 1]
+        return cls(features, scale, FAR * float(np.quantile(apart, FAR_SHARE)))
+
+    @property
+    def n_column(self) -> int:
+        return int(self.evidence.shape[1])
+
+    def __call__(self, features: FloatArray) -> BoolArray:
+        from scipy.spatial import KDTree
+
+        tiny = 1e-9 * np.maximum(np.abs(self.scale.centre), 1e-9)
+        fixed = self.scale.spread <= tiny
+        same = (np.abs(features - self.scale.centre) <= 1e3 * tiny)[:, fixed].all(axis=1)
+        table = self.scale(self.evidence)
+        if table.shape[1] == 0:
+            return np.asarray(same)
+        away = KDTree(table).query(self.scale(features), k=1)[0]
+        return np.asarray(same & (away <= self.farthest))
+
+
+def _weighted(
+    values: FloatArray, weight: FloatArray, itself: float, levels: Sequence[float]
+) -> FloatArray:
+    """(n_level, m) smallest of values (n, m) that so much of the weight is at or below; the weight
+    of the configuration itself lies at infinity."""
+    order = np.argsort(values, axis=0, kind="stable")
+    reached = np.cumsum(weight[order], axis=0)
+    ordered = np.take_along_axis(values, order, axis=0)
+    answer = np.full((len(levels), values.shape[1]), np.inf)
+    for k, level in enumerate(levels):
+        wanted = level * (weight.sum() + itself)
+        row = (reached < wanted * (1.0 - 1e-12)).sum(axis=0)
+        found = row < len(values)
+        columns = np.flatnonzero(found)
+        answer[k, columns] = ordered[row[columns], columns]
+    return answer
+
+
+def _folds(group: IntArray, seed: int) -> IntArray:
+    """(n,) parts of every group, dealt out at random and evenly."""
+    dice = np.random.default_rng(seed)
+    fold, dealt = np.empty(len(group), np.int64), 0
+    for g in np.unique(group):
+        own = dice.permutation(np.flatnonzero(group == g))
+        fold[own] = (dealt + np.arange(len(own))) % FOLDS
+        dealt += len(own)
+    return fold
+
+
+def _whole_folds(whole: IntArray, seed: int) -> IntArray:
+    """(n,) parts that split no group or unit."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(int(whole.max()) + 1)
+    return np.asarray(np.argsort(order)[whole] % FOLDS)
+
+
+def _numbered(labels: Labels) -> IntArray:
+    number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+    return np.array([number[label] for label in labels], np.int64)
+
+
+def _checked(features: ArrayLike, errors: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    table = _table(features, "features")
+    off = np.asarray(errors, np.float64)
+    if off.shape != (len(table),):
+        raise InvalidInput("errors", found=f"shape {off.shape}", expected=f"({len(table)},)")
+    if np.isnan(off).any() or (off < 0.0).any():
+        raise InvalidInput(
+            "errors", found="negative numbers, or none", expected="0 or more; inf where it failed"
+        )
+    return table, off
+
+
+def _table(features: ArrayLike, where: str) -> FloatArray:
+    table = np.asarray(features, np.float64)
+    if table.ndim != 2 or not np.isfinite(table).all():
+        found = f"shape {table.shape}" if table.ndim != 2 else "numbers that are not finite"
+        raise InvalidInput(where, found=found, expected="a table of finite numbers (n, f)")
+    return table
+
+
+def _labels(groups: Labels | None, n: int) -> list[Hashable]:
+    labels: list[Hashable] = [None] * n if groups is None else list(groups)
+    if len(labels) != n:
+        raise InvalidInput("groups", found=f"{len(labels)} labels", expected=f"{n}")
+    return labels
+
+
+def _refuse_level(level: float, n: int) -> None:
+    least = least_experiments(level)
+    if n < least:
+        raise InvalidInput(
+            "experiments",
+            found=f"{n} held out",
+            expected=f"{least} or more for bounds that hold with {100.0 * level:g} %",
+            hint="run more experiments, or ask for a lower level",
+        )
+
+
+def _refuse_units(level: float, n: int) -> None:
+    least = least_experiments(level)
+    if n < least:
+        raise InvalidInput(
+            "units",
+            found=f"{n} sides or speeds left out",
+            expected=f"{least} or more for bounds that hold with {100.0 * level:g} % on a new one",
+            hint="leave out more, or ask for a lower level",
+        )
+
+
+def _refuse_share(level: float) -> None:
+    if not 0.0 < level < 1.0:
+        raise InvalidInput("level", found=level, expected="a number between 0 and 1")

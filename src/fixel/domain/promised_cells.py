@@ -1,0 +1,115 @@
+"""Error bounds for experiments in the cells of a map, tried or not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fixel.domain.cells import CellAxis, Cells
+from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.domain.evidence import Evidence, Value, unit_in
+from fixel.domain.promise import Promise, least_experiments
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
+
+
+def promised_cells(
+    evidence: Evidence, cells: Cells, level: float, seed: int = 0
+) -> FloatArray | None:
+    """(n_group, n_cell) bounds that new experiments stay within with a probability [mm].
+
+    Root mean square errors; inf where there is no data, or a coordinate that was never tried in
+    the map. None where there are too few experiments for any bound.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    cells : Cells
+    level : float
+        The probability.
+    seed : int
+    """
+    place = cells.find(evidence)
+    known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))
+    groups = list(dict.fromkeys(evidence.group))
+    group = np.array([groups.index(name) for name in evidence.group])
+    # A cell nobody tried is like the next of the cells, not like one more repetition in one of
+    # them: one experiment a cell judges it, and models have not seen another of the same cell.
+    slots = {(int(group[k]), int(place[k])): k for k in reversed(known.tolist())}
+    first = np.sort(np.fromiter(slots.values(), np.int64, len(slots)))
+    bounds = _bounds(evidence, cells, place, known, level, seed)
+    if bounds is None:
+        return None
+    far = np.array(list(untried(evidence, cells).values())) != ""
+    bounds[far] = np.inf
+    if len(first) == len(known):
+        return bounds
+    new = _bounds(evidence, cells, place, first, level, seed)
+    tried = np.zeros(bounds.shape, bool)
+    tried[tuple(zip(*slots, strict=True))] = True
+    return np.where(tried | far, bounds, np.inf if new is None else new)
+
+
+def untried(evidence: Evidence, cells: Cells) -> dict[str, list[str]]:
+    """Return by map which coordinate of each cell was never tried; empty for none.
+
+    New are a text that no experiment of the map has, a contact angle or a speed unlike all of the
+    map (as in `contacts`), and any other number beyond those of the map. Such a cell is an
+    extrapolation, however near the others it looks.
+    """
+    answer = {}
+    group = np.array(evidence.group)
+    tried = ~np.isnan(evidence.error_mm2)
+    for own in dict.fromkeys(evidence.group):
+        rows = np.flatnonzero(tried & (group == own)).tolist()
+        known = [[evidence.column(axis.name)[k] for k in rows] for axis in cells.axes]
+        new = [
+            [_is_new(axis, k, values) for k in range(len(axis))]
+            for axis, values in zip(cells.axes, known, strict=True)
+        ]
+        answer[own] = [_untried_text(cells, c, new) for c in range(len(cells))]
+    return answer
+
+
+def _untried_text(cells: Cells, c: int, new: list[list[bool]]) -> str:
+    said = [
+        f"{axis.name} {axis.text(k)} {axis.unit}".rstrip()
+        for axis, k, own in zip(cells.axes, cells.index[c], new, strict=True)
+        if own[k]
+    ]
+    return f"never tried: {', '.join(said)}" if said else ""
+
+
+def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
+    if axis.is_text:
+        return axis.labels[k] not in {str(value) for value in values if value is not None}
+    known = np.array([value for value in values if isinstance(value, (int, float))], np.float64)
+    if not len(known):
+        return True
+    low, high = axis.edges[k : k + 2] if axis.edges else (axis.centres[k],) * 2
+    if ((known >= low) & (known <= high)).any():
+        return False
+    if axis.name == CONTACT_ANGLE:
+        turn = [np.abs(wrapped(known - end)).min() for end in (low, high)]
+        return bool(min(turn) > MAX_TURN)
+    if unit_in(axis.name) == "m/s":
+        return not ((known <= MAX_RATIO * high) & (low <= MAX_RATIO * known)).any()
+    return bool(known.max() < low or known.min() > high)
+
+
+def _bounds(
+    evidence: Evidence, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
+) -> FloatArray | None:
+    """Of all cells, from some of the experiments; none from too few."""
+    if len(rows) < least_experiments(level):
+        return None
+    groups = list(dict.fromkeys(evidence.group))
+    apart = len(groups) > 1
+    promise = Promise.fit(
+        cells.places[place[rows]],
+        np.sqrt(evidence.error_mm2[rows]),
+        [evidence.group[k] for k in rows.tolist()] if apart else None,
+        level,
+        seed,
+    )
+    n = len(cells)
+    return np.array([promise.bounds(cells.places, [own] * n if apart else None) for own in groups])

@@ -1,0 +1,262 @@
+"""How logarithms of errors vary over the cells of several maps: a Gaussian process.
+
+Theory: docs/theory/domain.md. Source: Rasmussen & Williams (2006), chapters 2, 5.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.kernels.arrays import FloatArray, IntArray
+
+DRAWS: Final = 32  # of what is not known of the surface itself
+WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
+JITTER: Final = 1e-8
+MOST_LEARNT: Final = 300  # cells that reach, changes and scatter are learnt from
+
+# Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
+# a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
+# wide but for the last: without repetitions nothing tells scatter from what a cell has of its own,
+# and then it is what benches like the simulated one show, some 15 %.
+_MIDDLE: Final = np.log([0.35, 0.35, 0.35, 0.35, 0.40, 0.15])
+_WIDTH: Final = np.array([0.7, 0.9, 0.9, 0.9, 0.7, 0.4])
+# By what factor scatter differs from cell to cell, as the standard deviation of its logarithm:
+# where a push may go either way it is many times the usual.
+UNEVEN: Final = 0.8
+NODES: Final = 7
+NAMES: Final = ("reach", "shared", "own", "offset", "cell", "scatter")
+
+
+class Seen(NamedTuple):
+    """What members say, cell by cell."""
+
+    group: IntArray  # (m,) map of each cell that has members
+    cell: IntArray  # (m,) its number
+    members: IntArray  # (m,) how many
+    mean: FloatArray  # (m,) of their scores
+    squares: FloatArray  # (m,) sum of squared distances from the mean
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Scores of every cell of every map as far as the members tell, in several versions.
+
+    Attributes
+    ----------
+    mean, variance : (n_draw, n_group, n_cell) float64
+        Of a cell's own typical score.
+    covariance : (n_group, n_cell, n_cell) float64
+        Between cells of a map, in the likeliest version.
+    scatter : (n_draw,) float64
+        Standard deviation of a new member about its cell's score, usually.
+    factors : (n_node,) float64
+        By which it differs from cell to cell.
+    weights : (n_draw, n_node, n_group, n_cell) float64
+        Probabilities of the factors, in the light of the cell's own repetitions.
+    values : (6,) float64
+        The likeliest of `NAMES`.
+    """
+
+    mean: FloatArray
+    variance: FloatArray
+    covariance: FloatArray
+    scatter: FloatArray
+    factors: FloatArray
+    weights: FloatArray
+    values: FloatArray
+
+    def below(self, score: float, level: float) -> FloatArray:
+        """(n_group, n_cell) probability that a share `level` of new members stays below."""
+        from scipy.special import ndtr, ndtri
+
+        z = float(ndtri(level))
+        spread = self.scatter[:, None] * self.factors
+        quantile = self.mean[:, None] + z * spread[:, :, None, None]
+        chance = ndtr((score - quantile) / np.sqrt(self.variance)[:, None])
+        return np.asarray((self.weights * chance).sum(axis=1).mean(axis=0))
+
+    @property
+    def best(self) -> FloatArray:
+        """(n_group, n_cell) mean over the versions."""
+        return np.asarray(self.mean.mean(axis=0))
+
+
+def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> Surface:
+    """Find the surface that members most likely lie on, and how far others are as likely.
+
+    Parameters
+    ----------
+    places : (n_cell, d) float64
+        Where the cells are, as shares of the axes.
+    n_group : int
+        Maps.
+    seen : Seen
+        One cell at least.
+    seed : int
+        Of the versions.
+    """
+    best, spread = _likeliest(_Model(places, n_group, _some(seen, seed)))
+    model = _Model(places, n_group, seen)
+    draws = _versions(best, spread, seed)
+    mean, variance, scatter = [], [], []
+    for values in draws:
+        m, v = model.posterior(values)
+        mean.append(m)
+        variance.append(v)
+        scatter.append(math.exp(values[5]))
+    _, covariance = model.posterior(best, whole=True)
+    return Surface(
+        np.array(mean),
+        np.maximum(np.array(variance), 1e-9),
+        covariance,
+        np.array(scatter),
+        *_uneven(np.array(scatter), seen, n_group, len(places)),
+        np.exp(best),
+    )
+
+
+def _uneven(
+    scatter: FloatArray, seen: Seen, n_group: int, n_cell: int
+) -> tuple[FloatArray, FloatArray]:
+    """Factors of the scatter, and how probable each is in every cell (by Bayes's rule)."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    factors = np.exp(UNEVEN * nodes)
+    found = np.zeros((len(scatter), NODES, n_group, n_cell))
+    found += np.log(weights / weights.sum())[:, None, None]
+    spread = scatter[:, None, None] * factors[:, None]
+    said = -(seen.members - 1) * np.log(spread) - 0.5 * seen.squares / spread**2
+    found[:, :, seen.group, seen.cell] += said
+    found = np.exp(found - found.max(axis=1, keepdims=True))
+    return factors, np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def _some(seen: Seen, seed: int) -> Seen:
+    """At most so many of the cells, at random, for what a few tell as well as all."""
+    n = len(seen.mean)
+    if n <= MOST_LEARNT:
+        return seen
+    own = np.sort(np.random.default_rng(seed).choice(n, MOST_LEARNT, replace=False))
+    return Seen._make(np.asarray(column)[own] for column in seen)
+
+
+class _Model:
+    """Prior and data; parameters are logarithms, in the order of `NAMES`."""
+
+    def __init__(self, places: FloatArray, n_group: int, seen: Seen) -> None:
+        self.distance = np.linalg.norm(places[:, None] - places[None], axis=-1)
+        self.n_group = n_group
+        self.seen = seen
+        self.same = np.equal(seen.group[:, None], seen.group[None])
+        self.centre = float(np.average(seen.mean, weights=seen.members))
+        self.y = seen.mean - self.centre
+
+    def kernels(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n_cell, n_cell) what all maps share, and what each has of its own."""
+        reach, shared, own, offset, cell, _ = np.exp(values)
+        if self.n_group == 1:  # one map cannot tell these apart
+            offset = shared = 0.0
+        r = math.sqrt(3.0) * self.distance / reach
+        form = (1.0 + r) * np.exp(-r)  # Matern, 3/2
+        common = WIDE_MEAN**2 + shared**2 * form
+        return common, offset**2 + own**2 * form + cell**2 * np.eye(len(form))
+
+    def _observed(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        common, single = self.kernels(values)
+        at = np.ix_(self.seen.cell, self.seen.cell)
+        covariance = common[at] + np.where(self.same, single[at], 0.0)
+        noise = math.exp(2.0 * values[5]) / self.seen.members
+        return common, single, covariance + np.diag(noise + JITTER)
+
+    def loss(self, values: FloatArray) -> float:
+        """Negative logarithm of the posterior of the parameters."""
+        from scipy.linalg import cholesky, solve_triangular
+
+        _, _, covariance = self._observed(values)
+        try:
+            factor = cholesky(covariance, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            return 1e12
+        z = solve_triangular(factor, self.y, lower=True, check_finite=False)
+        likelihood = -0.5 * float(z @ z) - float(np.log(np.diag(factor)).sum())
+        scatter = math.exp(2.0 * values[5])
+        freedom = float((self.seen.members - 1).sum())
+        likelihood -= freedom * values[5] + 0.5 * float(self.seen.squares.sum()) / scatter
+        prior = 0.5 * float((((values - _MIDDLE) / _WIDTH) ** 2).sum())
+        return float(prior - likelihood)
+
+    def posterior(self, values: FloatArray, whole: bool = False) -> tuple[FloatArray, FloatArray]:
+        """(n_group, n_cell) means, and as many variances; whole covariances where wanted."""
+        from scipy.linalg import cholesky, solve_triangular
+
+        common, single, covariance = self._observed(values)
+        factor = cholesky(covariance, lower=True, check_finite=False)
+        n, maps = len(common), np.arange(self.n_group)
+        own = np.equal(self.seen.group[None, :], maps[:, None])[:, None, :]
+        cross = common[None, :, self.seen.cell] + single[None, :, self.seen.cell] * own
+        both = np.column_stack((self.y, cross.reshape(-1, len(self.y)).T))
+        solved = solve_triangular(factor, both, lower=True, check_finite=False)
+        z, back = solved[:, 0], solved[:, 1:]
+        mean = self.centre + (back.T @ z).reshape(self.n_group, n)
+        if whole:
+            parts = back.reshape(-1, self.n_group, n)
+            return mean, common + single - np.einsum("mgi,mgj->gij", parts, parts)
+        left = np.diag(common + single) - (back**2).sum(axis=0).reshape(self.n_group, n)
+        return mean, left
+
+
+def _likeliest(model: _Model) -> tuple[FloatArray, FloatArray]:
+    """The most probable parameters, and the covariance about them (Laplace)."""
+    from scipy.optimize import minimize
+
+    low, high = _MIDDLE - 3.0 * _WIDTH, _MIDDLE + 3.0 * _WIDTH
+    found = minimize(
+        model.loss,
+        _MIDDLE,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": 60},
+    )
+    best = np.asarray(found.x, np.float64)
+    return best, _spread(model, best)
+
+
+def _spread(model: _Model, best: FloatArray) -> FloatArray:
+    """Inverse of the loss's curvature, at least that of the prior in no direction."""
+    n, h = len(best), 0.1
+    eye = h * np.eye(n)
+    middle = model.loss(best)
+    curvature = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            if i == j:
+                bend = model.loss(best + eye[i]) - 2.0 * middle + model.loss(best - eye[i])
+            else:
+                bend = 0.25 * (
+                    model.loss(best + eye[i] + eye[j])
+                    - model.loss(best + eye[i] - eye[j])
+                    - model.loss(best - eye[i] + eye[j])
+                    + model.loss(best - eye[i] - eye[j])
+                )
+            curvature[i, j] = curvature[j, i] = bend / h**2
+    size, directions = np.linalg.eigh(curvature)
+    least = float((1.0 / _WIDTH**2).min())
+    return np.asarray(directions @ np.diag(1.0 / np.maximum(size, least)) @ directions.T)
+
+
+def _versions(best: FloatArray, spread: FloatArray, seed: int) -> FloatArray:
+    """(n_draw, 6) parameters, the likeliest first."""
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    exponent = math.ceil(math.log2(DRAWS))
+    dice = np.random.default_rng(seed)
+    unit = qmc.Sobol(d=len(best), seed=dice).random_base2(exponent)[: DRAWS - 1]
+    normal = ndtri(np.clip(unit, 1e-6, 1.0 - 1e-6))
+    drawn = best + normal @ np.linalg.cholesky(spread + JITTER * np.eye(len(best))).T
+    inside = np.clip(drawn, _MIDDLE - 3.5 * _WIDTH, _MIDDLE + 3.5 * _WIDTH)
+    return np.concatenate((best[None], inside))

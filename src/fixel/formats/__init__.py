@@ -1,0 +1,19 @@
+"""The outside world: scene files, trajectory files, public datasets."""
+
+from fixel.formats.scene_file import (
+    SceneFile,
+    load_scene,
+    save_scene,
+    scene_dict,
+    scene_file_from_dict,
+    scene_json_schema,
+)
+
+__all__ = [
+    "SceneFile",
+    "load_scene",
+    "save_scene",
+    "scene_dict",
+    "scene_file_from_dict",
+    "scene_json_schema",
+]

@@ -1,0 +1,203 @@
+"""Camera files: a lens, where it is above the plate, and what is known of its errors, as YAML.
+
+Pixels count from the middle of the upper left one, coefficients are in OpenCV's order.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from fixel.errors import InvalidInput
+from fixel.formats.file_errors import explained, only_form, within
+from fixel.formats.scene_schema import NonNegative, Number, Point, Positive, Record, Triple
+from fixel.io.atomic import written_whole
+from fixel.io.document import read_document, yaml_text
+from fixel.vision.camera import Camera
+from fixel.vision.lens import Lens
+from fixel.vision.measured_camera import MeasuredCamera
+
+Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)]
+Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+
+
+class LensRecord(Record):
+    image_size_px: Size = Field(description="width, height [px]")
+    focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+        description="focal lengths along u, v [px]"
+    )
+    centre_px: Point = Field(description="where the axis meets the sensor: u, v [px]")
+    skew: Number = Field(0.0, description="alpha_c of the MATLAB toolbox [-]")
+    distortion: Annotated[list[Number], Field(max_length=8)] = Field(
+        [], description="k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 with fisheye [-]"
+    )
+    fisheye: bool = Field(False, description="equidistant model of Kannala and Brandt")
+
+
+class LookingRecord(Record):
+    height_mm: Positive = Field(description="of the camera above the plate [mm]")
+    above_mm: Point = Field([0.0, 0.0], description="place of the world under it [mm]")
+    turned_deg: Number = Field(0.0, description="from world x to the picture's right [deg]")
+    tilted_deg: Point = Field([0.0, 0.0], description="axis down, right in the picture [deg]")
+
+
+class MatrixRecord(Record):
+    rotation: Matrix = Field(description="camera_from_world, x right, y down, z away")
+    translation_mm: Triple = Field(description="of the world's origin, in the camera's axes [mm]")
+
+
+class PlaceRecord(Record):
+    """Exactly one form."""
+
+    looking: LookingRecord | None = Field(None, description="a camera that looks down")
+    matrix: MatrixRecord | None = Field(None, description="a rotation and a translation")
+
+
+class MeasuredRecord(Record):
+    names: list[str] = Field([], description="what was measured: fx, k1, tz, ...")
+    covariance: list[list[Number]] = Field([], description="of these [px, -, rad, m]")
+    noise_px: Positive | None = Field(None, description="of a corner along each axis [px]")
+    seen: list[list[NonNegative]] = Field(
+        [], description="corners of boards by cell of the picture"
+    )
+
+
+class CameraRecord(Record):
+    """A camera file."""
+
+    fixel_camera: Literal[1] = Field(1, description="version of the format")
+    source: str = Field("", description="where it comes from, for people")
+    lens: LensRecord
+    place: PlaceRecord | None = Field(None, description="above the plate; left out: not placed yet")
+    measured: MeasuredRecord | None = Field(None, description="what is known of its errors")
+
+
+def load_camera(path: str | Path) -> MeasuredCamera:
+    """Read a camera file: YAML, or JSON if the name ends in `.json`.
+
+    Raises
+    ------
+    InvalidInput
+        The first thing that is wrong, with the path of its key.
+    """
+    raw = read_document(Path(path))
+    if not isinstance(raw, dict) or "lens" not in raw:
+        raise InvalidInput(
+            str(path),
+            found="no lens in it",
+            expected="a camera file of fixel",
+            hint="run: fixel camera import FILE, for those of MATLAB, OpenCV, Kalibr and ROS",
+        )
+    with within(str(path)):
+        return camera_from_dict(raw)
+
+
+def camera_from_dict(raw: Any) -> MeasuredCamera:
+    """The camera whose content is already at hand as dicts and lists."""
+    try:
+        record = CameraRecord.model_validate(raw)
+    except ValidationError as problems:
+        raise explained(problems, CameraRecord, "camera") from None
+    lens = _lens(record.lens)
+    measured = record.measured or MeasuredRecord.model_validate({})
+    with within("measured", "measured."):
+        return MeasuredCamera(
+            lens=lens,
+            camera=_camera(lens, record.place),
+            names=tuple(measured.names),
+            covariance=_rows(measured.covariance, "covariance"),
+            noise=measured.noise_px,
+            seen=_rows(measured.seen, "seen"),
+            source=record.source,
+        )
+
+
+def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
+    """The content of a camera file as dicts and lists."""
+    content: dict[str, Any] = {"fixel_camera": 1}
+    if camera.source:
+        content["source"] = camera.source
+    content["lens"] = _lens_content(camera.lens)
+    if camera.camera is not None:
+        content["place"] = {"matrix": _matrix_content(camera.camera)}
+    measured: dict[str, Any] = {}
+    if camera.names:
+        measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
+    if camera.noise is not None:
+        measured["noise_px"] = camera.noise
+    if camera.seen.size:
+        measured["seen"] = [[int(n) for n in row] for row in camera.seen]
+    return content | ({"measured": measured} if measured else {})
+
+
+def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
+    """Write a camera file."""
+    with written_whole(path) as unfinished:
+        unfinished.write_text(yaml_text(camera_dict(camera)), encoding="utf-8")
+
+
+def plain(number: float) -> float:
+    """A number as people write it: `25.4`, and not `25.400000000000002`."""
+    return float(f"{number:.15g}")
+
+
+def _lens(record: LensRecord) -> Lens:
+    width, height = record.image_size_px
+    with within("lens", "lens."):
+        return Lens(
+            image_size=(width, height),
+            focal=record.focal_px,  # type: ignore[arg-type]
+            centre=record.centre_px,  # type: ignore[arg-type]
+            skew=record.skew,
+            distortion=record.distortion or (0.0,),  # type: ignore[arg-type]
+            fisheye=record.fisheye,
+        )
+
+
+def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
+    if record is None:
+        return None
+    only_form(record, "place")
+    with within("place", "camera."):
+        if record.matrix:
+            return Camera(
+                lens=lens,
+                rotation=record.matrix.rotation,  # type: ignore[arg-type]
+                translation=[mm / 1e3 for mm in record.matrix.translation_mm],  # type: ignore[arg-type]
+            )
+        looking = record.looking
+        assert looking is not None
+        return Camera.looking_down(
+            lens,
+            looking.height_mm / 1e3,
+            above=[mm / 1e3 for mm in looking.above_mm],
+            turned=math.radians(looking.turned_deg),
+            tilted=[math.radians(angle) for angle in looking.tilted_deg],
+        )
+
+
+def _rows(rows: list[list[float]], where: str) -> Any:
+    if len({len(row) for row in rows}) > 1:
+        raise InvalidInput(where, found="rows of several lengths", expected="equal rows")
+    return rows
+
+
+def _lens_content(lens: Lens) -> dict[str, Any]:
+    return {
+        "image_size_px": list(lens.image_size),
+        "focal_px": lens.focal.tolist(),
+        "centre_px": lens.centre.tolist(),
+        "skew": lens.skew,
+        "distortion": lens.distortion.tolist(),
+        "fisheye": lens.fisheye,
+    }
+
+
+def _matrix_content(camera: Camera) -> dict[str, Any]:
+    return {
+        "rotation": camera.rotation.tolist(),
+        "translation_mm": [plain(1e3 * metres) for metres in camera.translation],
+    }

@@ -1,0 +1,162 @@
+"""Cameras in OpenCV's storage files (YAML, XML, JSON), and in those of ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.formats.camera_matrix import lens_of, matrix_of
+from fixel.io.atomic import written_whole
+from fixel.io.document import yaml_text
+from fixel.model.fields import FloatArray
+from fixel.vision.lens import Lens
+from fixel.vision.measured_camera import MeasuredCamera
+from fixel.vision.opencv import opencv
+
+MATRIX: Final = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1", "intrinsic_matrix")
+DISTORTION: Final = (
+    "distortion_coefficients",
+    "dist_coeffs",
+    "distCoeffs",
+    "Distortion_Coefficients",
+    "dist_coeff",
+    "D",
+    "D1",
+)
+WIDTH: Final = ("image_width", "image_Width", "width")
+HEIGHT: Final = ("image_height", "image_Height", "height")
+ENDINGS: Final = {"opencv": (".yml", ".yaml", ".xml", ".json"), "ros": (".yaml", ".yml")}
+
+
+def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
+    """The camera of a storage file; `size` where the file does not say it [px]."""
+    cv2 = opencv()
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        try:
+            return _read(storage, size)
+        finally:
+            storage.release()
+    except cv2.error as problem:
+        raise InvalidInput(
+            "file", found=f"what OpenCV cannot read ({problem.err})", expected="its storage"
+        ) from None
+    except SystemError:  # how its bindings say that the parser gave up
+        raise InvalidInput(
+            "file", found="what OpenCV cannot read", expected="its storage"
+        ) from None
+
+
+def save_opencv(lens: Lens, path: str | Path) -> None:
+    """Write a lens as OpenCV's own calibration program does."""
+    _refuse_ending(path, "opencv")
+    _refuse_skew(lens)
+    cv2 = opencv()
+    with written_whole(path) as unfinished:
+        storage = cv2.FileStorage(str(unfinished), cv2.FILE_STORAGE_WRITE)
+        try:
+            width, height = lens.image_size
+            storage.write("image_width", width)
+            storage.write("image_height", height)
+            storage.write("fisheye_model", int(lens.fisheye))
+            storage.write("camera_matrix", matrix_of(lens))
+            storage.write("distortion_coefficients", lens.distortion.reshape(1, -1).copy())
+        finally:
+            storage.release()
+
+
+def save_ros(lens: Lens, path: str | Path, name: str = "camera") -> None:
+    """Write a lens as a ROS camera_info file."""
+    _refuse_ending(path, "ros")
+    _refuse_skew(lens)
+    width, height = lens.image_size
+    matrix = matrix_of(lens)
+    model, count = "equidistant", 4
+    if not lens.fisheye:
+        long = lens.distortion[5:].any()
+        model, count = ("rational_polynomial", 8) if long else ("plumb_bob", 5)
+    content = {
+        "image_width": width,
+        "image_height": height,
+        "camera_name": name,
+        "camera_matrix": _ros_matrix(matrix),
+        "distortion_model": model,
+        "distortion_coefficients": _ros_matrix(lens.distortion[None, :count]),
+        "rectification_matrix": _ros_matrix(np.eye(3)),
+        "projection_matrix": _ros_matrix(np.column_stack([matrix, np.zeros(3)])),
+    }
+    with written_whole(path) as unfinished:
+        unfinished.write_text(yaml_text(content), encoding="utf-8")
+
+
+def _read(storage: Any, size: tuple[int, int] | None) -> MeasuredCamera:
+    matrix = _matrix(storage, MATRIX, "the camera matrix")
+    distortion = _matrix(storage, DISTORTION, "the distortion coefficients")
+    width, height = _number(storage, WIDTH), _number(storage, HEIGHT)
+    if width and height:
+        said: tuple[int, int] | None = (int(width), int(height))
+    else:
+        node = storage.getNode("image_size")
+        said = _pair(node) or size
+    if said is None:
+        raise InvalidInput(
+            "image_width",
+            found=None,
+            expected="the size of the pictures it was calibrated with",
+            hint="say it: --size 1280x720",
+        )
+    fisheye = bool(_number(storage, ("fisheye_model", "fisheye")))
+    return MeasuredCamera(lens=lens_of(said, matrix, distortion, fisheye=fisheye))
+
+
+def _matrix(storage: Any, names: tuple[str, ...], what: str) -> FloatArray:
+    for name in names:
+        node = storage.getNode(name)
+        if not node.empty():
+            found = node.mat()
+            if found is None:
+                raise InvalidInput(name, found="no matrix", expected=what)
+            return np.asarray(found, dtype=np.float64)
+    raise InvalidInput(names[0], found=None, expected=f"{what}, as one of " + ", ".join(names))
+
+
+def _number(storage: Any, names: tuple[str, ...]) -> float | None:
+    for name in names:
+        node = storage.getNode(name)
+        if not node.empty() and (node.isInt() or node.isReal()):
+            return float(node.real())
+    return None
+
+
+def _pair(node: Any) -> tuple[int, int] | None:
+    if node.empty() or not node.isSeq() or node.size() != 2:
+        return None
+    return int(node.at(0).real()), int(node.at(1).real())
+
+
+def _ros_matrix(matrix: FloatArray) -> dict[str, Any]:
+    rows, cols = matrix.shape
+    return {"rows": rows, "cols": cols, "data": matrix.ravel().tolist()}
+
+
+def _refuse_skew(lens: Lens) -> None:
+    if lens.skew and not lens.fisheye:
+        width = lens.skew * lens.image_size[1] / 2.0
+        raise InvalidInput(
+            "lens.skew",
+            found=f"a skew of {lens.skew:g}",
+            expected="none: OpenCV and ROS do not heed it when they project",
+            hint=f"pixels at the edge would be {abs(width):.2f} px wrong",
+        )
+
+
+def _refuse_ending(path: str | Path, format: str) -> None:
+    if Path(path).suffix.lower() not in ENDINGS[format]:
+        raise InvalidInput(
+            str(path),
+            found=f"the ending {Path(path).suffix!r}",
+            expected="a file that ends with " + ", ".join(ENDINGS[format]),
+        )

@@ -1,0 +1,184 @@
+"""Experiments as two Parquet tables: one row an experiment, and one row a measured pose.
+
+Units are at the end of the columns' names. The pusher has a clock of its own: in `frames` it stands
+interpolated, linearly, at the instants of the object; no value where it was not measured.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.io.atomic import refuse_unwritable
+from fixel.model import Experiment
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+EXPERIMENTS: Final = "experiments.parquet"
+FRAMES: Final = "frames.parquet"
+BATCH: Final = 100_000  # [frames] a row group
+
+_POSE = ("x_m", "y_m", "theta_rad")
+
+
+def write_frames(experiments: Iterable[Experiment], folder: Path) -> int:
+    """Write both tables into a folder; returns the number of frames."""
+    # A second is spent here at the first call, so not where the module is imported.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    lines: list[dict[str, Any]] = []
+    waiting: list[Any] = []
+    total = n_waiting = 0
+    schema = _frames_schema(pa)
+    with pq.ParquetWriter(folder / FRAMES, schema) as writer:
+        for number, experiment in enumerate(experiments):
+            lines.append({"experiment_index": number, **experiment_columns(experiment)})
+            waiting.append(pa.table(frame_columns(number, experiment), schema=schema))
+            n_waiting += waiting[-1].num_rows
+            total += waiting[-1].num_rows
+            if n_waiting >= BATCH:
+                writer.write_table(pa.concat_tables(waiting).combine_chunks())
+                waiting, n_waiting = [], 0
+        if waiting:
+            writer.write_table(pa.concat_tables(waiting).combine_chunks())
+    pq.write_table(
+        pa.Table.from_pylist(lines, schema=_experiments_schema(pa)), folder / EXPERIMENTS
+    )
+    return total
+
+
+def experiment_columns(experiment: Experiment) -> dict[str, Any]:
+    """One row an experiment."""
+    path = experiment.trajectory
+    ends = {
+        f"{end}_{label}": float(x)
+        for end, pose in (("start", path.pose[0]), ("end", path.pose[-1]))
+        for label, x in zip(_POSE, pose, strict=True)
+    }
+    effective = experiment.effective or (None, None)
+    return {
+        "dataset": experiment.dataset,
+        "name": experiment.name,
+        "is_real": experiment.real,
+        "simulated_by": experiment.simulated_by,
+        "is_flagged": any(flag.fault for flag in experiment.flags),
+        "flags": [f"{flag.name}: {flag.detail}".rstrip(": ") for flag in experiment.flags],
+        "object_name": experiment.object_name,
+        "n_frame": len(path.time),
+        "duration_s": experiment.duration,
+        **ends,
+        "effective_start_s": effective[0],
+        "effective_end_s": effective[1],
+        "contact_mode": experiment.contact_mode,
+        "object_height_m": experiment.height,
+        "conditions_json": json.dumps(dict(experiment.conditions)),
+        "fixel_version": experiment.provenance.version,
+        "source_file": experiment.provenance.source,
+        "created_at_utc": experiment.provenance.created,
+    }
+
+
+def frame_columns(number: int, experiment: Experiment) -> dict[str, Any]:
+    """One row a measured pose of the object."""
+    time = experiment.trajectory.time
+    n = len(time)
+    pusher = pusher_at(experiment, time)
+    columns: dict[str, Any] = {
+        "experiment_index": np.full(n, number, dtype=np.int64),
+        "dataset": [experiment.dataset] * n,
+        "name": [experiment.name] * n,
+        "is_real": np.full(n, experiment.real),
+        "frame_index": np.arange(n, dtype=np.int64),
+        "time_s": time,
+    }
+    for k, label in enumerate(_POSE):
+        columns[label] = experiment.trajectory.pose[:, k]
+    for k, label in enumerate(_POSE):
+        columns[f"pusher_{label}"] = [None if math.isnan(x) else x for x in pusher[:, k].tolist()]
+    return columns
+
+
+def pusher_at(experiment: Experiment, time: FloatArray) -> FloatArray:
+    """(n, 3) poses of the pusher at instants, NaN where it was not measured."""
+    pusher = experiment.pusher
+    if pusher is None:
+        return np.full((len(time), 3), np.nan)
+    inside = (time >= pusher.time[0]) & (time <= pusher.time[-1])
+    return np.where(inside[:, None], pusher.at(time), np.nan)
+
+
+@contextmanager
+def folder_whole(folder: Path) -> Iterator[Path]:
+    """A folder beside `folder` that takes its name once it is complete; it must be new or empty."""
+    refuse_folder(folder)
+    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}")
+    try:
+        unfinished.mkdir()
+        yield unfinished
+        if folder.exists():
+            folder.rmdir()
+        os.replace(unfinished, folder)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(
+            str(folder), found=reason, expected="a folder that can be written"
+        ) from None
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def refuse_folder(folder: Path) -> None:
+    """Refuse a folder that has something in it, or cannot be made."""
+    if folder.exists():
+        if not folder.is_dir() or any(folder.iterdir()):
+            raise InvalidInput(
+                str(folder), found="something there already", expected="a new or an empty folder"
+            )
+    else:
+        refuse_unwritable(folder)
+
+
+def _frames_schema(pa: Any) -> Any:
+    text = pa.dictionary(pa.int32(), pa.string())
+    places = [("experiment_index", pa.int64()), ("dataset", text), ("name", text)]
+    numbers = [(name, pa.float64()) for name in ("time_s", *_POSE, *(f"pusher_{p}" for p in _POSE))]
+    return pa.schema([*places, ("is_real", pa.bool_()), ("frame_index", pa.int64()), *numbers])
+
+
+def _experiments_schema(pa: Any) -> Any:
+    text, number, yes = pa.string(), pa.float64(), pa.bool_()
+    ends = [(f"{end}_{label}", number) for end in ("start", "end") for label in _POSE]
+    return pa.schema(
+        [
+            ("experiment_index", pa.int64()),
+            ("dataset", text),
+            ("name", text),
+            ("is_real", yes),
+            ("simulated_by", text),
+            ("is_flagged", yes),
+            ("flags", pa.list_(text)),
+            ("object_name", text),
+            ("n_frame", pa.int64()),
+            ("duration_s", number),
+            *ends,
+            ("effective_start_s", number),
+            ("effective_end_s", number),
+            ("contact_mode", text),
+            ("object_height_m", number),
+            ("conditions_json", text),
+            ("fixel_version", text),
+            ("source_file", text),
+            ("created_at_utc", text),
+        ]
+    )

@@ -1,0 +1,148 @@
+"""JPEG pictures: as cameras send them, and as recordings hold them."""
+
+from __future__ import annotations
+
+import io
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.formats.jpeg_blocks import JpegBlocks, blocks_of
+from fixel.vision.frame import Gray, Picture
+
+BEGIN: Final = b"\xff\xd8"
+END: Final = b"\xff\xd9"
+# Markers that say how large a picture is; the others of this range are tables.
+_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+QUALITY: Final = 95  # with colours at full resolution
+REDUCED: Final = 8
+
+
+def jpeg_of(picture: Picture) -> bytes:
+    """JPEG of high quality, with colours at full resolution."""
+    from PIL import Image
+
+    height, width = picture.shape[:2]
+    whole = np.ascontiguousarray(picture)
+    file = io.BytesIO()
+    image = Image.frombuffer("RGB", (width, height), whole, "raw", "BGR", 0, 1)
+    image.save(file, "JPEG", quality=QUALITY, subsampling=0)
+    return file.getvalue()
+
+
+def jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height [px] of a whole JPEG picture; None where it is none."""
+    if not data.startswith(BEGIN) or data.rfind(END) < 0:
+        return None
+    place = 2
+    while place + 9 <= len(data) and data[place] == 0xFF:
+        marker = data[place + 1]
+        if marker in _SIZES:
+            height = int.from_bytes(data[place + 5 : place + 7])
+            return int.from_bytes(data[place + 7 : place + 9]), height
+        place += 2 + int.from_bytes(data[place + 2 : place + 4])
+    return None
+
+
+def decoded(data: bytes, where: str = "picture") -> Picture:
+    """(height, width, 3) uint8, blue, green, red."""
+    from PIL import Image
+
+    try:
+        image = Image.open(io.BytesIO(data), formats=["JPEG"]).convert("RGB")
+        pixels = np.frombuffer(image.tobytes("raw", "BGR"), np.uint8)
+    except (OSError, SyntaxError, ValueError) as problem:
+        raise _spoilt(where, problem) from None
+    return pixels.reshape(image.height, image.width, 3)
+
+
+def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
+    """(height / reduced, width / reduced) uint8; colours are not decoded, nor details beyond that.
+
+    Parameters
+    ----------
+    data : bytes
+    reduced : int
+        1, 2, 4 or 8.
+    where : str
+        What it is called where it turns out to be spoilt.
+    """
+    from PIL import Image
+
+    try:
+        image = Image.open(io.BytesIO(data), formats=["JPEG"])
+        image.draft("L", (image.width // reduced, image.height // reduced))
+        return np.asarray(image.convert("L"), dtype=np.uint8)
+    except (OSError, SyntaxError, ValueError) as problem:
+        raise _spoilt(where, problem) from None
+
+
+def shrunk(picture: Picture) -> Gray:
+    """(height / 8, width / 8) uint8 of brightness, of pixels."""
+    height, width = (side // REDUCED for side in picture.shape[:2])
+    green = picture[: height * REDUCED, : width * REDUCED, 1]
+    cells = green.reshape(height, REDUCED, width, REDUCED)
+    return np.asarray(cells.mean(axis=(1, 3)), dtype=np.uint8)
+
+
+@final
+class JpegPlanes:
+    """A JPEG picture for `Frame`: windows of it are decoded alone, where it is of the usual kind.
+
+    Parameters
+    ----------
+    data : bytes
+    size : (int, int)
+        Width and height [px].
+    where : str
+        What it is called where it turns out to be spoilt.
+    """
+
+    __slots__ = ("_blocks", "_data", "_looked", "_luma", "_picture", "_where", "size")
+
+    def __init__(self, data: bytes, size: tuple[int, int], where: str = "picture") -> None:
+        self._data, self._where = data, where
+        self.size = size
+        self._picture: Picture | None = None
+        self._luma: Gray | None = None
+        self._blocks: JpegBlocks | None = None
+        self._looked = False
+
+    def luma(self) -> Gray:
+        """(height, width) of brightness."""
+        if self._luma is None:
+            self._luma = brightness(self._data, where=self._where)
+        return self._luma
+
+    def luma_in(self, rows: slice, columns: slice) -> Gray:
+        """(height, width) of brightness in a window."""
+        if self._luma is None:
+            blocks = self._walked()
+            window = None if blocks is None else blocks.luma(rows, columns)
+            if window is not None:
+                return window
+        return self.luma()[rows, columns]
+
+    def colour(self, rows: slice, columns: slice) -> Picture:
+        """(height, width, 3) blue, green, red of a window."""
+        width, height = self.size
+        whole = rows.indices(height)[:2] == (0, height) and columns.indices(width)[:2] == (0, width)
+        if self._picture is None and not whole:
+            blocks = self._walked()
+            window = None if blocks is None else blocks.colour(rows, columns)
+            if window is not None:
+                return window
+        if self._picture is None:
+            self._picture = decoded(self._data, self._where)
+        return self._picture[rows, columns]
+
+    def _walked(self) -> JpegBlocks | None:
+        if not self._looked:
+            self._looked = True
+            self._blocks = blocks_of(self._data)
+        return self._blocks
+
+
+def _spoilt(where: str, problem: Exception) -> InvalidInput:
+    return InvalidInput(where, found=f"spoilt JPEG data ({problem})", expected="JPEG")

@@ -1,0 +1,305 @@
+"""Windows of a JPEG picture, without decoding the rest of it.
+
+Where each block of 8 x 8 pixels begins in the data can be told only by walking there, but the walk
+need not know what it passes: a table steps over several coefficients at once. Blocks inside a
+window are then decoded from where they begin, and nothing else is.
+
+The pixels are those of libjpeg, to the last bit, but for colours that are stored at half the
+resolution, which are repeated here and smoothed there.
+
+Source
+------
+ITU-T T.81 (1992), Annex F; the inverse transform of C. Loeffler, A. Ligtenberg and G. S. Moschytz,
+"Practical fast 1-D DCT algorithms with 11 multiplications", ICASSP 1989, as libjpeg rounds it.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.formats.jpeg_loops import STATE, bgr_of, find_blocks, read_blocks
+from fixel.formats.jpeg_tables import fill_codes, fill_strides, fill_words
+from fixel.vision.frame import Gray, Picture
+
+SLACK: Final = 128  # words of zeros after the data: more than one block can be long
+AHEAD: Final = 3  # words that may have been looked at when the data end
+
+# Where the coefficients of a block stand, in the order they come in.
+_ORDER: Final = sorted(
+    range(64), key=lambda k: (k // 8 + k % 8, k // 8 if (k // 8 + k % 8) % 2 else k % 8)
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """What the head of a JPEG says about its data.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height [px].
+    parts : (n, 6) int64
+        Of brightness and colours: blocks across and down in a unit, number of its first block,
+        blocks across and down in the picture, which tables of codes it has.
+    quantum : (n, 64) int64
+        What coefficients are multiplied by, in the order of rows.
+    codes : (2, 2, 65536) uint16
+        Of tables for first and other coefficients: length and meaning of the code that 16 bits
+        begin with.
+    strides : (2, 2, 8192) uint32
+        How far one steps by the codes that lie within 13 bits; see `fill_strides`.
+    units : (int, int)
+        Across and down.
+    interval : int
+        Units between two restarts; 0 for none.
+    """
+
+    size: tuple[int, int]
+    parts: NDArray[np.int64]
+    quantum: NDArray[np.int64]
+    codes: NDArray[np.uint16]
+    strides: NDArray[np.uint32]
+    units: tuple[int, int]
+    interval: int
+
+
+@final
+class JpegBlocks:
+    """The blocks of one picture.
+
+    Parameters
+    ----------
+    layout : Layout
+    data : bytes
+        What comes after its head.
+    """
+
+    __slots__ = ("_end", "_layout", "_level", "_place", "_state", "_words")
+
+    def __init__(self, layout: Layout, data: bytes) -> None:
+        plain = np.frombuffer(data, np.uint8)
+        self._words = np.empty(len(plain) // 4 + SLACK, np.uint32)
+        self._end = fill_words(plain, self._words) + AHEAD
+        self._layout = layout
+        across, down = layout.units
+        count = int((layout.parts[:, 0] * layout.parts[:, 1]).sum()) * across * down
+        self._place = np.empty(count, np.int64)
+        self._level = np.empty(count, np.int16)
+        self._state = np.zeros(STATE, np.int64)
+        self._state[-1] = layout.interval
+
+    def luma(self, rows: slice, columns: slice) -> Gray | None:
+        """(height, width) of brightness in a window; None where the data make no sense."""
+        top, bottom, left, right = self._within(rows, columns)
+        if not self._walked(bottom):
+            return None
+        plane, above, before = self._plane(0, top, bottom, left, right)
+        return (
+            None
+            if plane is None
+            else plane[top - above : bottom - above, left - before : right - before]
+        )
+
+    def colour(self, rows: slice, columns: slice) -> Picture | None:
+        """(height, width, 3) blue, green, red in a window; None where the data make no sense."""
+        top, bottom, left, right = self._within(rows, columns)
+        if len(self._layout.parts) != 3 or not self._walked(bottom):
+            return None
+        planes, corners = [], np.empty((3, 2), np.int64)
+        for part in range(3):
+            plane, *corners[part] = self._plane(part, top, bottom, left, right)
+            if plane is None:
+                return None
+            planes.append(plane)
+        out = np.empty((bottom - top, right - left, 3), np.uint8)
+        bgr_of(planes[0], planes[1], planes[2], corners, self._layout.parts, top, left, out)
+        return out
+
+    def _within(self, rows: slice, columns: slice) -> tuple[int, int, int, int]:
+        width, height = self._layout.size
+        top, bottom, _ = rows.indices(height)
+        left, right, _ = columns.indices(width)
+        return top, max(bottom, top), left, max(right, left)
+
+    def _walked(self, bottom: int) -> bool:
+        """Know where all blocks down to a row begin; whether they could be found."""
+        layout = self._layout
+        tall = 8 * int(layout.parts[:, 1].max())
+        until = -(-bottom // tall)
+        if self._state[0] >= until:
+            return True
+        return bool(
+            find_blocks(
+                self._words,
+                self._end,
+                self._state,
+                until,
+                layout.units[0],
+                layout.interval,
+                layout.parts,
+                layout.codes,
+                layout.strides,
+                self._place,
+                self._level,
+            )
+        )
+
+    def _plane(
+        self, part: int, top: int, bottom: int, left: int, right: int
+    ) -> tuple[Gray | None, int, int]:
+        """Whole blocks of a plane that hold a window, and its row and column in that plane."""
+        parts = self._layout.parts
+        across, down = parts[part, :2] * 8
+        wide, tall = parts[:, :2].max(0) * 8
+        first = int(left * across // wide) // 8, int(top * down // tall) // 8
+        last = (
+            int((right * across + wide - 1) // wide + 7) // 8,
+            int((bottom * down + tall - 1) // tall + 7) // 8,
+        )
+        out = np.empty((8 * (last[1] - first[1]), 8 * (last[0] - first[0])), np.uint8)
+        fine = read_blocks(
+            self._words,
+            self._place,
+            self._level,
+            parts[part],
+            self._layout.quantum[part],
+            self._layout.codes,
+            NATURAL,
+            first[0],
+            first[1],
+            out,
+        )
+        return (out if fine else None), 8 * first[1], 8 * first[0]
+
+
+NATURAL: Final = np.array(_ORDER, dtype=np.int64)
+
+
+def blocks_of(data: bytes) -> JpegBlocks | None:
+    """The blocks of a picture; None where it is none of the usual kind.
+
+    That is: baseline, 8 bits, brightness alone or with two colours, all in one scan, and no other
+    colours than those of JFIF.
+    """
+    start = _scan(data)
+    if start is None:
+        return None
+    layout = _layout(data[:start])
+    return None if layout is None else JpegBlocks(layout, data[start:])
+
+
+def _scan(data: bytes) -> int | None:
+    """Where the data begin, after all segments of the head."""
+    place = 2
+    while place + 4 <= len(data) and data[place] == 0xFF:
+        end = place + 2 + int.from_bytes(data[place + 2 : place + 4])
+        if data[place + 1] == 0xDA:
+            return end
+        place = end
+    return None
+
+
+@functools.lru_cache(maxsize=8)
+def _layout(head: bytes) -> Layout | None:
+    try:
+        return _read_head(head)
+    except (IndexError, KeyError, ValueError):
+        return None
+
+
+def _read_head(head: bytes) -> Layout | None:
+    quanta: dict[int, NDArray[np.int64]] = {}
+    tables: dict[int, bytes] = {}
+    frame = scan = b""
+    interval, place = 0, 2
+    while place < len(head):
+        marker = head[place + 1]
+        length = int.from_bytes(head[place + 2 : place + 4])
+        content = head[place + 4 : place + 2 + length]
+        place += 2 + length
+        if marker == 0xDB:
+            quanta |= _quanta(content)
+        elif marker == 0xC4:
+            tables |= _tables(content)
+        elif marker == 0xDD:
+            interval = int.from_bytes(content[:2])
+        elif marker in (0xC0, 0xC1):
+            frame = content
+        elif marker == 0xDA:
+            scan = content
+        elif 0xC0 <= marker <= 0xCF or marker == 0xEE:  # another process, or Adobe's colours
+            return None
+    n = frame[5]
+    if frame[0] != 8 or n not in (1, 3) or scan[0] != n or frame[6 : 6 + 3 * n : 3] == b"RGB":
+        return None
+    height, width = int.from_bytes(frame[1:3]), int.from_bytes(frame[3:5])
+    parts, quantum = np.zeros((n, 6), np.int64), np.zeros((n, 64), np.int64)
+    for k in range(n):
+        name, sampling, table = frame[6 + 3 * k : 9 + 3 * k]
+        if scan[1 + 2 * k] != name:
+            return None
+        chosen = scan[2 + 2 * k]
+        # One plane alone comes block by block, whatever it says.
+        parts[k, :2] = (sampling >> 4, sampling & 15) if n > 1 else (1, 1)
+        parts[k, 5] = 2 * (chosen >> 4) + (chosen & 15)
+        if max(chosen >> 4, chosen & 15) > 1:
+            return None
+        quantum[k] = quanta[table]
+    most = parts[:, :2].max(0)
+    if (
+        not height
+        or not width
+        or parts[0, :2].tolist() != most.tolist()
+        or (parts[:, :2] < 1).any()
+    ):
+        return None
+    units = -(-width // (8 * int(most[0]))), -(-height // (8 * int(most[1])))
+    first = 0
+    for part in parts:
+        part[2:5] = first, units[0] * part[0], units[1] * part[1]
+        first += int(part[3] * part[4])
+    codes, strides = _codes(tuple(sorted(tables.items())))
+    return Layout((width, height), parts, quantum, codes, strides, units, interval)
+
+
+def _quanta(content: bytes) -> dict[int, NDArray[np.int64]]:
+    found = {}
+    while content:
+        wide = content[0] >> 4
+        kind = np.dtype(">u2") if wide else np.dtype(np.uint8)
+        quantum = np.zeros(64, np.int64)
+        quantum[NATURAL] = np.frombuffer(content, kind, 64, 1)
+        found[content[0] & 15] = quantum
+        content = content[1 + 64 * kind.itemsize :]
+    return found
+
+
+def _tables(content: bytes) -> dict[int, bytes]:
+    """Tables of codes by class and number; each as 16 counts and the meanings."""
+    found = {}
+    while content:
+        end = 17 + sum(content[1:17])
+        found[content[0]] = content[1:end]
+        content = content[end:]
+    return found
+
+
+@functools.lru_cache(maxsize=8)
+def _codes(
+    tables: tuple[tuple[int, bytes], ...],
+) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+    codes = np.zeros((2, 2, 1 << 16), np.uint16)
+    strides = np.zeros((2, 2, 1 << 13), np.uint32)
+    for which, table in tables:
+        kind, number = which >> 4, which & 15
+        counts, meanings = np.frombuffer(table[:16], np.uint8), np.frombuffer(table[16:], np.uint8)
+        if not fill_codes(counts, meanings, codes[kind, number]):
+            raise ValueError("codes that are no codes")
+        fill_strides(codes[kind, number], kind == 1, strides[kind, number])
+    return codes, strides

@@ -1,0 +1,356 @@
+"""Plan files: a sampling plan as one small YAML or JSON file.
+
+The file holds the scheme, not the experiments it unfolds to. Lengths are in metres, angles in
+radians, as in scene files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from fixel.errors import InvalidInput
+from fixel.formats.file_errors import explained, only_form, within
+from fixel.formats.scene_schema import (
+    NoneRecord,
+    NonNegative,
+    Number,
+    Point,
+    PointsRecord,
+    Positive,
+    Record,
+    Triple,
+    TripodRecord,
+    UniformRecord,
+)
+from fixel.io.document import parse_yaml, read_document, yaml_text
+from fixel.model import (
+    Disk,
+    NoSupport,
+    Polygon,
+    Support,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+)
+from fixel.sampling import (
+    Axis,
+    Grid,
+    Layout,
+    Listed,
+    Nominal,
+    OffsetScheme,
+    Plan,
+    PlannedShape,
+    RegularPolygon,
+    Rig,
+    Sampled,
+)
+from fixel.sampling.rig import Outline
+
+Values = Annotated[list[Number], Field(min_length=1)]
+Rows = Annotated[list[Triple], Field(min_length=1)]
+Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class RegularRecord(Record):
+    sides: int = Field(description="how many")
+    side: Positive = Field(description="length of a side [m]")
+
+
+class OutlineRecord(Record):
+    """Exactly one form."""
+
+    polygon: list[Point] | None = Field(None, description="corners x, y [m]")
+    disk: Positive | None = Field(None, description="radius [m]")
+    regular: RegularRecord | None = Field(None, description="regular polygon, a side facing -x")
+
+
+class RestRecord(Record):
+    """Exactly one form."""
+
+    tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
+    points: PointsRecord | None = Field(None, description="support at given points")
+    uniform: UniformRecord | None = Field(None, description="even pressure over the footprint")
+    none: NoneRecord | None = Field(None, description="no friction with the plane")
+
+
+class HeadRecord(Record):
+    shape: OutlineRecord
+    speed: Positive = Field(description="[m/s]")
+    travel: Positive = Field(description="[m]")
+    force_limit: Positive | None = Field(None, description="at which the drive stalls [N]")
+    friction: NonNegative = Field(description="coefficient against the object")
+
+
+class FixelsRecord(Record):
+    radius: Positive = Field(description="of each [m]")
+    friction: NonNegative = Field(description="coefficient against the object")
+    zone_side: Positive = Field(description="of the square zone they stand in [m]")
+
+
+class NominalPoseRecord(Record):
+    gap: Number = Field(description="from head to object along the motion [m]")
+    angle: Number = Field(0.0, description="of the object [rad]")
+
+
+class ShapeRecord(Record):
+    name: str
+    shape: OutlineRecord
+    mass: Positive = Field(description="[kg]")
+    support: RestRecord | None = Field(None, description="how the object rests on the plane")
+    zone_start: Number = Field(description="from the head's start to the fixel zone [m]")
+
+
+class LayoutRecord(Record):
+    name: str
+    pegs: list[Point] = Field(description="u, v in the unit square of the zone, from 0 to 1")
+    number: int | None = Field(None, description="by which a publication calls it")
+
+
+class AxisRecord(Record):
+    name: Literal["x", "y", "theta"]
+    step: Positive = Field(description="[m], or [rad] for theta")
+    first: int = Field(description="count of the first step, may be negative")
+    last: int = Field(description="count of the last step")
+
+
+class GridRecord(Record):
+    x: Values = Field([0.0], description="[m]")
+    y: Values = Field([0.0], description="[m]")
+    theta: Values = Field([0.0], description="[rad]")
+
+
+class SampleRecord(Record):
+    method: Literal["sobol", "halton", "uniform"] = "sobol"
+    count: int = Field(description="of points")
+    seed: int = Field(0, description="of the scrambling or the random numbers")
+    x: Bounds = Field([0.0, 0.0], description="least, largest [m]")
+    y: Bounds = Field([0.0, 0.0], description="least, largest [m]")
+    theta: Bounds = Field([0.0, 0.0], description="least, largest [rad]")
+
+
+class OffsetsRecord(Record):
+    """Exactly one form."""
+
+    nominal: NoneRecord | None = Field(None, description="the nominal pose: {}")
+    axis: AxisRecord | None = Field(None, description="steps along one axis, without step 0")
+    grid: GridRecord | None = Field(None, description="every combination of values")
+    list: Rows | None = Field(None, description="x [m], y [m], theta [rad]")
+    sample: SampleRecord | None = Field(None, description="points that fill a box")
+
+
+class PlanRecord(Record):
+    """A plan file."""
+
+    fixel_plan: Literal[1] = Field(description="version of the format")
+    name: str
+    head: HeadRecord = Field(description="starts at the origin, moves along +x")
+    fixels: FixelsRecord
+    nominal: NominalPoseRecord = Field(description="pose from which offsets count")
+    shapes: list[ShapeRecord] = Field(description="objects")
+    layouts: list[LayoutRecord] = Field(description="of the fixels")
+    offsets: list[OffsetsRecord] = Field(description="of the object, one scheme after the other")
+    repetitions: int = Field(1, description="runs of every configuration")
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Read a plan file: YAML, or JSON if the name ends in `.json`.
+
+    Raises
+    ------
+    InvalidInput
+        The first thing that is wrong, with the path of its key.
+    """
+    return _plan(read_document(Path(path)))
+
+
+def plan_from_text(text: str, where: str = "plan") -> Plan:
+    """The plan in a YAML text; `where` names it in errors."""
+    return _plan(parse_yaml(text, where))
+
+
+def plan_text(plan: Plan) -> str:
+    """A plan as the text of a YAML file, which reads back as an equal plan."""
+    return yaml_text(_content(plan))
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def _plan(raw: Any) -> Plan:
+    try:
+        record = PlanRecord.model_validate(raw)
+    except ValidationError as problems:
+        raise explained(problems, PlanRecord, "plan") from None
+    head, fixels, nominal = record.head, record.fixels, record.nominal
+    rig = Rig(
+        head=_outline(head.shape, "head.shape"),
+        speed=head.speed,
+        travel=head.travel,
+        force_limit=head.force_limit,
+        head_friction=head.friction,
+        fixel_friction=fixels.friction,
+        fixel_radius=fixels.radius,
+        zone_side=fixels.zone_side,
+        gap=nominal.gap,
+        angle=nominal.angle,
+    )
+    return Plan(
+        name=record.name,
+        rig=rig,
+        shapes=tuple(_shape(shape, f"shapes[{k}]") for k, shape in enumerate(record.shapes)),
+        layouts=tuple(_layout(layout, f"layouts[{k}]") for k, layout in enumerate(record.layouts)),
+        schemes=tuple(_scheme(form, f"offsets[{k}]") for k, form in enumerate(record.offsets)),
+        repetitions=record.repetitions,
+    )
+
+
+def _shape(record: ShapeRecord, path: str) -> PlannedShape:
+    outline = _outline(record.shape, f"{path}.shape")
+    support = _support(record.support, f"{path}.support")
+    with within(path, f"shape {record.name!r}.", "shape."):
+        return PlannedShape(
+            name=record.name,
+            outline=outline,
+            mass=record.mass,
+            support=support,
+            zone_start=record.zone_start,
+        )
+
+
+def _outline(record: OutlineRecord, path: str) -> Outline:
+    form = only_form(record, path)
+    with within(path):
+        if form == "disk":
+            return Disk(record.disk or 0.0)
+        if record.regular:
+            return RegularPolygon(**record.regular.model_dump())
+        return Polygon(record.polygon)  # type: ignore[arg-type]
+
+
+def _support(record: RestRecord | None, path: str) -> Support:
+    if record is None:
+        return NoSupport()
+    only_form(record, path)
+    with within(path):
+        if record.tripod:
+            return Tripod(**record.tripod.model_dump())
+        if record.points:
+            given = record.points
+            return SupportPoints(points=given.at, friction=given.friction, loads=given.loads)  # type: ignore[arg-type]
+        if record.uniform:
+            return UniformPressure(**record.uniform.model_dump())
+    return NoSupport()
+
+
+def _layout(record: LayoutRecord, path: str) -> Layout:
+    with within(path, f"layout {record.name!r}.", "layout."):
+        pegs = tuple((u, v) for u, v in record.pegs)
+        return Layout(name=record.name, pegs=pegs, number=record.number)
+
+
+def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
+    only_form(record, path)
+    with within(path):
+        if record.axis:
+            return Axis(**record.axis.model_dump())
+        if record.grid:
+            return Grid(**{name: tuple(v) for name, v in record.grid.model_dump().items()})
+        if record.list:
+            return Listed(tuple((x, y, theta) for x, y, theta in record.list))
+        if record.sample:
+            return Sampled(**record.sample.model_dump())
+    return Nominal()
+
+
+# --- writing --------------------------------------------------------------------------------------
+
+
+def _content(plan: Plan) -> dict[str, Any]:
+    rig = plan.rig
+    limit = {} if rig.force_limit is None else {"force_limit": rig.force_limit}
+    return {
+        "fixel_plan": 1,
+        "name": plan.name,
+        "head": {
+            "shape": _outline_content(rig.head),
+            "speed": rig.speed,
+            "travel": rig.travel,
+            **limit,
+            "friction": rig.head_friction,
+        },
+        "fixels": {
+            "radius": rig.fixel_radius,
+            "friction": rig.fixel_friction,
+            "zone_side": rig.zone_side,
+        },
+        "nominal": {"gap": rig.gap, "angle": rig.angle},
+        "shapes": [_shape_content(shape) for shape in plan.shapes],
+        "layouts": [
+            {
+                "name": layout.name,
+                **({} if layout.number is None else {"number": layout.number}),
+                "pegs": [list(peg) for peg in layout.pegs],
+            }
+            for layout in plan.layouts
+        ],
+        "offsets": [_scheme_content(scheme) for scheme in plan.schemes],
+        "repetitions": plan.repetitions,
+    }
+
+
+def _shape_content(shape: PlannedShape) -> dict[str, Any]:
+    return {
+        "name": shape.name,
+        "shape": _outline_content(shape.outline),
+        "mass": shape.mass,
+        "support": _support_content(shape),
+        "zone_start": shape.zone_start,
+    }
+
+
+def _outline_content(outline: Outline) -> dict[str, Any]:
+    if isinstance(outline, RegularPolygon):
+        return {"regular": {"sides": outline.sides, "side": outline.side}}
+    if isinstance(outline, Disk):
+        return {"disk": outline.radius}
+    return {"polygon": outline.vertices.tolist()}
+
+
+def _support_content(shape: PlannedShape) -> dict[str, Any]:
+    support = shape.support
+    if isinstance(support, NoSupport):
+        return {"none": {}}
+    if isinstance(support, Tripod):
+        turned = {"angle": support.angle} if support.angle else {}
+        return {"tripod": {"radius": support.radius, "friction": support.friction, **turned}}
+    if isinstance(support, SupportPoints):
+        loads = {} if support.loads is None else {"loads": support.loads.tolist()}
+        friction = np.asarray(support.friction).tolist()
+        return {"points": {"at": support.points.tolist(), "friction": friction, **loads}}
+    if isinstance(support, UniformPressure):
+        return {"uniform": {"friction": support.friction, "n_points": support.n_points}}
+    raise InvalidInput(
+        f"shape {shape.name!r}.support",
+        found=f"a {type(support).__name__}",
+        expected="a Tripod, SupportPoints, UniformPressure or NoSupport: plan files have no others",
+    )
+
+
+def _scheme_content(scheme: OffsetScheme) -> dict[str, Any]:
+    match scheme:
+        case Nominal():
+            return {"nominal": {}}
+        case Axis(name=name, step=step, first=first, last=last):
+            return {"axis": {"name": name, "step": step, "first": first, "last": last}}
+        case Grid(x=x, y=y, theta=theta):
+            return {"grid": {"x": list(x), "y": list(y), "theta": list(theta)}}
+        case Listed(rows=rows):
+            return {"list": [list(row) for row in rows]}
+        case Sampled(method=method, count=count, seed=seed):
+            bounds = {name: list(getattr(scheme, name)) for name in ("x", "y", "theta")}
+            return {"sample": {"method": method, "count": count, "seed": seed, **bounds}}

@@ -1,0 +1,272 @@
+"""A recording: a folder with a video, a row a frame, and what is known of both.
+
+    recording.json   what was known before the first frame
+    video.nut        the pictures
+    frames.csv       a row a frame: when it came, what the fixels felt, which picture it belongs to
+    end.json         why it ended; only where it was ended well
+
+Every row names its picture by time, length and checksum. Of a recording that broke off, the longest
+beginning in which each row has its picture is read; anything else that does not fit is refused.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.formats.recording_header import (
+    CODECS,
+    END,
+    HEADER,
+    ROWS,
+    VIDEO,
+    RecordingEnd,
+    RecordingHeader,
+    read_end,
+    read_header,
+    write_end,
+)
+from fixel.formats.recording_rows import MICRO, Row, Rows, read_rows
+from fixel.formats.recording_video import Packet, PictureDecoder, packets
+from fixel.formats.recording_writer import RESERVE, RecordingWriter
+from fixel.model.fields import FloatArray
+from fixel.vision.frame import Frame
+
+__all__ = [
+    "CODECS",
+    "VIDEO",
+    "Recording",
+    "RecordingEnd",
+    "RecordingHeader",
+    "RecordingWriter",
+    "is_recording",
+    "open_recording",
+    "repair_recording",
+]
+
+NO_READING: Final = -1
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """A recording that was read and checked.
+
+    Attributes
+    ----------
+    folder : Path
+    header : RecordingHeader
+    end : RecordingEnd or None
+        None where it broke off.
+    time : (n,) float64
+        When each frame came, since the recording began [s].
+    readings : (n,) int64
+        The tactile byte of each frame, -1 for none.
+    reading_time : (n,) float64
+        When it was read [s], NaN for none.
+    video : Path
+    problems : tuple of str
+        What is missing or was cut off, one sentence each.
+    """
+
+    folder: Path
+    header: RecordingHeader
+    end: RecordingEnd | None
+    time: FloatArray
+    readings: NDArray[np.int64]
+    reading_time: FloatArray
+    video: Path
+    problems: tuple[str, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was ended well, and nothing is missing."""
+        return self.end is not None and self.end.frames == len(self.time)
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames can be read."""
+        return len(self.time)
+
+    def jpegs(self) -> Iterator[tuple[float, bytes]]:
+        """Time [s] and picture of every frame, as the video holds it; not of an exact one."""
+        if self.header.codec == "exact":
+            raise InvalidInput(str(self.folder), found="an exact recording", expected="JPEG")
+        for time, packet in zip(self.time, packets(self.video), strict=False):
+            yield float(time), packet.data
+
+    def frames(self) -> Iterator[Frame]:
+        """Every frame in turn, at its exact time.
+
+        Raises
+        ------
+        InvalidInput
+            A picture that cannot be decoded: the camera sent it so.
+        """
+        decoder = PictureDecoder(self.header.size, exact=self.header.codec == "exact")
+        for k, packet in enumerate(packets(self.video)):
+            if k == self.n_frames:
+                return
+            where = f"{self.video}, frame {k}"
+            frame = decoder.frame(float(self.time[k]), packet.data, where)
+            if frame is None:
+                width, height = self.header.size
+                raise InvalidInput(
+                    where,
+                    found="no picture in it",
+                    expected=f"a picture of {width} x {height} pixels",
+                    hint="the camera sent it so",
+                )
+            yield frame
+
+
+class _Check(NamedTuple):
+    """How far rows and pictures agree."""
+
+    rows: Rows
+    matched: int
+    seen: int  # pictures in the video
+
+
+def is_recording(folder: str | Path) -> bool:
+    """Whether this is the folder of a recording."""
+    return (Path(folder) / HEADER).is_file()
+
+
+def open_recording(folder: str | Path) -> Recording:
+    """Read a recording and check every row against its picture.
+
+    Raises
+    ------
+    InvalidInput
+        No recording, or one in which frames and readings do not belong together.
+    """
+    folder = Path(folder)
+    header, end = read_header(folder), read_end(folder)
+    check = _checked(folder)
+    n = check.matched
+    rows = check.rows.rows[:n]
+    if end is not None and len(check.rows.rows) > end.frames:
+        raise InvalidInput(
+            str(folder / ROWS),
+            found=f"{len(check.rows.rows)} rows",
+            expected=f"{end.frames}, as {END} says",
+        )
+    reading_us = np.array([row.reading_time_us for row in rows], dtype=np.float64)
+    return Recording(
+        folder=folder,
+        header=header,
+        end=end,
+        time=np.array([row.time_us for row in rows], dtype=np.float64) / MICRO,
+        readings=np.array([row.reading for row in rows], dtype=np.int64),
+        reading_time=np.where(reading_us < 0.0, np.nan, reading_us / MICRO),
+        video=folder / VIDEO,
+        problems=tuple(_problems(check, end)),
+    )
+
+
+def repair_recording(folder: str | Path) -> Recording:
+    """Cut off what has no counterpart at the end of a recording, and mark it as ended.
+
+    Both files are shortened in place, the rows first: an interrupt leaves what can be repaired.
+
+    Raises
+    ------
+    InvalidInput
+        As `open_recording`, or a folder that cannot be written to.
+    """
+    folder = Path(folder)
+    recording = open_recording(folder)
+    check = _checked(folder)
+    last = check.rows.rows[check.matched - 1]
+    try:
+        os.truncate(folder / ROWS, check.rows.ends[check.matched - 1])
+        os.truncate(folder / VIDEO, last.video_end)
+        (folder / RESERVE).unlink(missing_ok=True)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(
+            str(folder), found=reason, expected="a folder that can be written to"
+        ) from None
+    if not recording.complete:
+        before = recording.end
+        reason = before.reason if before else f"cut off at t = {last.time_us / MICRO:.3f} s"
+        write_end(
+            folder,
+            RecordingEnd(
+                frames=check.matched,
+                seconds=last.time_us / MICRO,
+                reason=reason,
+                lost=before.lost if before else 0,
+                problems=tuple(_broken_off(check, before)) + (before.problems if before else ()),
+            ),
+        )
+    return open_recording(folder)
+
+
+def _checked(folder: Path) -> _Check:
+    """How far rows and pictures agree, or a refusal where it is not just the end that is torn."""
+    rows = read_rows(folder / ROWS)
+    matched = seen = 0
+    for seen, packet in enumerate(packets(folder / VIDEO), 1):
+        fits = seen <= len(rows.rows) and _belong(rows.rows[seen - 1], packet)
+        matched += fits and matched == seen - 1
+    strangers = min(seen, len(rows.rows)) - matched
+    # A picture that was being written when the end came is torn; more than one is another matter.
+    if strangers > 1 or (strangers == 1 and seen > len(rows.rows)):
+        raise InvalidInput(
+            f"{folder / VIDEO}, frame {matched}",
+            found="a picture that is not the one its row describes",
+            expected=f"the pictures that {ROWS} was written with",
+            hint="frames and readings can no longer be paired without guessing",
+        )
+    if matched == 0:
+        raise InvalidInput(
+            str(folder),
+            found="a recording that ended before its first frame was whole",
+            expected="one frame at least",
+        )
+    return _Check(rows, matched, seen)
+
+
+def _belong(row: Row, packet: Packet) -> bool:
+    return (row.time_us, row.size) == (packet.time_us, len(packet.data)) and row.crc == zlib.crc32(
+        packet.data
+    )
+
+
+def _problems(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
+    """What a reader should know, in sentences."""
+    yield from _broken_off(check, end)
+    if end is not None:
+        yield from end.problems
+        if end.lost:
+            yield f"{_frames(end.lost)} lost while recording"
+
+
+def _broken_off(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
+    """What is missing at the end."""
+    n, n_rows = check.matched, len(check.rows.rows)
+    seconds = check.rows.rows[n - 1].time_us / MICRO
+    if end is None:
+        yield f"cut off at t = {seconds:.3f} s: no mark of a good end"
+    elif end.frames > n:
+        yield (f"cut off at t = {seconds:.3f} s: {n} of {end.frames} frames are left")
+    if check.rows.torn:
+        yield f"the last row of {ROWS} is torn; left out"
+    if n_rows > n:
+        yield f"{_frames(n_rows - n)} at the end without a whole picture; left out"
+    if check.seen > n_rows:
+        yield f"{_frames(check.seen - n_rows)} at the end without a row; left out"
+
+
+def _frames(n: int) -> str:
+    return f"{n} frame" + ("" if n == 1 else "s")

@@ -1,0 +1,226 @@
+"""Writes a recording, such that whatever ends it leaves it readable up to then."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final, final
+
+from fixel.errors import InvalidInput
+from fixel.formats.recording_header import (
+    HEADER,
+    ROWS,
+    VIDEO,
+    RecordingEnd,
+    RecordingHeader,
+    write_end,
+    write_header,
+)
+from fixel.formats.recording_rows import HEAD, MICRO, Row, row_text
+from fixel.formats.recording_video import VideoSink, Written
+from fixel.vision.frame import Frame
+
+LARGEST_READING: Final = 255
+RESERVE: Final = ".reserve"  # room for the end mark on a disk that ran full
+RESERVED: Final = 65536  # [bytes]
+
+
+@final
+class RecordingWriter:
+    """Writes a recording frame by frame; nothing is held back.
+
+    Parameters
+    ----------
+    folder : str or Path
+        To be made.
+    header : RecordingHeader
+
+    Raises
+    ------
+    InvalidInput
+        A folder that is there already, or cannot be made.
+
+    Examples
+    --------
+    >>> with RecordingWriter(folder, RecordingHeader(size=(1280, 720))) as writer:  # doctest: +SKIP
+    ...     writer.write(frame, reading=0b010)
+    """
+
+    def __init__(self, folder: str | Path, header: RecordingHeader) -> None:
+        self.folder = Path(folder)
+        self.header = header
+        self.frames = 0
+        self.bytes = 0
+        self._last_us = -1
+        self._closed = False
+        _make(self.folder)
+        write_header(self.folder, header)
+        try:
+            (self.folder / RESERVE).write_bytes(bytes(RESERVED))
+            self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
+            self._rows_end = self._rows.write(HEAD.encode("ascii"))
+            self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
+        except OSError as problem:
+            raise _refusal(self.folder, problem) from None
+
+    @property
+    def seconds(self) -> float:
+        """Time of the last frame [s], 0 before the first."""
+        return max(self._last_us, 0) / MICRO
+
+    def write(
+        self, frame: Frame, reading: int | None = None, reading_time: float | None = None
+    ) -> None:
+        """Append a frame, and what the fixels felt meanwhile.
+
+        Parameters
+        ----------
+        frame : Frame
+            Later than the one before, by a microsecond at least.
+        reading : int, optional
+            The tactile byte; None where none came.
+        reading_time : float, optional
+            When it was read, on the clock of the frames [s].
+
+        Raises
+        ------
+        InvalidInput
+            A picture of another size, a time going back, a reading that is no byte.
+        OSError
+            The disk is full, or gone.
+        """
+        width, height = self.header.size
+        if self.header.codec == "as-it-comes":
+            raise InvalidInput(
+                "recording.codec",
+                found="a picture that was decoded",
+                expected="JPEG as it comes; near or exact take pictures",
+            )
+        if frame.picture.shape != (height, width, 3) or frame.picture.dtype.name != "uint8":
+            raise InvalidInput(
+                f"frame {self.frames}",
+                found=f"a picture of shape {frame.picture.shape}, {frame.picture.dtype}",
+                expected=f"({height}, {width}, 3), uint8",
+            )
+        time_us = self._micro(frame.time)
+        self._check_reading(reading)
+        written = self._video.append_picture(time_us, frame.picture)
+        self._note(time_us, reading, reading_time, written)
+
+    def write_jpeg(
+        self,
+        time: float,
+        jpeg: bytes,
+        reading: int | None = None,
+        reading_time: float | None = None,
+    ) -> None:
+        """Append a JPEG picture as it came, and what the fixels felt meanwhile; like `write`."""
+        if self.header.codec == "exact":
+            raise InvalidInput("recording.codec", found="exact", expected="as-it-comes for JPEG")
+        if not jpeg:  # the video would leave it out, and its row would stand without a picture
+            raise InvalidInput(f"frame {self.frames}", found="no bytes", expected="a JPEG picture")
+        time_us = self._micro(time)
+        self._check_reading(reading)
+        written = self._video.append_jpeg(time_us, jpeg)
+        self._note(time_us, reading, reading_time, written)
+
+    def close(self, reason: str = "done", lost: int = 0, problems: tuple[str, ...] = ()) -> None:
+        """Mark the recording as ended well, and let go of it; once is enough."""
+        if self._closed:
+            return
+        self._let_go()
+        end = RecordingEnd(
+            frames=self.frames, seconds=self.seconds, reason=reason, lost=lost, problems=problems
+        )
+        write_end(self.folder, end)
+
+    def abandon(self) -> None:
+        """Let go of the recording without the mark of a good end."""
+        if not self._closed:
+            self._let_go()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+    def _note(
+        self, time_us: int, reading: int | None, reading_time: float | None, written: Written
+    ) -> None:
+        """The row of a picture that is in the video: a picture without one does not count."""
+        row = Row(
+            frame=self.frames,
+            time_us=time_us,
+            reading=-1 if reading is None else reading,
+            reading_time_us=-1 if reading_time is None else max(round(reading_time * MICRO), 0),
+            size=written.size,
+            video_end=written.end,
+            crc=written.crc,
+        )
+        text = row_text(row)
+        if self._rows.write(text) != len(text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder / ROWS))
+        self.frames += 1
+        self.bytes = written.end
+        self._rows_end += len(text)
+        self._last_us = time_us
+
+    def _micro(self, time: float) -> int:
+        """A time in microseconds, or a refusal."""
+        if not math.isfinite(time) or time < 0.0 or (micro := round(time * MICRO)) <= self._last_us:
+            raise InvalidInput(
+                f"frame {self.frames}",
+                found=f"time {time} s after {self.seconds:.6f} s",
+                expected="times that increase, from 0 on",
+            )
+        return micro
+
+    def _check_reading(self, reading: int | None) -> None:
+        if reading is not None and not 0 <= reading <= LARGEST_READING:
+            raise InvalidInput(f"frame {self.frames}", found=reading, expected="a byte, or None")
+
+    def _let_go(self) -> None:
+        self._closed = True
+        self._rows.close()
+        self._video.close()
+        with suppress(OSError):  # what a full disk took of a frame that did not fit
+            if self.frames:
+                os.truncate(self.folder / ROWS, self._rows_end)
+                os.truncate(self.folder / VIDEO, self.bytes)
+        (self.folder / RESERVE).unlink(missing_ok=True)
+
+
+def _make(folder: Path) -> None:
+    """Make a folder that must not be there yet."""
+    if (folder / HEADER).exists():
+        raise InvalidInput(
+            str(folder), found="a recording", expected="a folder that is not there yet"
+        )
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InvalidInput(
+            str(folder), found="something there already", expected="a folder that is not there yet"
+        ) from None
+    except OSError as problem:
+        raise _refusal(folder, problem) from None
+
+
+def _refusal(folder: Path, problem: OSError) -> InvalidInput:
+    reason = (problem.strerror or str(problem)).lower()
+    return InvalidInput(
+        str(folder), found=reason, expected="a folder that can be made and written to"
+    )

@@ -1,0 +1,233 @@
+"""Rig files: a camera over a plate, and the marks by which it tells the parts apart, as YAML.
+
+Parts have the names that the scene calls body and pusher: `object` and `actuator` in all scenes of
+the thesis, whatever the shape; `part` and `probe` under the microscope.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from fixel.errors import InvalidInput
+from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera, plain
+from fixel.formats.file_errors import explained, within
+from fixel.formats.scene_schema import NonNegative, Point, Positive, Record, Triple
+from fixel.io.atomic import written_whole
+from fixel.io.document import read_document, yaml_text
+from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
+from fixel.vision.measured_camera import MeasuredCamera
+
+EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
+
+
+class TagRecord(Record):
+    id: int = Field(ge=0, description="which of its family")
+    size_mm: Positive = Field(description="side of the black square [mm]")
+    pose_mm_deg: Triple = Field([0.0] * 3, description="of its middle: x, y [mm], angle [deg]")
+    height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
+    family: str = Field(FAMILIES[0], description=", ".join(FAMILIES))
+
+
+class StickerRecord(Record):
+    colour: str = Field(description=", ".join(COLOURS))
+    diameter_mm: Positive = Field(description="[mm]")
+    place_mm: Point = Field(description="of its middle: x, y [mm]")
+    height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
+
+
+class PartRecord(Record):
+    height_mm: Positive = Field(description="of its upper face above the plate [mm]")
+    tags: list[TagRecord] = Field([], description="in the frame of the part")
+    stickers: list[StickerRecord] = Field([], description="in the frame of the part")
+
+
+class PlacementRecord(Record):
+    position_mm: Positive = Field(1.0, description="[mm]")
+    angle_deg: Positive = Field(1.0, description="[deg]")
+
+
+class RigRecord(Record):
+    """A rig file."""
+
+    fixel_rig: Literal[1] = Field(description="version of the format")
+    name: str = Field(description="of the bench")
+    camera: Any = Field(description="a camera, or the name of a camera file beside this one")
+    parts: dict[str, PartRecord] = Field({}, description="by the names of body and pusher")
+    plate: list[TagRecord] = Field([], description="tags on the plate, at poses of the world")
+    fixel_height_mm: Positive = Field(51.08, description="of the fixels above the plate [mm]")
+    tactile_bits: list[str] = Field(
+        list(THESIS_BITS), description="fixel of each bit, lowest first"
+    )
+    placement: PlacementRecord = Field(
+        PlacementRecord(position_mm=1.0, angle_deg=1.0), description="how well to place parts"
+    )
+
+
+def rig_of(name_or_path: str | Path) -> Rig:
+    """A rig by the name of an example, or from a rig file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        One of `EXAMPLES`, or a file.
+    """
+    if str(name_or_path) in EXAMPLES:
+        folder = files("fixel") / "testing" / "examples" / "rigs"
+        with as_file(folder / f"{name_or_path}.yaml") as path:
+            return load_rig(path)
+    path = Path(name_or_path)
+    if not path.suffix and not path.exists():
+        raise InvalidInput(
+            "rig",
+            found=f"no file {str(path)!r}",
+            expected="a rig file, or one of " + ", ".join(EXAMPLES),
+        )
+    return load_rig(path)
+
+
+def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
+    """Tags on the plate of a rig, whose camera may not be placed yet; see `rig_of`."""
+    if str(name_or_path) in EXAMPLES:
+        return rig_of(name_or_path).plate
+    return _plate(_record(read_document(Path(name_or_path))))
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Read a rig file: YAML, or JSON if the name ends in `.json`.
+
+    Raises
+    ------
+    InvalidInput
+        The first thing that is wrong, with the path of its key.
+    """
+    path = Path(path)
+    return rig_from_dict(read_document(path), path.parent)
+
+
+def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
+    """The rig whose content is already at hand; a camera file is looked for in `folder`."""
+    record = _record(raw)
+    measured = _camera(record.camera, folder)
+    return Rig(
+        name=record.name,
+        camera=measured.placed(),
+        measured=measured if measured.names else None,
+        parts={name: _part(part, f"parts.{name}") for name, part in record.parts.items()},
+        fixel_height=record.fixel_height_mm / 1e3,
+        plate=_plate(record),
+        tactile=tuple(record.tactile_bits),
+        position_tolerance=record.placement.position_mm / 1e3,
+        angle_tolerance=math.radians(record.placement.angle_deg),
+    )
+
+
+def rig_dict(rig: Rig) -> dict[str, Any]:
+    """The content of a rig file as dicts and lists, camera and all."""
+    measured = rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera)
+    camera = camera_dict(measured)
+    return {
+        "fixel_rig": 1,
+        "name": rig.name,
+        "camera": {key: value for key, value in camera.items() if key != "fixel_camera"},
+        "parts": {name: _part_content(part) for name, part in rig.parts.items()},
+        "plate": [_tag_content(tag) for tag in rig.plate],
+        "fixel_height_mm": plain(1e3 * rig.fixel_height),
+        "tactile_bits": list(rig.tactile),
+        "placement": {
+            "position_mm": plain(1e3 * rig.position_tolerance),
+            "angle_deg": plain(math.degrees(rig.angle_tolerance)),
+        },
+    }
+
+
+def save_rig(rig: Rig, path: str | Path) -> None:
+    """Write a rig file that needs no other."""
+    with written_whole(path) as unfinished:
+        unfinished.write_text(yaml_text(rig_dict(rig)), encoding="utf-8")
+
+
+def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
+    if not isinstance(raw, str | dict):
+        raise InvalidInput(
+            "camera", found=raw, expected="a lens and a place, or the name of a camera file"
+        )
+    with within("camera", "camera."):
+        if isinstance(raw, dict):
+            found = camera_from_dict(raw)
+        else:
+            found = load_camera((folder or Path()) / raw)
+        found.placed()
+        return found
+
+
+def _record(raw: Any) -> RigRecord:
+    try:
+        return RigRecord.model_validate(raw)
+    except ValidationError as problems:
+        raise explained(problems, RigRecord, "rig") from None
+
+
+def _plate(record: RigRecord) -> tuple[Tag, ...]:
+    return tuple(_tag(tag, f"plate[{k}]") for k, tag in enumerate(record.plate))
+
+
+def _part(record: PartRecord, path: str) -> MarkedPart:
+    tags = [_tag(tag, f"{path}.tags[{k}]") for k, tag in enumerate(record.tags)]
+    stickers = [_sticker(s, f"{path}.stickers[{k}]") for k, s in enumerate(record.stickers)]
+    with within(path, "part."):
+        return MarkedPart(height=record.height_mm / 1e3, marks=(*tags, *stickers))
+
+
+def _tag(record: TagRecord, path: str) -> Tag:
+    x, y, angle = record.pose_mm_deg
+    with within(path, "tag."):
+        return Tag(
+            id=record.id,
+            size=record.size_mm / 1e3,
+            pose=(x / 1e3, y / 1e3, math.radians(angle)),  # type: ignore[arg-type]
+            height=record.height_mm / 1e3,
+            family=record.family,
+        )
+
+
+def _sticker(record: StickerRecord, path: str) -> Sticker:
+    with within(path, "sticker."):
+        return Sticker(
+            colour=record.colour,
+            diameter=record.diameter_mm / 1e3,
+            place=[mm / 1e3 for mm in record.place_mm],  # type: ignore[arg-type]
+            height=record.height_mm / 1e3,
+        )
+
+
+def _part_content(part: MarkedPart) -> dict[str, Any]:
+    tags = [_tag_content(mark) for mark in part.marks if isinstance(mark, Tag)]
+    stickers = [_sticker_content(mark) for mark in part.marks if isinstance(mark, Sticker)]
+    content: dict[str, Any] = {"height_mm": plain(1e3 * part.height)}
+    content |= {"tags": tags} if tags else {}
+    return content | ({"stickers": stickers} if stickers else {})
+
+
+def _tag_content(tag: Tag) -> dict[str, Any]:
+    x, y, angle = tag.pose
+    return {
+        "id": tag.id,
+        "size_mm": plain(1e3 * tag.size),
+        "pose_mm_deg": [plain(1e3 * x), plain(1e3 * y), plain(math.degrees(angle))],
+        "height_mm": plain(1e3 * tag.height),
+        "family": tag.family,
+    }
+
+
+def _sticker_content(sticker: Sticker) -> dict[str, Any]:
+    return {
+        "colour": sticker.colour,
+        "diameter_mm": plain(1e3 * sticker.diameter),
+        "place_mm": [plain(1e3 * metres) for metres in sticker.place],
+        "height_mm": plain(1e3 * sticker.height),
+    }

@@ -1,0 +1,115 @@
+"""Trajectory files: one row per sample, as CSV or Parquet.
+
+Columns, in this order, the same for every simulation of a scene that touches the same pairs:
+
+- ``time_s``;
+- per body and pusher ``NAME.x_m``, ``.y_m``, ``.theta_rad`` of its shape frame and ``.vx_m_per_s``,
+  ``.vy_m_per_s``, ``.omega_rad_per_s`` of its centre of mass;
+- per pusher ``NAME.force_N`` along its path and ``NAME.stalled``;
+- per pair that ever touches ``BODY|OTHER.touching``, and of the step that ends at this sample
+  ``.normal_impulse_Ns``, ``.tangential_impulse_Ns`` (along the normal, from OTHER into BODY, turned
+  by +90 degrees), ``.normal_force_N`` and ``.tangential_force_N``, summed over contact points.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+from fixel.simulation import Simulation
+
+TRAJECTORY_ENDINGS = (".csv", ".parquet")
+
+_POSE = ("x_m", "y_m", "theta_rad")
+_TWIST = ("vx_m_per_s", "vy_m_per_s", "omega_rad_per_s")
+
+
+def save_trajectory(simulation: Simulation, path: str | Path) -> None:
+    """Write the motion, contacts and drives of a simulation.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        A failed one too, up to where it stopped.
+    path : str or Path
+        `.csv` or `.parquet`; the latter also carries the summary of the simulation, as JSON under
+        the key ``fixel`` of its metadata.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending, or a folder that cannot be written to.
+    """
+    path = Path(path)
+    refuse_trajectory_ending(path)
+    # A second is spent here at the first call, so not where the module is imported.
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+    import pyarrow.parquet as pa_parquet
+
+    table = pa.table(trajectory_columns(simulation))
+    with written_whole(path) as temporary:
+        if path.suffix.lower() == ".csv":
+            pa_csv.write_csv(table, temporary, pa_csv.WriteOptions(quoting_style="needed"))
+        else:
+            about = json.dumps(plain_numbers(simulation.summary()))
+            table = table.replace_schema_metadata({"fixel": about})
+            pa_parquet.write_table(table, temporary)
+
+
+def refuse_trajectory_ending(path: str | Path) -> None:
+    """Refuse a file name whose ending says no format."""
+    ending = Path(path).suffix
+    if ending.lower() not in TRAJECTORY_ENDINGS:
+        raise InvalidInput(
+            str(path),
+            found=f"the ending {ending!r}" if ending else "no ending",
+            expected="a trajectory file: " + ", ".join(TRAJECTORY_ENDINGS),
+        )
+
+
+def trajectory_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:
+    """Columns of a trajectory file by name, in order, each (n_sample,)."""
+    columns: dict[str, NDArray[Any]] = {"time_s": simulation.time}
+    for name, pose in simulation.pose.items():
+        for k, label in enumerate(_POSE):
+            columns[f"{name}.{label}"] = pose[:, k]
+        for k, label in enumerate(_TWIST):
+            columns[f"{name}.{label}"] = simulation.twist[name][:, k]
+    for name, trace in simulation.pushers.items():
+        columns[f"{name}.force_N"] = trace.force
+        columns[f"{name}.stalled"] = trace.stalled
+    return columns | _contact_columns(simulation)
+
+
+def plain_numbers(value: Any) -> Any:
+    """The same value for strict JSON: numbers that are not finite become None."""
+    if isinstance(value, dict):
+        return {key: plain_numbers(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_numbers(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _contact_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:
+    table, names, n = simulation.contacts, simulation.names, len(simulation.time)
+    columns: dict[str, NDArray[Any]] = {}
+    sample = np.searchsorted(simulation.time, table["time"])
+    pairs = np.column_stack((table["body"], table["other"]))
+    for body, other in np.unique(pairs, axis=0):
+        own = (pairs == (body, other)).all(axis=1)
+        rows, at = table[own], sample[own]
+        label = f"{names[body]}|{names[other]}"
+        columns[f"{label}.touching"] = np.bincount(at, minlength=n) > 0
+        for part in ("normal", "tangential"):
+            force = rows[f"{part}_force"]
+            columns[f"{label}.{part}_impulse_Ns"] = np.bincount(at, force * rows["step"], n)
+            columns[f"{label}.{part}_force_N"] = np.bincount(at, force, n)
+    return columns

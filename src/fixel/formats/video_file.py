@@ -1,0 +1,376 @@
+"""Video files: frames with the time stamps of the container, and nothing guessed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final, final
+
+import av
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.formats.video_planes import DecodedPlanes
+from fixel.io.atomic import refuse_unwritable
+from fixel.vision.frame import Frame
+
+# Steps of time may differ by this share of their median and still be one rate: containers round.
+SAME_RATE: Final = 0.1
+# Matroska keeps milliseconds; a step that is rounded both ways differs by this much.
+ROUNDING: Final = 2e-3  # [s]
+MOST_FRAMES_A_SECOND: Final = 10_000.0
+
+# Encoder, pixels and options of each codec one may ask for. `h264` is visually without loss, and
+# decodes fast; `ffv1` is without any loss, of pixels that are stored as they come; `mjpeg` keeps
+# every frame by itself.
+CODECS: Final[dict[str, tuple[str, str, dict[str, str]]]] = {
+    "h264": ("libx264", "yuv420p", {"crf": "16", "preset": "veryfast", "tune": "fastdecode"}),
+    "ffv1": ("ffv1", "bgr0", {"level": "3", "slicecrc": "1"}),
+    "mjpeg": ("mjpeg", "yuvj420p", {"qmin": "2", "qmax": "3"}),
+}
+ENDINGS: Final = (".mp4", ".mkv", ".mov", ".avi")
+# Ticks a second that files are written with; 30, 25, 24 and 60 frames a second are whole numbers
+# of them. Matroska keeps milliseconds whatever it is asked.
+TICKS: Final = 90_000
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class VideoFile:
+    """A video file.
+
+    Attributes
+    ----------
+    path : Path
+    size : (int, int)
+        Width and height [px].
+    n_frames : int or None
+        As the container says, if it does; a damaged file may hold fewer.
+    codec : str
+    note : str
+        What was written into it by whoever made it.
+    remarks : list of str
+        What was found on reading that one should know; complete once all frames were read.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    n_frames: int | None
+    duration: float | None
+    codec: str
+    note: str = ""
+    threads: int = 0
+    remarks: list[str] = field(default_factory=list)
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames in order, with the time the container gives them, counted from its own zero [s].
+
+        Raises
+        ------
+        InvalidInput
+            Frames without time stamps, or time standing still or going back.
+        """
+        self.remarks.clear()
+        clock = _Clock(self.path)
+        spoilt = _Spoilt()
+        with _opened(self.path) as container:
+            stream = container.streams.video[0]
+            stream.codec_context.thread_count = self.threads
+            stream.codec_context.options = {"err_detect": "explode"}
+            for decoded in _decoded(container, stream, spoilt):
+                instant = clock.read(decoded)
+                if decoded.is_corrupt:
+                    spoilt.frames.append(instant)
+                    continue
+                spoilt.good(instant)
+                yield Frame(instant, planes=DecodedPlanes(decoded))
+        self.remarks += [*spoilt.remarks(self, clock.times), *clock.remarks()]
+
+
+def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
+    """Open a video file.
+
+    Parameters
+    ----------
+    path : str or Path
+    threads : int
+        That decode; 0: as many as the decoder likes.
+
+    Raises
+    ------
+    InvalidInput
+        No such file, no video in it, or one whose index was never written.
+    """
+    path = Path(path)
+    with _opened(path) as container:
+        if not container.streams.video:
+            raise InvalidInput(str(path), found="no pictures in it", expected="a video file")
+        stream = container.streams.video[0]
+        context = stream.codec_context
+        if not context.width or not context.height:
+            raise InvalidInput(
+                str(path),
+                found="a video stream without a size: the file ends before its first picture",
+                expected="at least one whole picture",
+            )
+        return VideoFile(
+            path=path,
+            size=(context.width, context.height),
+            n_frames=stream.frames or None,
+            duration=_seconds(stream, container),
+            codec=context.name,
+            note=_note(container),
+            threads=threads,
+        )
+
+
+@final
+class VideoWriter:
+    """Writes frames as they come; the file is whole or absent.
+
+    Parameters
+    ----------
+    path : str or Path
+        `.mp4`, `.mkv`, `.mov` or `.avi`. Times are kept to 1/90,000 s in MP4, to 1 ms in Matroska.
+    size : (int, int)
+        Width and height [px]; both even for `h264` and `mjpeg`.
+    codec : str
+        `h264`, `ffv1` (without any loss) or `mjpeg`.
+    rate : float
+        About how many frames a second; their own times count.
+    note : str
+        Kept in the file. What no camera has seen says so: a note that begins with `SIMULATED`.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending or codec, a file that cannot be written, an odd size.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        size: tuple[int, int],
+        codec: str = "h264",
+        rate: float = 30.0,
+        *,
+        note: str = "",
+    ) -> None:
+        self.path = Path(path)
+        self.size = size
+        _refuse_output(self.path, size, codec)
+        encoder, pixels, options = CODECS[codec]
+        self._temporary = self.path.with_name(f".{self.path.stem}.{os.getpid()}{self.path.suffix}")
+        self._pixels = pixels
+        self._last = -1
+        self._zero: float | None = None
+        self._container = av.open(str(self._temporary), "w")
+        if note:
+            self._container.metadata["comment"] = note
+        stream: Any = self._container.add_stream(
+            encoder, rate=Fraction(rate).limit_denominator(1001), options=options
+        )
+        stream.width, stream.height = size
+        stream.pix_fmt = pixels
+        stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS)
+        self._stream = stream
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame; the first one's time may be anything of at least 0, and then it grows."""
+        picture = np.ascontiguousarray(frame.picture)
+        if picture.shape[1::-1] != tuple(self.size):
+            raise InvalidInput(
+                str(self.path),
+                found=f"a frame of {picture.shape[1]} x {picture.shape[0]}",
+                expected="{} x {} pixels, as before".format(*self.size),
+            )
+        tick = round(frame.time * TICKS)
+        if tick <= self._last:
+            raise InvalidInput(
+                str(self.path),
+                found=f"a frame at {frame.time:.6f} s after one at {self._last / TICKS:.6f} s",
+                expected="frames in order of time, from 0 s on",
+            )
+        self._last = tick
+        decoded = av.VideoFrame.from_ndarray(picture, format="bgr24")
+        decoded = decoded.reformat(format=self._pixels, dst_colorspace="itu601")
+        decoded.pts, decoded.time_base = tick, Fraction(1, TICKS)
+        self._container.mux(self._stream.encode(decoded))
+
+    def close(self) -> None:
+        """Finish the file and put it in its place."""
+        if self._last >= 0:
+            self._container.mux(self._stream.encode(None))
+        self._container.close()
+        if self._last < 0:
+            self._temporary.unlink(missing_ok=True)
+            raise InvalidInput(str(self.path), found="no frames", expected="at least one to write")
+        os.replace(self._temporary, self.path)
+
+    def abandon(self) -> None:
+        """Leave no file."""
+        self._container.close()
+        self._temporary.unlink(missing_ok=True)
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+
+@final
+class _Clock:
+    """Reads time stamps, and refuses what cannot be a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.times: list[float] = []
+        self._last: Fraction | None = None
+
+    def read(self, decoded: Any) -> float:
+        where = f"{self.path}, frame {len(self.times)}"
+        if decoded.pts is None or not decoded.time_base:
+            raise InvalidInput(
+                where,
+                found="no time stamp",
+                expected="one for every frame",
+                hint="a raw stream has none: record into a container such as .mkv or .mp4",
+            )
+        instant = decoded.pts * Fraction(decoded.time_base)
+        if self._last is not None and instant <= self._last:
+            how = "the time of the frame before" if instant == self._last else "time going back"
+            raise InvalidInput(
+                where,
+                found=f"{how}: {float(instant):.6f} s after {float(self._last):.6f} s",
+                expected="time stamps that grow",
+                hint="the film was cut or joined wrongly; track its parts one by one",
+            )
+        self._last = instant
+        self.times.append(float(instant))
+        return float(instant)
+
+    def remarks(self) -> list[str]:
+        steps = np.diff(self.times)
+        if len(steps) < 2:
+            return []
+        usual = float(np.percentile(steps, 50.0, method="lower"))
+        if usual < 1.0 / MOST_FRAMES_A_SECOND:
+            return [f"{1.0 / usual:.0f} frames a second: are these times in seconds?"]
+        odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)
+        if not odd.any():
+            return []
+        return [
+            f"variable frame rate: {int(odd.sum())} of {len(steps)} steps differ from the usual "
+            f"{usual * 1e3:.2f} ms; the longest is {steps.max() * 1e3:.1f} ms, at "
+            f"{self.times[int(np.argmax(steps))]:.3f} s"
+        ]
+
+
+@final
+class _Spoilt:
+    """Counts what could not be decoded, and where."""
+
+    def __init__(self) -> None:
+        self.frames: list[float] = []
+        self.packets = 0
+        self._since = 0  # packets spoilt since the last good frame
+        self._last: float | None = None
+        self._before: float = 0.0
+
+    def packet(self) -> None:
+        self.packets += 1
+        self._since += 1
+
+    def good(self, instant: float) -> None:
+        self._since = 0
+        self._last = instant
+
+    def remarks(self, video: VideoFile, times: list[float]) -> list[str]:
+        if self._last is None:
+            raise InvalidInput(
+                str(video.path),
+                found="no picture that can be decoded",
+                expected="at least one whole frame",
+            )
+        found = []
+        missing = (video.n_frames or 0) - len(times)
+        usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        short = (video.duration or 0.0) - (times[-1] + usual)
+        if missing > 0 or self._since or short > 2.0 * usual > 0.0:
+            of = f" of {video.n_frames}" if missing > 0 else ""
+            found.append(
+                f"truncated: it ends after frame {len(times) - 1}{of}, at {times[-1]:.3f} s"
+            )
+        middle = self.packets - self._since + len(self.frames)
+        if middle:
+            found.append(f"{middle} damaged frames were left out")
+        return found
+
+
+def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:
+    """Frames of all packets; a packet that cannot be decoded is counted."""
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets)
+        except StopIteration:
+            return
+        except av.FFmpegError:  # the file ends in the middle of a packet
+            spoilt.packet()
+            return
+        try:
+            yield from packet.decode()
+        except av.FFmpegError:
+            spoilt.packet()
+
+
+def _opened(path: Path) -> Any:
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise InvalidInput(str(path), found=found, expected="a video file")
+    if path.stat().st_size == 0:
+        raise InvalidInput(str(path), found="an empty file", expected="a video file")
+    try:
+        return av.open(str(path))
+    except av.FFmpegError as problem:
+        mp4 = path.suffix.lower() in (".mp4", ".mov")
+        raise InvalidInput(
+            str(path),
+            found="no index: the recording was cut off before it was finished"
+            if mp4
+            else f"not a video ({problem.strerror or problem})",
+            expected="a video file that was written to its end",
+            hint="record into .mkv, which survives this" if mp4 else None,
+        ) from None
+
+
+def _note(container: Any) -> str:
+    """What the maker of the file wrote; some containers keep names in capitals."""
+    kept = {name.lower(): words for name, words in container.metadata.items()}
+    return str(kept.get("comment", ""))
+
+
+def _seconds(stream: Any, container: Any) -> float | None:
+    """How long the container says it is [s]."""
+    if stream.duration is not None and stream.time_base:
+        return float(((stream.start_time or 0) + stream.duration) * stream.time_base)
+    return None if container.duration is None else container.duration / 1e6
+
+
+def _refuse_output(path: Path, size: tuple[int, int], codec: str) -> None:
+    if path.suffix.lower() not in ENDINGS:
+        raise InvalidInput(str(path), found=path.suffix or "no ending", expected=", ".join(ENDINGS))
+    if codec not in CODECS:
+        raise InvalidInput("codec", found=repr(codec), expected=", ".join(CODECS))
+    if min(size) < 1 or (codec != "ffv1" and (size[0] % 2 or size[1] % 2)):
+        raise InvalidInput(
+            "size", found=f"{size[0]} x {size[1]}", expected="an even width and height [px]"
+        )
+    refuse_unwritable(path)

@@ -1,0 +1,1 @@
+"""Files that survive crashes: whole writes, locks, journals, documents, kept results."""

@@ -1,0 +1,298 @@
+"""A journal: named blocks of bytes, each there for good once `append` has returned.
+
+The file is a header and blocks, nothing else:
+
+    header  "fixel journal 1\\n" and 8 random bytes, the mark of this journal
+    block   mark, length of the name (4), length of the data (8), CRC32 of what follows it and of
+            both lengths (4), name in UTF-8, data; numbers little-endian
+
+A block that a crash has cut short stands at the end; the next `append` takes its place. A damaged
+block further in costs itself alone: reading goes on at the next mark. One process writes.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple, Self, final
+
+from fixel.errors import InvalidInput, JobRefused
+from fixel.io.lock import FileLock, Owner, holder
+
+MAGIC: Final = b"fixel journal 1\n"
+_MARK: Final = 8  # [bytes]
+_LENGTHS: Final = struct.Struct("<IQ")
+_CRC: Final = struct.Struct("<I")
+_HEADER: Final = len(MAGIC) + _MARK
+_FRONT: Final = _MARK + _LENGTHS.size + _CRC.size
+_PIECE: Final = 1 << 20  # [bytes] read at once
+
+
+class _Place(NamedTuple):
+    start: int
+    length: int
+
+
+class _Contents(NamedTuple):
+    mark: bytes
+    places: dict[str, _Place]
+    end: int  # where the next block goes
+    damaged: int  # stretches that no block could be read from, but blocks beyond them
+
+
+@final
+class Journal:
+    """A journal open for writing, by this process alone.
+
+    Parameters
+    ----------
+    path : Path
+        Made if it is not there.
+
+    Raises
+    ------
+    JobRefused
+        Another process that is alive writes it, or it cannot be written.
+    InvalidInput
+        The file is something else.
+
+    Attributes
+    ----------
+    damaged : int
+        Stretches of the file that could not be read, though blocks follow. What was in them is
+        lost, and may be appended again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = FileLock(_lock_of(path), f"the journal {path}")
+        try:
+            self._stream = _opened(path)
+        except BaseException:
+            self._lock.release()
+            raise
+        try:
+            self._mark, self._places, self._end, self.damaged = _contents(self._stream, path)
+        except BaseException:
+            self.close()
+            raise
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def get(self, name: str) -> bytes | None:
+        """The data under a name, or None."""
+        place = self._places.get(name)
+        return None if place is None else _read(self._stream, place)
+
+    def append(self, blocks: Iterable[tuple[str, bytes]]) -> int:
+        """Add blocks, durable on return; a name that is there already keeps its first data.
+
+        Returns
+        -------
+        int
+            How many were new.
+
+        Raises
+        ------
+        JobRefused
+            The disk is full, or fails; the journal is as it was.
+        """
+        new = {name: data for name, data in _firsts(blocks) if name not in self._places}
+        if not new:
+            return 0
+        places, pieces, end = {}, [], self._end
+        for name, data in new.items():
+            framed = _framed(self._mark, name, data)
+            places[name] = _Place(end + len(framed) - len(data), len(data))
+            pieces.append(framed)
+            end += len(framed)
+        self._write(b"".join(pieces))
+        self._places |= places
+        self._end = end
+        return len(new)
+
+    def close(self) -> None:
+        """Give the file back; no block depends on it."""
+        self._stream.close()
+        self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._stream.seek(self._end)
+            self._stream.truncate()  # what a crash left
+            rest = memoryview(data)
+            while rest:
+                rest = rest[self._stream.write(rest) :]
+            os.fsync(self._stream.fileno())
+        except OSError as problem:
+            raise _unwritable(self._path, problem) from None
+
+
+def read_journal(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Every whole block of a journal, also while another process writes it."""
+    with path.open("rb", buffering=0) as stream:
+        for name, place in _contents(stream, path).places.items():
+            yield name, _read(stream, place)
+
+
+def writer_of(path: Path) -> Owner | None:
+    """The process that writes a journal, or None if there is none."""
+    return holder(_lock_of(path))
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.lock")
+
+
+def _firsts(blocks: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes]]:
+    seen: set[str] = set()
+    for name, data in blocks:
+        if name not in seen:
+            seen.add(name)
+            yield name, data
+
+
+def _opened(path: Path) -> BinaryIO:
+    """The file, with a header that is whole."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        stream: BinaryIO = os.fdopen(descriptor, "r+b", buffering=0)
+    except OSError as problem:
+        raise _unwritable(path, problem) from None
+    try:
+        if os.fstat(descriptor).st_size < _HEADER:
+            _begin(stream, path)
+    except OSError as problem:
+        stream.close()
+        raise _unwritable(path, problem) from None
+    except InvalidInput:
+        stream.close()
+        raise
+    return stream
+
+
+def _begin(stream: BinaryIO, path: Path) -> None:
+    """Write the header, over one that a crash has cut short."""
+    if not MAGIC.startswith(stream.read(len(MAGIC))):
+        raise _other(path)
+    stream.seek(0)
+    stream.truncate()
+    stream.write(MAGIC + os.urandom(_MARK))
+    os.fsync(stream.fileno())
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new file's name durable; some systems cannot, and need not."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        pass
+    finally:
+        os.close(descriptor)
+
+
+def _framed(mark: bytes, name: str, data: bytes) -> bytes:
+    label = name.encode()
+    lengths = _LENGTHS.pack(len(label), len(data))
+    crc = zlib.crc32(data, zlib.crc32(label, zlib.crc32(lengths)))
+    return b"".join((mark, lengths, _CRC.pack(crc), label, data))
+
+
+def _contents(stream: BinaryIO, path: Path) -> _Contents:
+    size = stream.seek(0, os.SEEK_END)
+    header = _read(stream, _Place(0, _HEADER))
+    if header[: len(MAGIC)] != MAGIC or len(header) < _HEADER:
+        raise _other(path)
+    mark = header[len(MAGIC) :]
+    places: dict[str, _Place] = {}
+    position = end = _HEADER
+    damaged = 0
+    while position < size:
+        found = _block(stream, mark, position, size)
+        if found is None:
+            position = _next_mark(stream, mark, position + 1, size)
+            continue
+        damaged += position > end
+        name, place = found
+        places.setdefault(name, place)
+        position = end = place.start + place.length
+    return _Contents(mark, places, end, damaged)
+
+
+def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str, _Place] | None:
+    front = _read(stream, _Place(position, _FRONT))
+    if len(front) < _FRONT or not front.startswith(mark):
+        return None
+    lengths = front[_MARK : _MARK + _LENGTHS.size]
+    n_label, n_data = _LENGTHS.unpack(lengths)
+    (expected,) = _CRC.unpack(front[-_CRC.size :])
+    start = position + _FRONT
+    if start + n_label + n_data > size:
+        return None
+    label = _read(stream, _Place(start, n_label))
+    place = _Place(start + n_label, n_data)
+    crc = zlib.crc32(label, zlib.crc32(lengths))
+    for piece in _pieces(stream, place):
+        crc = zlib.crc32(piece, crc)
+    return (label.decode(), place) if crc == expected else None
+
+
+def _next_mark(stream: BinaryIO, mark: bytes, position: int, size: int) -> int:
+    """Where the mark stands next, or the end of the file."""
+    while position < size:
+        piece = _read(stream, _Place(position, _PIECE))
+        found = piece.find(mark)
+        if found >= 0:
+            return position + found
+        if len(piece) < _PIECE:
+            return size
+        position += _PIECE - _MARK + 1
+    return size
+
+
+def _pieces(stream: BinaryIO, place: _Place) -> Iterator[bytes]:
+    for start in range(place.start, place.start + place.length, _PIECE):
+        yield _read(stream, _Place(start, min(_PIECE, place.start + place.length - start)))
+
+
+def _read(stream: BinaryIO, place: _Place) -> bytes:
+    """What stands at a place; shorter where the file ends."""
+    stream.seek(place.start)
+    parts, left = [], place.length
+    while left > 0:
+        part = stream.read(left)
+        if not part:
+            break
+        parts.append(part)
+        left -= len(part)
+    return b"".join(parts)
+
+
+def _other(path: Path) -> InvalidInput:
+    return InvalidInput(str(path), found="something else", expected="a journal of fixel")
+
+
+def _unwritable(path: Path, problem: OSError) -> JobRefused:
+    reason = (problem.strerror or str(problem)).lower()
+    return JobRefused(f"{path} cannot be written: {reason}", hint="make room, then resume the job")

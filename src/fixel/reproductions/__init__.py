@@ -1,0 +1,109 @@
+"""Benchmarks on real data: calibrate on some records, and be judged on others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from fixel.datasets.raw.mit_push import read, recognised
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.reproductions.joint import joint_calibration
+from fixel.reproductions.mit_push import benchmark_pushes
+from fixel.reproductions.protocols import PROTOCOLS, Request
+from fixel.reproductions.result import Benchmark, Progress, Row, write_tables
+
+PARTS: Final = ("mit",)
+# Where a part's dataset is looked for inside the data folder; that folder itself is tried too.
+FOLDERS: Final = {"mit": "mit_push_endpoints"}
+
+
+def benchmark_real(
+    data: Path,
+    request: Request | None = None,
+    *,
+    part: str = "mit",
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Benchmark:
+    """Run a benchmark on real data.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the datasets, or of the one.
+    request : Request, optional
+        All protocols where left out.
+    part : str
+        Out of `PARTS`.
+    out : Path, optional
+        Folder for tables, a picture, and finished fits: the same request goes on from these.
+    progress : callable, optional
+        Told how many parts of how many are done, and what they are.
+
+    Raises
+    ------
+    DatasetMissing
+        The dataset is not in the folder.
+    InvalidInput
+        A request, or a folder, that cannot be.
+    """
+    pushes = read(folder_of(data, part))
+    kept = None
+    if out is not None:
+        _make(out)
+        kept = out / "fits"
+    answer = benchmark_pushes(pushes, request or Request(), kept, progress or _silent)
+    if out is not None:
+        write_tables(answer, out)
+        draw_benchmark(answer, out / f"{part}.png")
+    return answer
+
+
+def joint_real(data: Path, part: str = "mit", progress: Progress | None = None) -> Row:
+    """Time a calibration of many pushes together; see `joint_calibration`."""
+    return joint_calibration(read(folder_of(data, part)), progress or _silent)
+
+
+def draw_benchmark(answer: Benchmark, file: Path) -> None:
+    """Draw errors by group and their distributions into a file: .png, .svg or .pdf."""
+    from fixel.reproductions.charts.benchmark import BenchmarkPicture, draw
+
+    panels = []
+    for scored in answer.scored:
+        rows = [row for row in answer.rows if row["protocol"] == scored.protocol]
+        panels.append((scored.protocol, rows, scored.position, scored.angle))
+    draw(BenchmarkPicture.of(panels), file)
+
+
+def folder_of(data: Path, part: str) -> Path:
+    """Folder of a part's dataset, or a refusal."""
+    if part not in PARTS:
+        raise InvalidInput("--only", found=repr(part), expected="one of " + ", ".join(PARTS))
+    for folder in (data / FOLDERS[part], data):
+        if recognised(folder):
+            return folder
+    raise DatasetMissing(data, f"{FOLDERS[part]} with pushes.csv.gz and shapes.json")
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(str(out), found=reason, expected="a folder to write to") from None
+
+
+def _silent(done: int, of: int, what: str) -> None:
+    """Nobody watches."""
+
+
+__all__ = [
+    "PARTS",
+    "PROTOCOLS",
+    "Benchmark",
+    "Request",
+    "benchmark_real",
+    "draw_benchmark",
+    "folder_of",
+    "joint_real",
+]

@@ -1,0 +1,342 @@
+"""The ASME paper's table 1: what a search from random starts finds of a part's support.
+
+The trajectories are made from the first column, p1*, with the camera's error on them, so that it is
+known what there was to find. A set of parameters counts as good as p1* where its own trajectories
+of the two identification tests lie within one pixel of those of p1*.
+
+Source: ASME 2006 paper on meso-scale manipulation, eqs. 3-4 and table 1.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration import MultiStart, NelderMead
+from fixel.calibration.multi_start import MultiStartSearch
+from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
+from fixel.calibration.solutions import (
+    Solution,
+    SupportFeatures,
+    find_solutions,
+    support_features,
+)
+from fixel.calibration.study import box_of
+from fixel.calibration.target import Target
+from fixel.kernels.arrays import FloatArray
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.model.support import triangle_shares
+from fixel.reproductions.charts.reproductions import ClusterPicture, TriangleCluster
+from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
+from fixel.simulation.ensemble import Case, Ensemble
+from fixel.testing.scenes import box, micro_push
+
+# Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.
+P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)
+P2: Final = (0.536, 0.013, -412.4e-6, 794.0e-6, -217.8e-6, 774.5e-6, 278.8e-6, -538.8e-6)
+CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
+
+IDENTIFICATION: Final = (3, 4)
+HELD_OUT: Final = (8,)
+ALL: Final = tuple(range(1, 9))
+
+FRAME_RATE: Final = 30.0  # [1/s]
+PIXEL: Final = 5.3e-6  # [m], error of a position, either way
+ANGLE_ERROR: Final = 0.005  # [rad], either way; the paper's figure is hard to read
+LENGTH: Final = 0.5 * PART_LENGTH  # L of the objective; the paper gives no value [m]
+
+# Gaps that separate clusters: of the mean radius, the principal radii [m] and the angle [rad].
+FEATURE_SCALE: Final = np.array([40e-6, 40e-6, 60e-6, math.radians(6.0)])
+
+
+class Sets(NamedTuple):
+    """Parameter sets, best first; k of them."""
+
+    point: FloatArray  # (k, 8)
+    error: FloatArray  # (k,) F on the identification tests, noisy data [mm]
+    apart: FloatArray  # (k,) from the trajectories of p1*, the same tests [mm]
+    held_out: FloatArray  # (k,) the same for test 8
+    everywhere: FloatArray  # (k,) for all eight
+    features: SupportFeatures
+
+
+def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+    """Search from random starts; cluster what is as good as p1*; vary the friction of the plane.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Not needed: the data are generated.
+    progress : callable
+    quick : bool
+        Four short searches.
+    """
+    begun = clock.perf_counter()
+    starts, evaluations, wide = (4, 600, 0) if quick else (24, 3000, 6)
+    noisy, exact = made_targets(seed=1), made_targets(seed=None)
+    progress(1, 5, "trajectories from p1*")
+    search = searched(objective(noisy, IDENTIFICATION), starts, evaluations)
+    progress(2, 5, f"{starts} searches, {search.evaluations} evaluations")
+    sets = judged(search, noisy, exact)
+    floor = float(objective(noisy, IDENTIFICATION)(np.array([P1]))[0])
+    good = sets.apart <= 1e3 * PIXEL
+    clusters = clustered(sets, good)
+    progress(3, 5, f"{int(good.sum())} sets as good as p1*, {len(clusters)} clusters")
+    plane = plane_friction(exact)
+    progress(4, 5, "friction of the plane")
+    from_all = _from_all(noisy, exact, wide, evaluations)
+    progress(5, 5, "all eight tests for identification")
+    rows = [_set_row(sets, k, bool(good[k])) for k in range(len(sets.error))]
+    told = [_cluster_row(cluster, sets, np.flatnonzero(good)) for cluster in clusters]
+    return Reproduction(
+        name="asme-table-1",
+        tables={
+            "table_1": _table_1(exact),
+            "sets": rows,
+            "clusters": told,
+            "plane_friction": plane,
+            "from_all_tests": from_all,
+        },
+        conclusions=_conclusions(floor, sets, good, told, plane, from_all),
+        settings={
+            "starts": starts,
+            "evaluations": search.evaluations,
+            "identification_tests": list(IDENTIFICATION),
+            "held_out_test": list(HELD_OUT),
+            "pixel_um": 1e6 * PIXEL,
+            "angle_error_rad": ANGLE_ERROR,
+            "length_um": 1e6 * LENGTH,
+            "error_of_p1_um": 1e3 * floor,
+            "quick": quick,
+        },
+        picture=_picture(clusters, sets, np.flatnonzero(good)),
+        seconds=clock.perf_counter() - begun,
+    )
+
+
+def space() -> ParameterSpace:
+    """Friction of probe and plane, and three points in the part."""
+    half = {"x": 0.5 * PART_WIDTH, "y": 0.5 * PART_LENGTH}
+    corners = [
+        Unknown(
+            name=name,
+            low=-half[name[-1]],
+            high=half[name[-1]],
+            nominal=0.6 * way * half[name[-1]],
+        )
+        for name, way in zip(CORNERS, (1, -1, -1, -1, 0, 1), strict=True)
+    ]
+    return ParameterSpace(
+        unknowns=(
+            Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.5),
+            # At exactly 0 nothing holds the part, and motion without inertia has no answer.
+            Unknown(name="mu_support", low=1e-3, high=1.0, nominal=0.5),
+            *corners,
+        )
+    )
+
+
+def made_targets(seed: int | None) -> dict[int, Target]:
+    """The eight pushes under p1*, as the camera would see them; exact where there is no seed."""
+    draw = np.random.default_rng(seed)
+    found = {}
+    for test in ALL:
+        scene = micro_push(test, "p1")
+        n = round(scene.duration * FRAME_RATE)
+        case = Case(scene, np.arange(1, n + 1) / FRAME_RATE)
+        pose = Ensemble([case]).simulate(np.zeros(1, np.int64), {}).pose[0]
+        if seed is not None:
+            pose = pose + draw.uniform(-1.0, 1.0, pose.shape) * (PIXEL, PIXEL, ANGLE_ERROR)
+        found[test] = Target(f"asme/{test}", {"test": float(test)}, case, pose)
+    return found
+
+
+def objective(targets: dict[int, Target], tests: Sequence[int]) -> Objective:
+    """The paper's F over tests [mm]."""
+    comparer = Comparer(
+        [targets[test] for test in tests], space(), RootMeanSquare(angle_scale=LENGTH)
+    )
+    return Objective(comparer, combine="mean")
+
+
+def searched(wanted: Objective, starts: int, evaluations: int, seed: int = 3) -> MultiStartSearch:
+    """Nelder-Mead on nine random feasible vertices, from several starts, as in the paper."""
+    optimiser = MultiStart(
+        optimiser=NelderMead(
+            random_simplex=True, size=1e-3, restarts=2, max_evaluations=evaluations
+        ),
+        starts=starts,
+    )
+    search = optimiser.start(box_of(space()), seed, wanted.comparer.feasible)
+    while not search.done:
+        search.tell(wanted(search.ask()))
+    return search
+
+
+def judged(search: MultiStartSearch, noisy: dict[int, Target], exact: dict[int, Target]) -> Sets:
+    """What each search found, best first."""
+    ends = [one.best for one in search.searches if math.isfinite(one.best.error)]
+    ends.sort(key=lambda best: best.error)
+    points = np.array([best.point for best in ends])
+    return Sets(
+        points,
+        objective(noisy, IDENTIFICATION)(points),
+        objective(exact, IDENTIFICATION)(points),
+        objective(exact, HELD_OUT)(points),
+        objective(exact, ALL)(points),
+        features_of(points),
+    )
+
+
+def features_of(points: FloatArray) -> SupportFeatures:
+    """Of the supports in parameter sets (k, 8)."""
+    corners = points[:, 2:].reshape(-1, 3, 2)
+    return support_features(corners, np.maximum(triangle_shares(corners), 0.0))
+
+
+def clustered(sets: Sets, good: np.ndarray) -> tuple[Solution, ...]:
+    """Groups of good sets by what pushes feel of them: radii, and the angle of the larger one."""
+    own = sets.features
+    angle = np.mod(own.angle, math.pi)  # about the middle of what occurs: no wrap in between
+    table = np.column_stack((own.mean_radius, own.radii, angle))[good]
+    if not len(table):
+        return ()
+    return find_solutions(table, sets.apart[good], FEATURE_SCALE, threshold=1e3, distance=1.0)
+
+
+def _from_all(
+    noisy: dict[int, Target], exact: dict[int, Target], starts: int, evaluations: int
+) -> list[Row]:
+    """What searches on all eight tests find; good where within a pixel on all of them."""
+    if not starts:
+        return []
+    sets = judged(searched(objective(noisy, ALL), starts, evaluations), noisy, exact)
+    order = np.argsort(sets.everywhere, kind="stable").tolist()
+    return [_set_row(sets, k, bool(sets.everywhere[k] <= 1e3 * PIXEL)) for k in order]
+
+
+def plane_friction(exact: dict[int, Target]) -> list[Row]:
+    """F of p1* on all tests with other frictions of the plane: balance of forces has no scale."""
+    wanted = objective(exact, ALL)
+    values = np.array([0.001, 0.013, 0.1, 0.5, 0.757, 1.0])
+    points = np.tile(P1, (len(values), 1))
+    points[:, 1] = values
+    return [
+        {"mu_support": float(mu), "f_um": float(1e3 * error)}
+        for mu, error in zip(values, wanted(points), strict=True)
+    ]
+
+
+# --- tables and sentences -------------------------------------------------------------------
+
+
+def _shape(features: SupportFeatures, k: int) -> Row:
+    return {
+        "mean_radius_um": float(1e6 * features.mean_radius[k]),
+        "principal_radii_um": np.round(1e6 * features.radii[k], 1).tolist(),
+        "axis_deg": float(np.degrees(np.mod(features.angle[k], math.pi))),
+        "shares": np.round(features.share[k], 3).tolist(),
+    }
+
+
+def _table_1(exact: dict[int, Target]) -> list[Row]:
+    points = np.array([P1, P2])
+    features = features_of(points)
+    errors = objective(exact, ALL)(points)
+    return [
+        {"set": name, "f_all_um": float(1e3 * errors[k]), **_shape(features, k)}
+        for k, name in enumerate(("p1*", "p2*"))
+    ]
+
+
+def _set_row(sets: Sets, k: int, good: bool) -> Row:
+    return {
+        "good": good,
+        "f_um": float(1e3 * sets.error[k]),
+        "from_p1_um": float(1e3 * sets.apart[k]),
+        "held_out_um": float(1e3 * sets.held_out[k]),
+        "all_um": float(1e3 * sets.everywhere[k]),
+        "mu_pusher": float(sets.point[k, 0]),
+        "mu_support": float(sets.point[k, 1]),
+        "points_um": np.round(1e6 * sets.point[k, 2:].reshape(3, 2), 1).tolist(),
+        **_shape(sets.features, k),
+    }
+
+
+def _cluster_row(cluster: Solution, sets: Sets, rows: np.ndarray) -> Row:
+    own = rows[cluster.members]
+    best = int(own[0])
+    return {
+        "sets": cluster.size,
+        "from_p1_um": float(1e3 * sets.apart[best]),
+        "held_out_um": np.round(1e3 * np.sort(sets.held_out[own])[[0, -1]], 1).tolist(),
+        "all_um": np.round(1e3 * np.sort(sets.everywhere[own])[[0, -1]], 1).tolist(),
+        "mean_radius_um": np.round(1e6 * np.array([cluster.low[0], cluster.high[0]])).tolist(),
+        "larger_radius_um": np.round(1e6 * np.array([cluster.low[1], cluster.high[1]])).tolist(),
+        "smaller_radius_um": np.round(1e6 * np.array([cluster.low[2], cluster.high[2]])).tolist(),
+        "axis_deg": np.round(np.degrees([cluster.low[3], cluster.high[3]]), 1).tolist(),
+        "mu_pusher": np.round(np.sort(sets.point[own, 0])[[0, -1]], 3).tolist(),
+        "mu_support": np.round(np.sort(sets.point[own, 1])[[0, -1]], 3).tolist(),
+    }
+
+
+def _conclusions(
+    floor: float,
+    sets: Sets,
+    good: np.ndarray,
+    clusters: list[Row],
+    plane: list[Row],
+    from_all: list[Row],
+) -> list[str]:
+    n = int(good.sum())
+    spread = max(row["f_um"] for row in plane) - min(row["f_um"] for row in plane)
+    said = [
+        f"{n} of {len(good)} searches end within a pixel of the trajectories of p1*; the best has F"
+        f" = {1e3 * sets.error[0]:.2f} um, p1* itself {1e3 * floor:.2f} um: the camera's error.",
+    ]
+    if n:
+        radius = 1e6 * sets.features.mean_radius[good]
+        said.append(
+            f"They are {len(clusters)} clusters of supports. Mean radius {radius.min():.0f} to"
+            f" {radius.max():.0f} um, 695 for p1*; on the held-out test"
+            f" {1e3 * sets.held_out[good].min():.1f} to {1e3 * sets.held_out[good].max():.1f} um"
+            f" off, on all eight {1e3 * sets.everywhere[good].min():.1f} to"
+            f" {1e3 * sets.everywhere[good].max():.1f}."
+        )
+    said.append(
+        "mu_support is not identified: without inertia the support forces scale with it and the"
+        f" motion does not; from 0.001 to 1 F changes by {spread:.1g} um."
+    )
+    near = [row for row in from_all if row["good"]]
+    if near:
+        radius = sorted(row["mean_radius_um"] for row in near)
+        friction = sorted(row["mu_pusher"] for row in near)
+        said.append(
+            f"Identified from all eight tests, {len(near)} of {len(from_all)} searches end within a"
+            f" pixel on all of them: mean radius {radius[0]:.0f} to {radius[-1]:.0f} um, mu_pusher"
+            f" {friction[0]:.2f} to {friction[-1]:.2f}."
+        )
+    return said
+
+
+def _picture(clusters: Sequence[Solution], sets: Sets, rows: np.ndarray) -> ClusterPicture:
+    drawn = []
+    for number, cluster in enumerate(clusters[:5], 1):
+        own = rows[cluster.members]
+        radius = 1e6 * sets.features.mean_radius[own].mean()
+        drawn.append(
+            TriangleCluster(
+                f"{number}: {cluster.size} found, {radius:.0f} µm",
+                sets.point[own, 2:].reshape(-1, 3, 2),
+                sets.features.share[own],
+            )
+        )
+    return ClusterPicture(
+        box(PART_WIDTH, PART_LENGTH).outline, np.array(P1[2:]).reshape(3, 2), drawn
+    )

@@ -1,0 +1,248 @@
+"""Do bounds on where real pushes end hold as many as they promise? Pushes of the MIT dataset.
+
+Of each plate and surface, 60 % of the pushes calibrate the physics (protocol `calibrated`); the
+same pushes say how uncertain its unknowns are and how large its own error is. Bounds on the final
+position and angle of the other pushes follow from these alone.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.datasets.raw.mit_push import read
+from fixel.drawing.coverage import CoverageChart, CoveragePanel
+from fixel.io.result_cache import Finished
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
+from fixel.reproductions.fitting import ARM, Belief, FittedPushes
+from fixel.reproductions.protocols import Bench, Request, full_beliefs, full_fit
+from fixel.reproductions.pushes import Key, PushGroup
+from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.splits import Split
+from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
+from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
+
+NAME: Final = "coverage"
+# Step of the differences, in standard deviations of what was believed; as in the fits.
+STEP: Final = 0.15
+# Standard deviations of the measured first pose that its effect is told in [m, m, rad]; the data
+# find the factor.
+START: Final = {"start_x": 0.5e-3, "start_y": 0.5e-3, "start_theta": 0.01}
+POSITION, ANGLE = (0, 1), (2,)
+
+
+class Held(NamedTuple):
+    """Held-out pushes of one group and split."""
+
+    key: Key
+    levels: FloatArray  # (k, 2) of the smallest bounds that hold each: position, angle
+    spreads: Spreads  # of (along, across, ARM angle) [m^2]
+    predictive: LinearPredictive
+
+
+def run(
+    folder: Path | None, progress: Progress, *, quick: bool = False, seeds: int = 1,
+    kept: Path | None = None,
+) -> Reproduction:  # fmt: skip
+    """Bounds on pushes that were held out.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    progress : callable
+    quick : bool
+        Three plates, 60 pushes each, rough fits.
+    seeds : int
+        Random splits.
+    kept : Path, optional
+        Folder of finished fits, as `fixel benchmark real --out` leaves them in `fits`.
+    """
+    assert folder is not None
+    begun = clock.perf_counter()
+    request = Request(protocols=("calibrated",), seeds=1 if quick else seeds, quick=quick)
+    bench = Bench(read(folder), request, Finished(kept), _silent)
+    total = len(bench.rows) * request.seeds
+    held: list[Held] = []
+    for key in bench.rows:
+        group = bench.group(key)
+        for k, split in enumerate(bench.splits(key)):
+            held.append(predicted(group, split, full_fit(bench, group, k, split)))
+            progress(len(held), total, " ".join(key))
+    overall = [_curve(held, own) for own in (0, 1)]
+    return Reproduction(
+        name=NAME,
+        tables={
+            "curve": _curve_rows(overall),
+            "groups": _group_rows(held),
+            "parts": _part_rows(held),
+        },
+        conclusions=_conclusions(overall, held),
+        settings={"seeds": request.seeds, "quick": quick, "pushes_held_out": overall[0].outcomes},
+        picture=_picture(overall, held),
+        seconds=clock.perf_counter() - begun,
+    )
+
+
+def predicted(group: PushGroup, split: Split, found: FittedPushes) -> Held:
+    """Held-out pushes of a group, bounded from its training pushes."""
+    beliefs = full_beliefs(group, split.train)
+    outcomes = outcomes_of(group, found, beliefs)
+    good = np.asarray(np.isfinite(outcomes.residual).all(axis=1))
+    train, other = split.train[good[split.train]], split.held_out[good[split.held_out]]
+    sd = np.array([belief.sd for belief in beliefs])
+    predictive = fit_predictive(_rows(outcomes, train), sd, (POSITION, ANGLE))
+    own = _rows(outcomes, other)
+    # A push that the physics cannot simulate has no bounds, which holds it in none of them.
+    missing = np.ones((len(split.held_out) - len(other), 2))
+    levels = np.concatenate((predictive.levels_of(own), missing))
+    return Held(group.key, levels, predictive.spreads(own), predictive)
+
+
+def outcomes_of(group: PushGroup, found: FittedPushes, beliefs: Sequence[Belief]) -> Outcomes:
+    """Ends of all pushes of a group: along and across the push, and ARM times the angle [m].
+
+    Residuals of pushes that could not be simulated are NaN.
+    """
+    everyone = np.arange(len(group))
+    base = _simulated(group, everyone, found.values, {})
+    columns = []
+    for belief in beliefs:
+        value = found.values[belief.name]
+        step = STEP * belief.sd * (1.0 if value + STEP * belief.sd <= belief.high else -1.0)
+        moved = _simulated(group, everyone, found.values | {belief.name: value + step}, {})
+        columns.append(_between(group, base, moved) / step)
+    starts = []
+    for name, sd in START.items():
+        ends = [_simulated(group, everyone, found.values, {name: way * sd}) for way in (-1.0, 1.0)]
+        starts.append(0.5 * _between(group, *ends))
+    residual = _between(group, base, group.end)
+    return Outcomes(
+        residual,
+        np.nan_to_num(np.stack(columns, axis=2)),
+        np.nan_to_num(np.stack(starts, axis=2)),
+    )
+
+
+def _simulated(
+    group: PushGroup, which: IntArray, values: dict[str, float], more: dict[str, float]
+) -> FloatArray:
+    table = {name: np.full(len(which), x) for name, x in (values | more).items()}
+    answer = group.simulate(which, table)
+    return np.where(answer.good[:, None], answer.end, np.nan)
+
+
+def _between(group: PushGroup, first: FloatArray, last: FloatArray) -> FloatArray:
+    """(k, 3) from one pose to another: along and across the push, ARM times the angle [m]."""
+    heading = group.tip_end - group.tip_start
+    along = heading / np.hypot(*heading.T)[:, None]
+    away = last - first
+    return np.column_stack(
+        (
+            np.sum(away[:, :2] * along, axis=1),
+            along[:, 0] * away[:, 1] - along[:, 1] * away[:, 0],
+            ARM * wrapped(away[:, 2]),
+        )
+    )
+
+
+def _rows(outcomes: Outcomes, which: IntArray) -> Outcomes:
+    return Outcomes(*(table[which] for table in outcomes))
+
+
+# --- tables and sentences -------------------------------------------------------------------------
+
+
+def _curve(held: Sequence[Held], own: int) -> CoverageCurve:
+    return coverage_curve(np.concatenate([one.levels[:, own] for one in held]))
+
+
+def _curve_rows(curves: Sequence[CoverageCurve]) -> list[Row]:
+    return [
+        {
+            "level": level,
+            "position_held": round(float(curves[0].held[k]), 4),
+            "angle_held": round(float(curves[1].held[k]), 4),
+            "true_levels_from": round(float(curves[0].low[k]), 4),
+            "true_levels_to": round(float(curves[0].high[k]), 4),
+        }
+        for k, level in enumerate(LEVELS)
+    ]
+
+
+def _group_rows(held: Sequence[Held]) -> list[Row]:
+    rows = []
+    for key in dict.fromkeys(one.key for one in held):
+        own = [one for one in held if one.key == key]
+        row: Row = {"surface": key[0], "shape": key[1]}
+        for k, name in enumerate(("position", "angle")):
+            curve = _curve(own, k)
+            row["held_out"] = curve.outcomes
+            for level in (0.5, 0.9):
+                at = LEVELS.index(level)
+                row[f"{name}_held_{100 * level:.0f}"] = round(float(curve.held[at]), 4)
+        rows.append(row)
+    return rows
+
+
+def _part_rows(held: Sequence[Held]) -> list[Row]:
+    """Root mean square over held-out pushes of each part's standard deviation."""
+    rows: list[Row] = []
+    for part in ("parameters", "start", "model", "total"):
+        table = np.concatenate([getattr(one.spreads, part) for one in held])
+        along, across, turned = np.sqrt(np.mean(np.einsum("kii->ki", table), axis=0))
+        rows.append(
+            {
+                "part": part,
+                "along_mm": round(1e3 * float(along), 3),
+                "across_mm": round(1e3 * float(across), 3),
+                "angle_deg": round(float(np.degrees(turned / ARM)), 3),
+            }
+        )
+    return rows
+
+
+def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> list[str]:
+    said = []
+    for name, curve in zip(("position", "angle"), curves, strict=True):
+        at = [LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
+        told = ", ".join(f"{100 * curve.held[k]:.1f} % at {100 * LEVELS[k]:.0f} %" for k in at)
+        said.append(
+            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the"
+            f" largest gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
+        )
+    parts = {row["part"]: row for row in _part_rows(held)}
+    said.append(
+        "Standard deviations of the bounds (scale of Student's t), across the push:"
+        f" {parts['model']['across_mm']:.2f} mm model error, {parts['start']['across_mm']:.2f} mm"
+        f" from the start, {parts['parameters']['across_mm']:.2f} mm from parameters."
+    )
+    freedom = [one.predictive.freedom for one in held]
+    said.append(
+        f"Tails are heavy: {min(freedom):.1f} to {max(freedom):.1f} degrees of freedom of Student's"
+        " t describe the training pushes best."
+    )
+    return said
+
+
+def _picture(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> CoverageChart:
+    keys = list(dict.fromkeys(one.key for one in held))
+    panels = []
+    for k, name in enumerate(("position", "angle")):
+        own = [_curve([one for one in held if one.key == key], k) for key in keys]
+        panels.append(
+            CoveragePanel(
+                f"final {name}", curves[k].levels, curves[k].held, curves[k].low, curves[k].high,
+                np.array([curve.held for curve in own]), curves[k].outcomes,
+            )
+        )  # fmt: skip
+    return CoverageChart(panels)
+
+
+def _silent(done: int, of: int, what: str) -> None:
+    """Nobody watches."""

@@ -1,0 +1,198 @@
+"""What is fitted to the ends of pushes, what was believed of it before, and the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.calibration.cost import Prior
+from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.optimiser import Box
+from fixel.calibration.registration import Registration, registration_from_gaps
+from fixel.datasets.raw.mit_push import PUSHER_RADIUS
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
+from fixel.reproductions.pushes import PART_NAMES, PushGroup
+
+# A radian counts as this much [m]; one degree as 0.6 mm.
+ARM: Final = 35e-3
+# What a push is off by when all is well [m]: the weight of the priors against the pushes.
+NOISE: Final = 2.5e-3
+# Where squares become lines [m].
+WIDTH: Final = 2.0e-3
+# Of a push that could not be simulated, in x, y and angle [m]; the same whatever the parameters.
+LOST: Final = 10e-3
+
+
+class Belief(NamedTuple):
+    """What is known of an unknown before a push is looked at."""
+
+    name: str
+    mean: float
+    sd: float
+    low: float
+    high: float
+
+
+class FittedPushes(NamedTuple):
+    """Values found."""
+
+    names: tuple[str, ...]
+    point: FloatArray  # (n_name,)
+    evaluations: int  # pushes simulated
+
+    def predict(self, group: PushGroup, which: IntArray) -> FloatArray:
+        """(n, 3) ends of members to be expected; NaN where the simulation did not finish."""
+        values = {name: np.full(len(which), x) for name, x in self.values.items()}
+        found = group.simulate(which, values)
+        return np.where(found.good[:, None], found.end, np.nan)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """By name."""
+        return dict(zip(self.names, self.point.tolist(), strict=True))
+
+    def beside(self, known: Mapping[str, float]) -> FittedPushes:
+        """With values that were known already."""
+        point = np.concatenate((self.point, list(known.values())))
+        return self._replace(names=(*self.names, *known), point=point)
+
+
+# --- beliefs --------------------------------------------------------------------------------------
+
+
+def tip_beliefs(sd: float = 0.1) -> list[Belief]:
+    """Friction at the tip: steel on steel."""
+    return [Belief("mu_pusher", 0.2, sd, 0.02, 0.8)]
+
+
+def load_beliefs(group: PushGroup, sd: float) -> list[Belief]:
+    """Loads on the net, as multiples of an even share."""
+    return [Belief(f"load_{k + 1}", 1.0, sd, 0.0, 8.0) for k in range(len(group.points))]
+
+
+def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -> list[Belief]:
+    """How the table presses; standard deviations, zero for what is left out.
+
+    `bend` is for loads that are not free themselves; `quarter` of `table_bend_xy` and
+    `table_bend_diagonal`.
+    """
+    found = [Belief("table_bend", 0.1, bend, -1.5, 1.5)] if bend else []
+    for sd, limit, names in (
+        (quarter, 2.0, ("table_bend_xy", "table_bend_diagonal")),
+        (slope, 1.0, ("table_slope_x", "table_slope_y")),
+    ):
+        found += [Belief(name, 0.0, sd, -limit, limit) for name in names if sd]
+    return found
+
+
+def part_beliefs(sd: float) -> list[Belief]:
+    """How loads differ between corners, edges, rim and inside, in logarithms."""
+    return [Belief(name, 0.0, sd, -2.5, 2.5) for name in PART_NAMES.values()]
+
+
+def registration_beliefs(shift: FloatArray, sd: float) -> list[Belief]:
+    """About a shift found from gaps [m]."""
+    return [
+        Belief(f"registration_{axis}", value, sd, value - 3e-3, value + 3e-3)
+        for axis, value in zip("xy", shift.tolist(), strict=True)
+    ]
+
+
+def outline_beliefs() -> list[Belief]:
+    """Where the outline is in the frame of the tracker's markers, and how large the tip."""
+    return [
+        Belief("outline_x", 0.0, 0.5e-3, -3e-3, 3e-3),
+        Belief("outline_y", 0.0, 0.5e-3, -3e-3, 3e-3),
+        Belief("outline_theta", 0.0, 0.015, -0.1, 0.1),
+        Belief("contact_offset", 0.0, 0.3e-3, -1e-3, 1e-3),
+    ]
+
+
+def about(beliefs: Sequence[Belief], mean: Mapping[str, float]) -> list[Belief]:
+    """Beliefs about other means, where there are any."""
+    return [b._replace(mean=mean.get(b.name, b.mean)) for b in beliefs]
+
+
+def gap_registration(
+    group: PushGroup,
+    train: IntArray,
+    prior: ArrayLike = (0.0, 0.0),
+    prior_sd: float = 1e-3,
+) -> Registration:
+    """From the gaps at the ends of pushes alone; no physics."""
+    return registration_from_gaps(
+        group.shape,
+        PUSHER_RADIUS,
+        group.end[train],
+        group.tip_end[train],
+        prior=prior,
+        prior_sd=prior_sd,
+    )
+
+
+# --- the fit --------------------------------------------------------------------------------------
+
+
+class Member(NamedTuple):
+    """A group in a fit, its members, and values that are the group's own and known."""
+
+    group: PushGroup
+    train: IntArray
+    known: Mapping[str, float]
+
+
+def fit_pushes(
+    members: Sequence[Member],
+    beliefs: Sequence[Belief],
+    *,
+    iterations: int,
+) -> FittedPushes:
+    """Values of unknowns that several groups share, most probable after their pushes.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        One group, mostly.
+    beliefs : sequence of Belief
+    iterations : int
+        Steps of Levenberg and Marquardt's method, at most.
+    """
+    mean, sd, low, high = (np.array([b[k] for b in beliefs]) for k in (1, 2, 3, 4))
+    box = Box(low, high, np.clip(mean, low, high), sd)
+    method = LeastSquares(
+        loss="soft_l1",
+        width=WIDTH / NOISE,
+        differences="one-sided",
+        difference=0.15,
+        largest_difference=0.6,
+        trials=3,
+        tolerance=1e-3,
+        most_iterations=iterations,
+    )
+    names = tuple(b.name for b in beliefs)
+    count = 0
+
+    def residuals(points: FloatArray) -> FloatArray:
+        nonlocal count
+        count += len(points) * sum(len(m.train) for m in members)
+        return np.concatenate([_residuals(m, names, points) for m in members], axis=1)
+
+    end = fit(method.start(box, prior=Prior(mean=mean, sd=sd)), residuals)
+    return FittedPushes(names, end.point, count)
+
+
+def _residuals(member: Member, names: tuple[str, ...], points: FloatArray) -> FloatArray:
+    """(k, 3 n_train) at points (k, n_name) [standard deviations]."""
+    group, train = member.group, member.train
+    k, n = len(points), len(train)
+    values = {name: np.repeat(points[:, j], n) for j, name in enumerate(names)}
+    values |= {name: np.full(k * n, x) for name, x in member.known.items()}
+    found = group.simulate(np.tile(train, k), values)
+    away = found.end.reshape(k, n, 3) - group.end[train]
+    away[..., 2] = ARM * wrapped(away[..., 2])
+    away[~found.good.reshape(k, n)] = LOST
+    return np.asarray(away.reshape(k, 3 * n) / NOISE)

@@ -1,0 +1,126 @@
+"""Calibration on the straight pushes of the MIT push dataset, judged on pushes held out.
+
+No number of a held-out push enters its prediction but where object and tip were at the start and
+where the tip went. Settings were chosen on inner splits of training pushes; see the how-to page.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fixel.datasets.raw.mit_push import MitPushes
+from fixel.io.result_cache import Finished
+from fixel.kernels.arrays import FloatArray
+from fixel.model import pose_error
+from fixel.reproductions.protocols import PROTOCOLS, RUN, Bench, Piece, Request
+from fixel.reproductions.pushes import usable_rows
+from fixel.reproductions.result import Benchmark, Progress, Row, Scored
+
+PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
+
+
+def benchmark_pushes(
+    data: MitPushes, request: Request, folder: Path | None, progress: Progress
+) -> Benchmark:
+    """Run protocols on recorded pushes.
+
+    Parameters
+    ----------
+    data : MitPushes
+    request : Request
+    folder : Path, optional
+        Where finished fits are kept.
+    progress : callable
+    """
+    if PUBLISHED not in data.predictions:
+        data.predictions[PUBLISHED] = np.full((len(data), 3), np.nan)
+    started = clock.perf_counter()
+    bench = Bench(data, request, Finished(folder), progress)
+    chosen = [name for name in PROTOCOLS if name in request.protocols]
+    repeats = request.folds or request.seeds
+    per_group = sum(1 if name == "new-shape" else repeats for name in chosen)
+    bench.total = len(bench.rows) * per_group
+    scored, fits, seconds = [], [], {}
+    for name in chosen:
+        begun = clock.perf_counter()
+        pieces = [piece for key in bench.rows for piece in RUN[name](bench, key)]
+        if pieces:
+            scored.append(_scored(bench, name, pieces))
+            fits += [{"protocol": name, **piece.fit} for piece in pieces]
+        seconds[name] = round(clock.perf_counter() - begun, 1)
+    return Benchmark(
+        part="mit",
+        scored=tuple(scored),
+        settings=_settings(request, bench),
+        timing={"seconds": round(clock.perf_counter() - started, 1), "by_protocol": seconds},
+        notes=_notes(bench, chosen),
+        fits=tuple(fits),
+    )
+
+
+def _scored(bench: Bench, protocol: str, pieces: Sequence[Piece]) -> Scored:
+    models: dict[str, list[FloatArray]] = {"published": [], "uncalibrated": [], "calibrated": []}
+    for piece in pieces:
+        group, which = piece.group, piece.which
+        nominal = np.where(group.nominal.good[:, None], group.nominal.end, np.nan)
+        ends = {
+            "published": bench.data.predictions[PUBLISHED][group.rows[which]],
+            "uncalibrated": nominal[which],
+            "calibrated": piece.end,
+        }
+        for model, end in ends.items():
+            models[model].append(_errors(end, group.end[which]))
+    if all(np.isnan(part).all() for part in models["published"]):
+        del models["published"]
+    tables = {model: np.concatenate(parts, axis=1) for model, parts in models.items()}
+    inside = [piece.inside for piece in pieces if piece.inside is not None]
+    return Scored(
+        protocol=protocol,
+        names=tuple(n for p in pieces for n in bench.names[p.group.rows[p.which]].tolist()),
+        repeat=np.concatenate([np.full(len(p.which), p.repeat) for p in pieces]),
+        groups=tuple(p.group.key for p in pieces for _ in p.which),
+        position={model: table[0] for model, table in tables.items()},
+        angle={model: table[1] for model, table in tables.items()},
+        inside=np.concatenate(inside) if inside else None,
+    )
+
+
+def _errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
+    """(2, n) distances of the frames' origins [mm] and absolute angles between them [deg]."""
+    position, angle = pose_error(predicted, measured)
+    missing = np.isnan(predicted).any(axis=1)
+    return np.where(missing, np.nan, np.stack((position * 1e3, np.degrees(np.abs(angle)))))
+
+
+def _settings(request: Request, bench: Bench) -> Row:
+    return {
+        "protocols": list(request.protocols),
+        "seeds": 0 if request.folds else request.seeds,
+        "folds": request.folds,
+        "quick": request.quick,
+        "iterations": request.iterations,
+        "pushes": int(sum(len(rows) for rows in bench.rows.values())),
+        "published": PUBLISHED,
+    }
+
+
+def _notes(bench: Bench, chosen: Sequence[str]) -> tuple[str, ...]:
+    left_out = len(bench.data) - len(usable_rows(bench.data))
+    notes = [
+        "Errors on held-out pushes only: of the object frame's origin, and of the angle.",
+        f"{left_out} pushes that do not fit their own geometry are left out, as in fixel replay.",
+    ]
+    if bench.request.quick:
+        notes.append("Quick: few plates and pushes. These numbers say that it works, no more.")
+    surfaces = [key[0] for key in bench.rows]
+    if "new-shape" in chosen and any(surfaces.count(name) < 2 for name in surfaces):
+        notes.append("No new-shape where a surface has one plate only.")
+    if "learned" in chosen:
+        notes.append("learned is physics and a Gaussian process: no calibration in the sense of")
+        notes[-1] += " the others."
+    return tuple(notes)

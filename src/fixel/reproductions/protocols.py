@@ -1,0 +1,332 @@
+"""The protocols: what is learned from which pushes, to predict which others."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.datasets.raw.mit_push import MitPushes
+from fixel.errors import InvalidInput
+from fixel.io.result_cache import Finished, listed
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import wrapped
+from fixel.model.fields import BoolArray
+from fixel.reproductions.fitting import (
+    Belief,
+    FittedPushes,
+    Member,
+    about,
+    fit_pushes,
+    gap_registration,
+    load_beliefs,
+    outline_beliefs,
+    part_beliefs,
+    registration_beliefs,
+    table_beliefs,
+    tip_beliefs,
+)
+from fixel.reproductions.leftover import inside_ninety, learned_ends
+from fixel.reproductions.pushes import Key, PushGroup, rows_by_key, usable_rows
+from fixel.reproductions.result import Progress, Row
+from fixel.reproductions.splits import Split, few_of, folds, random_split
+
+SHARE: Final = 0.6  # of the pushes for training, where there are no folds
+FEW: Final = 10
+# Standard deviations of loads on the net.
+FREE: Final = 1.0
+FREEDOMS: Final = (1.5, 0.3, 3.0)
+# Of each other shape in the fit of what a surface has in common.
+MOST_OF_OTHERS: Final = 100
+QUICK_SHAPES, QUICK_PUSHES, QUICK_ITERATIONS = 3, 60, 4
+ITERATIONS: Final = 10
+
+PROTOCOLS: Final[dict[str, str]] = {
+    "calibrated": "physics calibrated on other pushes of the same plate and surface",
+    "learned": "the same, and a Gaussian process on what it leaves over",
+    "few": f"physics calibrated on {FEW} pushes of the plate and surface",
+    "unregistered": "physics calibrated without any registration of tracker to robot",
+    "new-shape": "a plate never seen: what other plates on the surface have in common",
+}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What is asked of the benchmark.
+
+    Parameters
+    ----------
+    protocols : tuple of str
+        Out of `PROTOCOLS`.
+    seeds : int
+        Random splits, each with 60 % of every surface, shape and speed for training.
+    folds : int
+        Instead of these, each push held out once; 0 for random splits.
+    quick : bool
+        A few plates of one surface, few pushes, few iterations: to see that it works.
+    threads : int, optional
+        All cores where left out.
+    """
+
+    protocols: tuple[str, ...] = tuple(PROTOCOLS)
+    seeds: int = 3
+    folds: int = 0
+    quick: bool = False
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.protocols:
+            if name not in PROTOCOLS:
+                raise InvalidInput(
+                    "--protocol", found=repr(name), expected="one of " + ", ".join(PROTOCOLS)
+                )
+        if self.seeds < 1:
+            raise InvalidInput("--seeds", found=self.seeds, expected="1 or more")
+        if self.folds and self.folds < 2:
+            raise InvalidInput("--folds", found=self.folds, expected="2 or more, or 0")
+
+    @property
+    def iterations(self) -> int:
+        return QUICK_ITERATIONS if self.quick else ITERATIONS
+
+
+class Piece(NamedTuple):
+    """Held-out members of one group, predicted."""
+
+    group: PushGroup
+    repeat: int
+    which: IntArray  # numbers of the members
+    end: FloatArray  # (n, 3) predicted
+    fit: Row
+    inside: BoolArray | None = None  # (n, 3)
+
+
+@final
+class Bench:
+    """Data, splits and finished fits that the protocols share."""
+
+    def __init__(
+        self, data: MitPushes, request: Request, finished: Finished, progress: Progress
+    ) -> None:
+        self.data, self.request, self.finished = data, request, finished
+        self._progress = progress
+        rows = rows_by_key(data, usable_rows(data))
+        self.rows = _quick(rows) if request.quick else rows
+        self.names = data.table.text("push_id")
+        self._groups: dict[Key, PushGroup] = {}
+        self._done, self.total = 0, 0
+
+    def tell(self, what: str) -> None:
+        self._done += 1
+        self._progress(self._done, self.total, what)
+
+    def group(self, key: Key) -> PushGroup:
+        if key not in self._groups:
+            self._groups[key] = PushGroup(self.data, key, self.rows[key], self.request.threads)
+        return self._groups[key]
+
+    def on_surface(self, key: Key) -> list[Key]:
+        """All plates on the surface of one."""
+        return [own for own in self.rows if own[0] == key[0]]
+
+    def splits(self, key: Key) -> list[Split]:
+        speeds = np.round(self.data.speed[self.rows[key]] * 1e3, 6).tolist()
+        if self.request.folds:
+            return folds(speeds, self.request.folds, 0)
+        return [random_split(speeds, SHARE, seed) for seed in range(self.request.seeds)]
+
+    def fitted(
+        self,
+        name: str,
+        key: Key,
+        members: Sequence[Member],
+        beliefs: Sequence[Belief],
+    ) -> FittedPushes:
+        """The fit of that name, from the folder if it is there."""
+        iterations = self.request.iterations
+
+        def compute() -> Row:
+            started = clock.perf_counter()
+            found = fit_pushes(members, beliefs, iterations=iterations)
+            return {
+                "names": list(found.names),
+                "point": listed(found.point),
+                "pushes_simulated": found.evaluations,
+                "seconds": round(clock.perf_counter() - started, 3),
+            }
+
+        of = [[tuple(b) for b in beliefs], iterations, [_data_of(m) for m in members]]
+        kept = self.finished.get(f"{name}_{'_'.join(key)}", of, compute)
+        point = np.array(kept["point"], np.float64)
+        return FittedPushes(tuple(kept["names"]), point, int(kept["pushes_simulated"]))
+
+
+def _data_of(member: Member) -> list[Any]:
+    """All that a fit takes from a group."""
+    group, own = member.group, member.train
+    measured = (group.start, group.end, group.tip_start, group.tip_end)
+    return [group.key, group.shape.outline, *(a[own] for a in measured), dict(member.known)]
+
+
+def _calibrated(bench: Bench, key: Key) -> Iterator[Piece]:
+    for k, split in enumerate(bench.splits(key)):
+        group = bench.group(key)
+        found = full_fit(bench, group, k, split)
+        yield _piece(bench, group, k, split.held_out, found)
+        bench.tell(f"calibrated {' '.join(key)}")
+
+
+def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
+    """Of everything that pushes of one plate on one surface say something about."""
+    shift = gap_registration(group, train).shift
+    return [
+        *tip_beliefs(),
+        *load_beliefs(group, FREE),
+        *registration_beliefs(shift, 0.3e-3),
+        *outline_beliefs(),
+        *table_beliefs(),
+    ]
+
+
+def full_fit(bench: Bench, group: PushGroup, repeat: int | str, split: Split) -> FittedPushes:
+    """Physics calibrated on a split's training pushes."""
+    member = Member(group, split.train, {})
+    beliefs = full_beliefs(group, split.train)
+    return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
+
+
+def _unregistered(bench: Bench, key: Key) -> Iterator[Piece]:
+    for k, split in enumerate(bench.splits(key)):
+        group = bench.group(key)
+        beliefs = [*tip_beliefs(), *load_beliefs(group, FREE), *table_beliefs()]
+        member = Member(group, split.train, {})
+        found = bench.fitted(f"unregistered_{k}", key, [member], beliefs)
+        yield _piece(bench, group, k, split.held_out, found)
+        bench.tell(f"unregistered {' '.join(key)}")
+
+
+def _few(bench: Bench, key: Key) -> Iterator[Piece]:
+    """A handful of pushes of every plate: what plates have in common comes from all of these.
+
+    With so few, how free the loads are decides: three answers to that are averaged.
+    """
+    for k, split in enumerate(bench.splits(key)):
+        group = bench.group(key)
+        few = {own: few_of(bench.splits(own)[k], FEW, k).train for own in bench.on_surface(key)}
+        shift, common = _in_common(bench, f"few_{k}", key[0], few, quarter=0.3)
+        shift = gap_registration(group, few[key], shift, 0.7e-3).shift
+        known = [
+            *tip_beliefs(0.02),
+            *table_beliefs(bend=0.2, quarter=0.3, slope=0.0),
+            *part_beliefs(0.3),
+        ]
+        shared = [*about(known, common.values), *registration_beliefs(shift, 0.3e-3)]
+        member = Member(group, few[key], {})
+        found = [
+            bench.fitted(f"few_{k}_{sd:g}", key, [member], [*load_beliefs(group, sd), *shared])
+            for sd in FREEDOMS
+        ]
+        yield _piece(bench, group, k, split.held_out, *found)
+        bench.tell(f"few {' '.join(key)}")
+
+
+def _in_common(
+    bench: Bench, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
+) -> tuple[FloatArray, FittedPushes]:
+    """What plates on a surface share: the median of their registrations (2,), and a joint fit of
+    friction at the tip and of how loads are spread."""
+    members = []
+    shifts = []
+    for own, some in train.items():
+        group = bench.group(own)
+        shifts.append(gap_registration(group, some).shift)
+        members.append(Member(group, some, _shifted(shifts[-1])))
+    table = table_beliefs(bend=0.5, quarter=quarter, slope=0.0)
+    beliefs = [*tip_beliefs(), *table, *part_beliefs(0.7)]
+    found = bench.fitted(name, (surface, "common"), members, beliefs)
+    return np.median(shifts, axis=0), found
+
+
+def _new_shape(bench: Bench, key: Key) -> Iterator[Piece]:
+    """The plate has no part in anything that predicts it."""
+    others = [own for own in bench.on_surface(key) if own != key]
+    if others:
+        dice = np.random.default_rng(0)
+        some = {
+            own: np.sort(dice.permutation(len(bench.rows[own]))[:MOST_OF_OTHERS]) for own in others
+        }
+        shift, common = _in_common(bench, f"without_{key[1]}", key[0], some, quarter=0.0)
+        group = bench.group(key)
+        found = common.beside(_shifted(shift))
+        yield _piece(bench, group, 0, np.arange(len(group)), found)
+    bench.tell(f"new-shape {' '.join(key)}")
+
+
+def _shifted(shift: FloatArray) -> dict[str, float]:
+    return {"registration_x": float(shift[0]), "registration_y": float(shift[1])}
+
+
+def _learned(bench: Bench, key: Key) -> Iterator[Piece]:
+    for k, split in enumerate(bench.splits(key)):
+        group = bench.group(key)
+        found = full_fit(bench, group, k, split)
+        physics = found.predict(group, np.arange(len(group)))
+        speed = bench.data.speed[group.rows]
+
+        def compute(
+            group: PushGroup = group,
+            split: Split = split,
+            physics: FloatArray = physics,
+            speed: FloatArray = speed,
+        ) -> Row:
+            end, sd = learned_ends(group, split, physics, speed)
+            return {"end": listed(end), "sd": listed(sd)}
+
+        of = ["learned", physics, group.end[split.train], split.train, speed]
+        kept = bench.finished.get(f"learned_{k}_{'_'.join(key)}", of, compute)
+        end, sd = np.array(kept["end"]), np.array(kept["sd"])
+        inside = inside_ninety(group, split.held_out, end, sd)
+        yield _piece(bench, group, k, split.held_out, found)._replace(end=end, inside=inside)
+        bench.tell(f"learned {' '.join(key)}")
+
+
+def _piece(
+    bench: Bench, group: PushGroup, repeat: int, which: IntArray, *found: FittedPushes
+) -> Piece:
+    """The prediction of a fit, or the mean of several."""
+    fit = {
+        "surface": group.key[0],
+        "shape": group.key[1],
+        "split": repeat,
+        "values": found[0].values,
+        "pushes_simulated": sum(own.evaluations for own in found),
+    }
+    start = group.start[which]
+    moved = np.stack([own.predict(group, which) - start for own in found])
+    moved[..., 2] = wrapped(moved[..., 2])
+    return Piece(group, repeat, which, start + moved.mean(axis=0), fit)
+
+
+def _quick(rows: dict[Key, IntArray]) -> dict[Key, IntArray]:
+    surface = next(iter(rows))[0]
+    keys = [key for key in rows if key[0] == surface]
+    n_key = min(QUICK_SHAPES, len(keys))
+    chosen = [keys[k * len(keys) // n_key] for k in range(n_key)]
+    return {
+        key: rows[key][np.arange(n) * len(rows[key]) // n]
+        for key in chosen
+        for n in [min(QUICK_PUSHES, len(rows[key]))]
+    }
+
+
+RUN: Final[dict[str, Callable[[Bench, Key], Iterator[Piece]]]] = {
+    "calibrated": _calibrated,
+    "learned": _learned,
+    "few": _few,
+    "unregistered": _unregistered,
+    "new-shape": _new_shape,
+}

@@ -1,0 +1,231 @@
+"""Real repetitions: does the spread predicted before a push hold the one that was measured?
+
+Source: logs of repeated two-finger pushes (CMU 2017), and trials of RPI's 2dgad database that start
+alike.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.datasets.rpi_2dgad import Rpi2dgad
+from fixel.errors import DatasetMissing
+from fixel.kernels.arrays import FloatArray
+from fixel.model.trajectory import wrapped
+from fixel.reproductions.alike_starts import HEAD_PLACE, alike_group
+from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
+from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.two_point_groups import Group, group_scene, read_groups, rig_noise
+from fixel.simulation import StewartTrinkle
+from fixel.uncertainty.fan import fan_of
+from fixel.uncertainty.starts import StartError, even_points
+
+RANGES: Final = {
+    # What is not known of a rig, the same in all runs of a group: friction of steel or aluminium
+    # fingers, where the load of a block lies [m], where the fingers are in the robot's frame [m].
+    "mu_pusher": (0.15, 0.5),
+    "friction_centre_x": (-3e-3, 3e-3),
+    "friction_centre_y": (-3e-3, 3e-3),
+    "registration_x": (-1.5e-3, 1.5e-3),
+    "registration_y": (-1.5e-3, 1.5e-3),
+}
+
+STEP: Final = 0.05  # [s], 1 to 2 mm of the fingers
+WORLDS: Final = 300  # rigs drawn from the ranges, each with as many runs as the group has
+
+# Position and angle are judged each at 97.5 %, so that both hold with 95 %.
+QUANTILE: Final = 0.975
+WANTED: Final = 0.9
+
+
+class Judged(NamedTuple):
+    """A group, predicted and measured; standard deviations of position [m] and angle [rad]."""
+
+    name: str
+    kind: str
+    n: int
+    start: FloatArray  # (2,) of the starts, measured
+    end: FloatArray  # (2,) of the ends, measured
+    median: FloatArray  # (2,) predicted for as many runs
+    limit: FloatArray  # (2,) 97.5 % of the predicted ones lie below
+    least: FloatArray  # (2,) 2.5 % do
+    failed: int
+
+    @property
+    def covered(self) -> bool:
+        """Whether both lie below their limit."""
+        return bool((self.end <= self.limit).all())
+
+
+def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+    """Predict the spread of every group from the others' starts, and look.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Of the two-finger pushes; RPI's trials are looked for beside it.
+    progress : callable
+    quick : bool
+        Few rigs.
+    """
+    begun = clock.perf_counter()
+    if folder is None:
+        raise DatasetMissing(Path("cmu_two_point_push"), "cmu_two_point_push")
+    worlds = 20 if quick else WORLDS
+    groups = read_groups(folder)
+    noise = rig_noise(groups)
+    judged = []
+    for k, group in enumerate(groups):
+        judged.append(_two_point(group, groups, worlds))
+        progress(k + 1, len(groups) + 1, group.name)
+    beside = folder.parent / "rpi_2dgad"
+    if Rpi2dgad().recognised(beside):
+        judged.append(_alike(beside, worlds))
+    progress(len(groups) + 1, len(groups) + 1, "trials that start alike")
+    return Reproduction(
+        name="repeats",
+        tables={"groups": [_row(one) for one in judged]},
+        conclusions=_conclusions(judged, noise),
+        settings={
+            "ranges": {name: list(interval) for name, interval in RANGES.items()},
+            "worlds": worlds,
+            "step_s": STEP,
+            "quantile": QUANTILE,
+            "noise_mm": round(1e3 * float(noise[0]), 3),
+            "noise_deg": round(math.degrees(float(noise[1])), 3),
+            "head_place_m": list(HEAD_PLACE),
+            "quick": quick,
+        },
+        picture=RepeatPicture(
+            [RepeatPoint(j.name, j.kind, j.end, j.median, j.least, j.limit) for j in judged]
+        ),
+        seconds=clock.perf_counter() - begun,
+    )
+
+
+def _two_point(group: Group, groups: list[Group], worlds: int) -> Judged:
+    """Other start poses say how well a start is met, and how well an end is seen; of the group's
+    own runs nothing is used but their mean start."""
+    others = [other for other in groups if other.start_pose != group.start_pose]
+    error = pooled([other for other in others if other.by_hand == group.by_hand])
+    noise = rig_noise(others)[[0, 0, 1]]
+    n = group.runs
+    values = _rigs(worlds, n)
+    drawn = np.random.default_rng(7).standard_normal((worlds * n, 3)) * error.size
+    fan = fan_of(
+        group_scene(group),
+        error,
+        drawn=drawn,
+        values=values,
+        times=[group.duration],
+        stepper=StewartTrinkle(step=STEP),
+    )
+    seen = fan.pose[:, -1] + np.random.default_rng(8).standard_normal(drawn.shape) * noise
+    return _judged(group.name, "two fingers", group.start, group.end, seen, fan.ended, n)
+
+
+def _alike(folder: Path, worlds: int) -> Judged:
+    group = alike_group(folder)
+    n = len(group.end)
+    seen, ended = group.predicted(worlds * n)
+    return _judged(group.name, "starts alike", group.start, group.end, seen, ended, n)
+
+
+def _judged(
+    name: str,
+    kind: str,
+    start: FloatArray,
+    end: FloatArray,
+    seen: FloatArray,
+    ended: np.ndarray,
+    n: int,
+) -> Judged:
+    whole = ended.reshape(-1, n).all(axis=1)
+    spreads = np.array([scatter(own) for own in seen.reshape(-1, n, 3)[whole]])
+    least, median, limit = np.quantile(spreads, (1.0 - QUANTILE, 0.5, QUANTILE), axis=0)
+    failed = int((~ended).sum())
+    return Judged(name, kind, n, scatter(start), scatter(end), median, limit, least, failed)
+
+
+def scatter(poses: FloatArray) -> FloatArray:
+    """(2,) standard deviations of poses (n, 3): position, both axes together [m], angle [rad]."""
+    angle = poses[0, 2] + wrapped(poses[:, 2] - poses[0, 2])
+    off = np.column_stack((poses[:, :2], angle))
+    square = ((off - off.mean(axis=0)) ** 2).sum(axis=0) / (len(poses) - 1)
+    return np.sqrt([square[0] + square[1], square[2]])
+
+
+def pooled(groups: list[Group]) -> StartError:
+    """Standard deviations of starts about the mean of their group."""
+    square, freedom = np.zeros(3), 0
+    for group in groups:
+        off = group.start - group.start.mean(axis=0)
+        square += (off**2).sum(axis=0)
+        freedom += len(off) - 1
+    x, y, theta = np.sqrt(square / freedom)
+    place = math.sqrt(0.5 * (x**2 + y**2))
+    return StartError(x=place, y=place, theta=float(theta), kind="normal")
+
+
+def _rigs(worlds: int, n: int) -> dict[str, FloatArray]:
+    """Parameters (worlds * n,): the same for the n runs of a rig."""
+    shares = even_points(worlds, len(RANGES), seed=5)
+    return {
+        name: np.repeat(low + (high - low) * shares[:, k], n)
+        for k, (name, (low, high)) in enumerate(RANGES.items())
+    }
+
+
+# --- tables and sentences -------------------------------------------------------------------
+
+
+def _row(one: Judged) -> Row:
+    row: Row = {"group": one.name, "kind": one.kind, "runs": one.n}
+    for name, pair in (
+        ("start", one.start),
+        ("end", one.end),
+        ("predicted_median", one.median),
+        ("predicted_limit", one.limit),
+    ):
+        row[f"{name}_mm"] = round(1e3 * float(pair[0]), 3)
+        row[f"{name}_deg"] = round(math.degrees(float(pair[1])), 3)
+    return row | {"covered": one.covered, "failed": one.failed}
+
+
+def _conclusions(judged: list[Judged], noise: FloatArray) -> list[str]:
+    real = [one for one in judged if one.kind == "two fingers"]
+    covered = sum(one.covered for one in real)
+    end, median, limit, start = (
+        np.median([getattr(one, name) for one in real], axis=0)
+        for name in ("end", "median", "limit", "start")
+    )
+    below = sum(bool((one.end < one.least).any()) for one in real)
+    verdict = "at least" if covered >= WANTED * len(real) else "fewer than"
+    said = [
+        f"{covered} of {len(real)} groups of two-finger pushes ({covered / len(real):.0%}) end no"
+        f" farther apart than predicted: {verdict} the 90 % wanted.",
+        f"Size, medians over groups: starts {_size(start)}, ends measured {_size(end)}, predicted"
+        f" {_size(median)}, at most {_size(limit)}.",
+        f"In {below} groups the ends lie closer together, in position or angle, than 97.5 % of the"
+        " predicted ones.",
+        f"Noise of a measured end, from where two fingers leave a block no freedom:"
+        f" {1e3 * noise[0]:.2f} mm along each axis and {math.degrees(noise[1]):.2f} deg.",
+    ]
+    for one in judged:
+        if one.kind != "two fingers":
+            holds = "holds" if one.covered else "does not hold"
+            said.append(
+                f"{one.name}: measured {_size(one.end)}; predicted {_size(one.median)}, at most"
+                f" {_size(one.limit)}, which {holds} it. The place of the head was not kept, so"
+                " the fan is as wide as all places it can push from."
+            )
+    return said
+
+
+def _size(pair: FloatArray) -> str:
+    return f"{1e3 * pair[0]:.2f} mm and {math.degrees(pair[1]):.2f} deg"

@@ -1,0 +1,170 @@
+"""CMU's pushes on machined supports, ready to be simulated: end poses, and forces on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.objective import Comparer
+from fixel.calibration.target import Target
+from fixel.datasets.cmu_tripod import CmuTripod
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Experiment, SupportPoints
+from fixel.model.space import ParameterSpace
+from fixel.model.support import triangle_shares
+from fixel.simulation import StewartTrinkle
+from fixel.simulation.ensemble import Case
+
+GRAVITY: Final = 9.81  # [m/s^2]
+SURFACES: Final = ("hardboard", "plywood")
+
+# What a push can be off by that no parameter explains: tracking and registration, tip gaps of
+# 1.3 mm (5-95 %) [m], its angle over the block [rad], stick-slip of the finger and what the mean
+# of the force scatters by on the machined points [N].
+POSE_NOISE: Final = np.array([1e-3, 1e-3, math.radians(1.0)])
+FORCE_NOISE: Final = 1.0
+
+# Step of the simulation [s]: 0.25 mm of the finger. End poses lie 0.04 mm (median) and 0.21 mm
+# (90 %) from those of the adaptive stepper, well inside the noise.
+STEP: Final = 0.1
+SAMPLES: Final = 24  # of the way, for the direction of sliding
+
+# Share of the fastest interval's motion from which an interval counts as sliding: in slower ones
+# the finger arrived midway.
+SLIDING: Final = 0.7
+
+
+class Push(NamedTuple):
+    """One push, ready for comparison."""
+
+    target: Target  # all its poses are the measured end
+    force: FloatArray  # (SAMPLES, 2) mean force on the block up to each sample [N]
+
+
+def read_pushes(folder: Path, every: int = 1) -> list[Push]:
+    """Pushes of the folder whose finger ends where it says; every so many of each log."""
+    pushes = [
+        push_of(experiment)
+        for experiment in CmuTripod().read(folder).experiments()
+        if experiment.scene is not None and not any(flag.fault for flag in experiment.flags)
+    ]
+    return pushes[::every]
+
+
+def push_of(experiment: Experiment) -> Push:
+    """The end of a push, and the force along it."""
+    assert experiment.scene is not None
+    assert experiment.pusher is not None
+    end = float(experiment.pusher.time[-1])
+    times = np.linspace(0.0, end, SAMPLES + 1)
+    pose = np.tile(experiment.trajectory.pose[-1], (SAMPLES, 1))
+    channel = next(c for c in experiment.channels if c.name == "force")
+    target = Target(
+        experiment.key,
+        {**experiment.conditions, "experiment": experiment.key},
+        Case(experiment.scene, times[1:]),
+        pose,
+    )
+    return Push(target, _means(channel.time, channel.values, times))
+
+
+def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """(n, c) means of readings (m, c) between edges (n + 1,); the nearest where there is none."""
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    place = np.searchsorted(edges, time) - 1
+    means = np.column_stack([np.interp(middle, time, column) for column in values.T])
+    for k in range(len(middle)):
+        if (own := place == k).any():
+            means[k] = values[own].mean(axis=0)
+    return means
+
+
+def support_of(push: Push) -> str:
+    """Name of the support."""
+    return str(push.target.conditions["support"])
+
+
+def machined(push: Push) -> FloatArray:
+    """(3, 2) points it stands on [m]."""
+    support = push.target.case.scene.bodies[0].support
+    assert isinstance(support, SupportPoints)
+    return support.points
+
+
+def outline_of(push: Push) -> FloatArray:
+    """(n, 2) of the block [m]."""
+    return push.target.case.scene.bodies[0].shape.outline
+
+
+# --- simulation ---------------------------------------------------------------------------------
+
+
+def comparer_of(pushes: Sequence[Push], space: ParameterSpace) -> Comparer:
+    """Simulates pushes under points of a space."""
+    return Comparer([p.target for p in pushes], space, stepper=StewartTrinkle(step=STEP))
+
+
+def unit_forces(way: FloatArray, points: FloatArray, shares: FloatArray) -> FloatArray:
+    """Force that slides a block, for friction and weight of 1, along ways.
+
+    Parameters
+    ----------
+    way : (n, k, 3) float64
+        Poses [m, m, rad].
+    points : (n, p, 2) float64
+        Support points from the centre of mass, in the frame of the body [m].
+    shares : (n, p) float64
+        Of the weight.
+
+    Returns
+    -------
+    (n, k - 1, 2) float64
+        In the world; zero where the block does not move.
+
+    Source
+    ------
+    Coulomb friction at every point: Zhou et al. (2016), section III, for points.
+    """
+    middle = 0.5 * (way[:, 1:, 2] + way[:, :-1, 2])
+    step = np.diff(way, axis=1)
+    c, s = np.cos(middle)[:, :, None], np.sin(middle)[:, :, None]
+    x, y = points[:, None, :, 0], points[:, None, :, 1]
+    turn = step[:, :, None, 2]
+    vx = step[:, :, None, 0] - turn * (s * x + c * y)
+    vy = step[:, :, None, 1] + turn * (c * x - s * y)
+    speed = np.hypot(vx, vy)
+    weight = np.divide(shares[:, None, :], speed, out=np.zeros_like(speed), where=speed > 1e-7)
+    return np.stack(((weight * vx).sum(axis=2), (weight * vy).sum(axis=2)), axis=2)
+
+
+class Forces(NamedTuple):
+    """Means over the sliding part of each push; n of them."""
+
+    measured: FloatArray  # (n, 2) [N]
+    unit: FloatArray  # (n, 2) predicted for a friction of 1 [N]
+
+
+def sliding_forces(
+    pushes: Sequence[Push], which: np.ndarray, difference: FloatArray, points: FloatArray
+) -> Forces:
+    """Forces of rollouts (n,), from how far (n, k, 3) their poses are from the measured ends, and
+    the points (n, 3, 2) they slid on."""
+    start = np.array([p.target.case.scene.bodies[0].pose for p in pushes])[which]
+    end = np.array([p.target.pose[-1] for p in pushes])[which]
+    way = np.concatenate((start[:, None], difference + end[:, None]), axis=1)
+    body = pushes[0].target.case.scene.bodies[0]
+    unit = body.mass * GRAVITY * unit_forces(way, points, np.maximum(triangle_shares(points), 0.0))
+    step = np.hypot(np.diff(way[:, :, 0], axis=1), np.diff(way[:, :, 1], axis=1))
+    slides = step > SLIDING * step.max(axis=1, keepdims=True)
+    weight = slides / np.maximum(slides.sum(axis=1, keepdims=True), 1)
+    force = np.array([p.force for p in pushes])[which]
+    return Forces(np.einsum("nk,nki->ni", weight, force), np.einsum("nk,nki->ni", weight, unit))
+
+
+def best_friction(forces: Forces) -> float:
+    """Coefficient that makes the predicted forces meet the measured ones, in least squares."""
+    return float(np.sum(forces.measured * forces.unit) / max(np.sum(forces.unit**2), 1e-30))

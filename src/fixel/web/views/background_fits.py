@@ -1,0 +1,116 @@
+"""Fits that take minutes: beside the server, once for all who ask, until nobody does any more."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Any, Final, Generic, TypeVar, final
+
+from fixel.errors import JobRefused
+from fixel.jobs.worker_process import Bounded, Cancelled
+
+K = TypeVar("K", bound=Hashable)
+A = TypeVar("A")
+
+MOST: Final = 3  # at a time
+LIMIT: Final = 3600.0  # [s]
+FORGOTTEN: Final = 120.0  # [s] after which nobody asks any more; browsers let hidden pages sleep
+ENDS_WITHIN: Final = 2.0  # [s]
+
+
+@final
+@dataclass
+class Fit:
+    """One that is on its way.
+
+    Attributes
+    ----------
+    ended : Event
+        With an answer, or without.
+    """
+
+    ended: threading.Event = field(default_factory=threading.Event)
+    _begun: float = field(default_factory=time.monotonic)
+    _asked: float = field(default_factory=time.monotonic)
+    _stopped: threading.Event = field(default_factory=threading.Event)
+    _problem: Exception | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Since it was begun."""
+        return time.monotonic() - self._begun
+
+    def _nobody_waits(self) -> bool:
+        return self._stopped.is_set() or time.monotonic() - self._asked > FORGOTTEN
+
+
+@final
+class Fits(Generic[K, A]):
+    """Calls of a function by a key, each in a process of its own.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module; takes one argument. Both it and the answer can be pickled.
+    """
+
+    def __init__(self, function: Callable[[Any], A]) -> None:
+        self._function = function
+        self._fits: dict[K, Fit] = {}
+        self._lock = threading.Lock()
+
+    def joined(self, key: K) -> Fit | None:
+        """One that is on its way, for one more who asks; raises what one has failed with."""
+        with self._lock:
+            fit = self._fits.get(key)
+            if fit is None:
+                return None
+            if fit._problem is not None:
+                self._fits.pop(key)
+                raise fit._problem
+            fit._asked = time.monotonic()
+            return fit
+
+    def begun(self, key: K, argument: Any, put: Callable[[A], None]) -> Fit:
+        """A new one, unless somebody else was faster; `put` is told the answer.
+
+        Raises
+        ------
+        JobRefused
+            So many are on their way already.
+        """
+        with self._lock:
+            fit = self._fits.get(key)
+            if fit is not None:
+                return fit
+            if sum(not one.ended.is_set() for one in self._fits.values()) >= MOST:
+                raise JobRefused(
+                    f"{MOST} maps are being fitted to other axes", hint="wait for one, or stop one"
+                )
+            fit = self._fits[key] = Fit()
+        threading.Thread(target=self._run, args=(key, fit, argument, put), daemon=True).start()
+        return fit
+
+    def stop(self, key: K) -> None:
+        """End one, if there is one."""
+        with self._lock:
+            fit = self._fits.get(key)
+        if fit is not None:
+            fit._stopped.set()
+            fit.ended.wait(ENDS_WITHIN)
+
+    def _run(self, key: K, fit: Fit, argument: Any, put: Callable[[A], None]) -> None:
+        try:
+            with Bounded(self._function, limit=LIMIT, hint="choose fewer cells") as beside:
+                put(beside.call(argument, fit._nobody_waits))
+        except Cancelled:
+            pass
+        except Exception as problem:  # for who asks next
+            fit._problem = problem
+        finally:
+            with self._lock:
+                if fit._problem is None:
+                    self._fits.pop(key)
+            fit.ended.set()

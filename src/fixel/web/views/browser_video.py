@@ -1,0 +1,72 @@
+"""Videos as a browser plays them: what it cannot play is written anew, once, and smaller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Lock
+from typing import Final, NamedTuple
+
+from fixel.database.project import Project
+from fixel.formats.video_file import VideoWriter, open_video
+from fixel.vision.frame import Frame
+from fixel.vision.opencv import opencv
+
+CACHE: Final = "cache"  # of a project: what can be made again
+WIDEST: Final = 1280  # [px] of what is written anew
+PLAYED: Final = ("h264", "vp8", "vp9", "av1")  # codecs
+_one_at_a_time: Final = Lock()
+
+
+class Watchable(NamedTuple):
+    """A file a browser plays."""
+
+    path: Path
+    media_type: str
+
+
+def watchable(project: Project, video: Path) -> Watchable:
+    """The video itself where a browser plays it, else a smaller copy in the project's cache.
+
+    Its times are those of the video. Writing it takes about as long as the video does.
+
+    Raises
+    ------
+    InvalidInput
+        A file that is no video.
+    """
+    with video.open("rb") as stream:
+        container = _container(stream.read(16))
+    if container is not None and open_video(video).codec in PLAYED:
+        return Watchable(video, container)
+    copy = project.folder / CACHE / f"video-{video.stem[:32]}.mp4"
+    if not copy.is_file():  # or who wants another one waits for all that is being written
+        with _one_at_a_time:
+            if not copy.is_file():
+                _write(video, copy)
+    return Watchable(copy, "video/mp4")
+
+
+def _container(start: bytes) -> str | None:
+    """What a browser should be told of a file that begins like this; none where it would not play.
+
+    Examples
+    --------
+    >>> _container(b"\\x00\\x00\\x00\\x20ftypisom")
+    'video/mp4'
+    """
+    if start[4:8] == b"ftyp":
+        return "video/mp4"
+    return "video/webm" if start[:4] == b"\x1aE\xdf\xa3" else None  # Matroska, as it calls itself
+
+
+def _write(video: Path, copy: Path) -> None:
+    cv2 = opencv()
+    source = open_video(video)
+    width, height = source.size
+    scale = min(1.0, WIDEST / width)
+    size = (int(scale * width) // 2 * 2, int(scale * height) // 2 * 2)
+    copy.parent.mkdir(exist_ok=True)
+    with VideoWriter(copy, size) as writer:
+        for frame in source.frames():
+            smaller = cv2.resize(frame.picture, size, interpolation=cv2.INTER_AREA)
+            writer.write(Frame(frame.time, smaller))

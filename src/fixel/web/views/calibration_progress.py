@@ -1,0 +1,251 @@
+"""A calibration while it runs: its objective, read from the journal of its job."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.errors import FixelError, JobRefused, NotStored
+from fixel.io.array_bytes import arrays_of
+from fixel.io.damaged_files import each_readable
+from fixel.io.journal import read_journal
+from fixel.jobs import folder as files
+from fixel.kernels.arrays import FloatArray
+from fixel.workflows import jobs
+from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.result import found_of
+from fixel.workflows.calibration.run import MAKER, experiments_of, request_of, stored_ids
+from fixel.workflows.calibration.unattended import collected
+
+SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
+ALONE: Final = "alone"
+NOMINAL: Final = "nominal"
+RATE_WINDOW_S: Final = 30.0
+# Names by which searches call how much they may evaluate.
+LIMITS: Final = ("max_function_evaluations", "max_evaluations")
+
+
+@final
+@dataclass
+class Progress:
+    """What the journal of one job has said so far."""
+
+    seen: int = 0  # blocks
+    size: int = -1  # [byte] of the journal when it was read
+    stage: str = ""
+    objective: list[float] = field(default_factory=list)  # one an evaluation; inf where it failed
+    nominal: list[float] = field(default_factory=list)  # one an experiment
+    alone: dict[int, float] = field(default_factory=dict)  # place of an experiment to its error
+    waiting: list[FloatArray] = field(default_factory=list)  # chunks of a round that goes on
+    rate: deque[tuple[float, int]] = field(default_factory=deque)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watched:
+    """A calibration's job, as far as it is.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder.
+    status : JobStatus
+    request : Request
+    experiments : list of int
+        Ids.
+    stage : str
+        What was computed last.
+    objective : list of float
+        Of the evaluations in order, from `since`; inf where a simulation failed.
+    evaluations : int
+        All of them.
+    best : float or None
+        Least of all evaluations.
+    start : float or None
+        The same number at the nominal values.
+    nominal : list of float
+        Error of every experiment before.
+    alone : dict from int to float
+        Place of an experiment and its error with parameters of its own.
+    rate : float
+        Evaluations a second, lately.
+    most : int or None
+        Evaluations after which the search ends at the latest.
+    stored : list of int
+        Ids of the calibrations it became.
+    """
+
+    name: str
+    status: jobs.JobStatus
+    request: Request
+    experiments: list[int]
+    stage: str
+    objective: list[float]
+    evaluations: int
+    best: float | None
+    start: float | None
+    nominal: list[float]
+    alone: dict[int, float]
+    rate: float
+    most: int | None
+    stored: list[int]
+
+
+@final
+class Watch:
+    """Looks at the calibrations of a project again and again, and reads what is new.
+
+    Parameters
+    ----------
+    project : Project
+    """
+
+    def __init__(self, project: Project) -> None:
+        self._project = project
+        self._lock = threading.Lock()
+        self._known: dict[str, Progress] = {}
+
+    def folder(self, name: str) -> Path:
+        """Of a calibration's job; a refusal where there is none of the name."""
+        found = next((one for one in self._folders() if one.name == name), None)
+        if found is None:
+            raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
+        return found
+
+    def unfinished(self) -> tuple[list[Watched], list[FixelError]]:
+        """Calibrations that are not stored yet, the newest first, and why others cannot be read.
+
+        Those that are done become stored.
+        """
+        made = {one: files.read_job(one).made_utc for one in self._folders()}
+        newest = sorted(made, key=made.__getitem__, reverse=True)
+        found, unreadable = each_readable(self._look_if_open, newest)
+        return [seen for seen in found if seen is not None and not seen.stored], unreadable
+
+    def _look_if_open(self, folder: Path) -> Watched | None:
+        return None if stored_ids(folder) else self.look(folder)
+
+    def look(self, folder: Path, since: int = 0) -> Watched:
+        """How far one is; of the objective only what came after so many evaluations."""
+        status = jobs.status_of(folder)
+        request, ids = request_of(folder), experiments_of(folder)
+        with self._lock:
+            progress = self._known.setdefault(folder.name, Progress())
+            _read(folder / files.JOURNAL, progress, request, len(ids))
+            objective = [_shared(e, request, len(ids)) for e in progress.objective]
+            rate = 0.0 if status.ended else _rate(progress)
+        stored = stored_ids(folder)
+        if status.state == "done" and not stored:
+            stored = self._collected(folder)
+        nominal = np.array(progress.nominal)
+        return Watched(
+            name=folder.name,
+            status=status,
+            request=request,
+            experiments=ids,
+            stage=progress.stage,
+            objective=objective[since:],
+            evaluations=len(objective),
+            best=min((e for e in objective if math.isfinite(e)), default=None),
+            start=_start(nominal, request),
+            nominal=progress.nominal,
+            alone=dict(progress.alone),
+            rate=rate,
+            most=_most(request),
+            stored=stored,
+        )
+
+    def _collected(self, folder: Path) -> list[int]:
+        try:
+            return collected(self._project, folder)
+        except JobRefused:  # whoever ran it is about to
+            return []
+
+    def _folders(self) -> list[Path]:
+        found = (path.parent for path in (self._project.folder / jobs.JOBS).glob("*/job.json"))
+        return [one for one in found if files.made_by(one, MAKER)]
+
+
+def _read(journal: Path, progress: Progress, request: Request, n: int) -> None:
+    """What the journal has more than last time."""
+    size = journal.stat().st_size if journal.is_file() else 0
+    if size == progress.size or size == 0:
+        return
+    progress.size = size
+    for k, (name, data) in enumerate(read_journal(journal)):
+        if k < progress.seen:
+            continue
+        progress.seen = k + 1
+        if data[:1] == b"A":
+            _take(name, arrays_of(data[1:]), progress, request, n)
+    progress.rate.append((time.monotonic(), len(progress.objective)))
+
+
+def _take(name: str, arrays: dict[str, Any], progress: Progress, request: Request, n: int) -> None:
+    stage, _, rest = name.rpartition(" ")[0].rpartition("/")
+    first = rest == "0"
+    progress.stage = stage
+    if stage == NOMINAL:
+        progress.nominal += arrays["error"].tolist()
+    elif stage == ALONE:
+        for one in found_of(arrays):
+            progress.alone[one.members[0]] = float(one.errors[0])
+    elif stage == SEARCHES[0]:
+        if first:  # what a chunk that was lost has left
+            progress.waiting.clear()
+        progress.waiting.append(arrays["error"])
+        values = np.concatenate(progress.waiting)
+        if len(values) % n == 0 and len(arrays["error"]) <= ROLLOUTS_A_CHUNK:
+            table = values.reshape(-1, n)
+            progress.objective += _combined(table, request).tolist()
+            progress.waiting.clear()
+    elif stage == SEARCHES[1]:
+        squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
+        progress.objective += squares.tolist()
+
+
+def _combined(table: FloatArray, request: Request) -> FloatArray:
+    if request.combine == "largest":
+        return np.asarray(table.max(axis=1))
+    return np.asarray(table.sum(axis=1) if request.combine == "sum" else table.mean(axis=1))
+
+
+def _shared(error: float, request: Request, n: int) -> float:
+    """A sum of errors as their mean, which can be held against those of other calibrations."""
+    return error / n if request.combine == "sum" else error
+
+
+def _start(nominal: FloatArray, request: Request) -> float | None:
+    if not len(nominal):
+        return None
+    value = float(_combined(nominal[None], request)[0])
+    value = _shared(value, request, len(nominal))
+    return value if math.isfinite(value) else None
+
+
+def _rate(progress: Progress) -> float:
+    now = time.monotonic()
+    while len(progress.rate) > 2 and now - progress.rate[0][0] > RATE_WINDOW_S:
+        progress.rate.popleft()
+    if len(progress.rate) < 2:
+        return 0.0
+    begun, count = progress.rate[0]
+    return (len(progress.objective) - count) / max(now - begun, 1e-3)
+
+
+def _most(request: Request) -> int | None:
+    if request.least_squares is not None or request.mode == "each":
+        return None
+    made = request.made_optimiser
+    inner = getattr(made, "optimiser", made)
+    limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)
+    return None if limit is None else int(limit) * request.starts

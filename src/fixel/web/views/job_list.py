@@ -1,0 +1,192 @@
+"""The jobs of a project as a page shows them: how far, by whom, what was lost, what was said."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+from fixel.errors import FixelError, JobRefused, NotStored
+from fixel.io.lock import Owner
+from fixel.jobs import folder as files
+from fixel.jobs import link
+from fixel.workflows import jobs
+from fixel.workflows.jobs import LOST, JobStatus
+
+UNREADABLE: Final = "unreadable"  # the state of a folder that some other program wrote into
+NO_WORKERS: Final = ("scheduler", "coordinator")  # whose logs lie among those of the workers
+MOST_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
+MOST_WORKERS: Final = 200  # that are told of, the newest
+MOST_AT_ONCE: Final = 4  # jobs of a project that pages may have running
+
+_starting = threading.Lock()
+
+WorkerState = Literal["working", "joined", "starting", "refused", "ended"]
+
+
+class Worker(NamedTuple):
+    """A process that computes for a job, or did."""
+
+    name: str
+    host: str
+    pid: int
+    state: WorkerState  # `joined` where another machine would have to be asked
+    reason: str  # why it refused
+
+
+class Posted(NamedTuple):
+    """A job on the board."""
+
+    name: str
+    folder: Path
+    state: str
+    status: JobStatus | None  # none where it cannot be read
+    reason: str
+    maker: str
+    made_utc: str
+
+    @property
+    def can_cancel(self) -> bool:
+        """Whether there is something to end."""
+        return self.status is not None and not (self.status.ended and self.state != LOST)
+
+    @property
+    def can_resume(self) -> bool:
+        """Whether it would go on."""
+        return self.state in ("queued", "stopped", "cancelled", "failed", LOST)
+
+    @property
+    def command(self) -> str:
+        """What to type to go on with it, or to watch it."""
+        verb = "resume" if self.can_resume else "logs -f" if self.can_cancel else "status"
+        return f"fixel jobs {verb} {shlex.quote(str(self.folder))}"
+
+
+def board(project: Path) -> list[Posted]:
+    """The jobs of a project, the newest first."""
+    found = [_posted(folder) for folder in _folders(project).values()]
+    return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
+
+
+def posted(project: Path, name: str) -> Posted:
+    """The job of a name; names are compared with those that are there, and are never paths."""
+    folders = _folders(project)
+    if name not in folders:
+        raise NotStored(f"job {name!r}", hint="see what there is with: fixel jobs status")
+    return _posted(folders[name])
+
+
+def workers(job: Posted) -> list[Worker]:
+    """Who computes for a job, and who did: those of now first."""
+    owner = files.coordinator_of(job.folder)
+    found = [_worker(job.folder, name, owner) for name in _worker_names(job.folder)]
+    order = ("working", "joined", "starting", "refused", "ended")
+    return sorted(found, key=lambda worker: order.index(worker.state))[:MOST_WORKERS]
+
+
+def log_tail(job: Posted, lines: int) -> tuple[list[str], bool]:
+    """The last lines of a job's log, and whether these are all."""
+    path = job.folder / files.LOG
+    if not path.is_file():
+        return [], True
+    with path.open("rb") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, size - MOST_LOG))
+        text = stream.read().decode("utf-8", errors="replace")
+    found = text.splitlines()
+    if size > MOST_LOG:
+        found = found[1:]  # it begins somewhere in a line
+    return found[-lines:], size <= MOST_LOG and len(found) <= lines
+
+
+def cancel(job: Posted) -> None:
+    """End a job and its workers; what was finished stays."""
+    jobs.cancel(job.folder)
+
+
+def resume(job: Posted) -> None:
+    """Go on with a job in a process of its own, as it was run before."""
+    if not job.can_resume:
+        raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
+    jobs.arrange(job.folder)
+    jobs.run_detached(job.folder)
+
+
+@contextmanager
+def room(project: Path) -> Iterator[None]:
+    """Start a job within: each takes a core or more, and a click costs nothing.
+
+    Raises
+    ------
+    JobRefused
+        So many run already.
+    """
+    with _starting:
+        running = [path for path in _folders(project).values() if files.coordinator_of(path)]
+        if len(running) >= MOST_AT_ONCE:
+            raise JobRefused(
+                f"{len(running)} jobs of this project are running",
+                hint="wait until one ends, or end one on the page Jobs",
+            )
+        yield
+
+
+def _folders(project: Path) -> dict[str, Path]:
+    """Folders of jobs by the names that are shown, which any text can hold."""
+    found = [path.parent for path in (project / jobs.JOBS).glob("*/job.json")]
+    return {folder.name.encode("utf-8", "replace").decode(): folder for folder in sorted(found)}
+
+
+def _posted(folder: Path) -> Posted:
+    name = folder.name.encode("utf-8", "replace").decode()
+    try:
+        job, status = files.read_job(folder), jobs.status_of(folder)
+    except (FixelError, OSError) as problem:
+        return Posted(name, folder, UNREADABLE, None, str(problem), "", "")
+    return Posted(name, folder, status.state, status, status.status.reason, job.maker, job.made_utc)
+
+
+def _worker_names(folder: Path) -> list[str]:
+    paths = (folder / "workers").glob("*.*")
+    known = {path.stem for path in paths if path.suffix in (".json", ".log", ".refused")}
+    return sorted(known - {*NO_WORKERS}, reverse=True)
+
+
+def _worker(folder: Path, name: str, owner: Owner | None) -> Worker:
+    refused = folder / "workers" / f"{name}.refused"
+    joined = link.joined(folder, name)
+    host, pid = (joined.host, joined.pid) if joined else ("", 0)
+    if refused.is_file():
+        return Worker(name, host, pid, "refused", refused.read_text(errors="replace"))
+    return Worker(name, host, pid, _state(name, host, pid, owner), "")
+
+
+def _state(name: str, host: str, pid: int, owner: Owner | None) -> WorkerState:
+    # Workers of this machine carry the number of the coordinator that started them.
+    if owner is None or (name.startswith("local-") and name.split("-")[1] != str(owner.pid)):
+        return "ended"
+    if not pid:
+        return "starting"
+    if host != socket.gethostname():
+        return "joined"
+    return "working" if _lives(pid, name) else "ended"
+
+
+def _lives(pid: int, name: str) -> bool:
+    """Whether a process of this machine is still that worker, and no later one of its number."""
+    try:
+        return name.encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        pass
+    if Path("/proc/self").exists():
+        return False
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,290 @@
+"""Motions made ready to be shown: what lay on the plate, how it moved, what pushed on it.
+
+A page, a film and a program of somebody else draw the same thing: outlines with a role, poses
+against time, contact forces, tactile signals, errors. Nothing here knows how they are drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.target import scene_of
+from fixel.drawing.view import forces
+from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.model import Channel, Experiment, Scene, Trajectory
+from fixel.model.records import SimulationRecord
+from fixel.model.shape import Shape, placed
+from fixel.simulation import Simulation
+from fixel.workflows.project.compare import Comparison, errors_of
+
+Kind = Literal["measured", "simulated"]
+Role = Literal["object", "body", "pusher", "fixel"]
+
+MARGIN: Final = 0.05  # of the size of what is shown, about it
+
+
+class Thing(NamedTuple):
+    """Something on the plate, where it is at the start."""
+
+    name: str
+    role: Role
+    shape: Shape
+    pose: FloatArray  # (3,) [m, m, rad]
+
+
+class Contacts(NamedTuple):
+    """Every contact of every sample; forces are those on the first of the pair."""
+
+    sample: IntArray  # (n,) not decreasing
+    pair: IntArray  # (n, 2) indices into the things
+    point: FloatArray  # (n, 2) in the world [m]
+    force: FloatArray  # (n, 2) in the world [N]
+
+
+class Errors(NamedTuple):
+    """How far a simulation is from what was measured."""
+
+    time: FloatArray  # (n,) measured instants [s]
+    position: FloatArray  # (n,) [m]
+    angle: FloatArray  # (n,) from measured to simulated [rad]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """One way everything moved.
+
+    Parameters
+    ----------
+    id : str
+        Unique in what is shown together: `"measured"`, `"simulation-12"`.
+    label : str
+    kind : str
+    time : (n,) float64
+        [s], on the clock of the experiment.
+    pose : mapping from name to (n, 3) float64
+        Of what moves; angles are continuous [m, m, rad].
+    contacts : Contacts, optional
+    touch : Channel, optional
+        One column a fixel, 1 where it is touched.
+    errors : Errors, optional
+    status, advice : str
+        As of a `Simulation`; empty for a measured one.
+    """
+
+    id: str
+    label: str
+    kind: Kind
+    time: FloatArray
+    pose: Mapping[str, FloatArray]
+    contacts: Contacts | None = None
+    touch: Channel | None = None
+    errors: Errors | None = None
+    status: str = ""
+    advice: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """Motions of the same things.
+
+    Parameters
+    ----------
+    title : str
+    object_name : str
+        The thing whose motion is compared.
+    reference : (2,) float64
+        Its centre of mass in its own frame [m]: what leaves the trail.
+    things : tuple of Thing
+        In the order of `Scene.names`.
+    motions : tuple of Motion
+    """
+
+    title: str
+    object_name: str
+    reference: FloatArray
+    things: tuple[Thing, ...]
+    motions: tuple[Motion, ...]
+
+    @property
+    def box(self) -> FloatArray:
+        """(4,) x and y of the lower left, x and y of the upper right of all that is ever seen
+        [m]."""
+        points = [placed(thing.shape.outline, thing.pose) for thing in self.things]
+        for motion in self.motions:
+            for thing in self.things:
+                if thing.name in motion.pose:
+                    points.append(_swept(thing.shape, motion.pose[thing.name]))
+        everything = np.concatenate(points)
+        everything = everything[np.isfinite(everything).all(axis=1)]
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        margin = MARGIN * float((high - low).max())
+        return np.concatenate((low - margin, high + margin))
+
+
+def story_of_scene(scene: Scene, motions: Sequence[Motion], title: str) -> Story:
+    """Motions of a scene that is no experiment; its first body is the object."""
+    body = scene.bodies[0]
+    return Story(
+        title=title,
+        object_name=body.name,
+        reference=body.com,
+        things=things_of(scene, body.name),
+        motions=tuple(motions),
+    )
+
+
+def story_of_experiment(experiment: Experiment, motions: Sequence[Motion]) -> Story:
+    """What was measured, and simulations of it.
+
+    Raises
+    ------
+    InvalidInput
+        An experiment without a scene: nobody knows what it looks like.
+    """
+    scene = scene_of(experiment)
+    body = next(b for b in scene.bodies if b.name == experiment.object_name)
+    return Story(
+        title=experiment.key,
+        object_name=body.name,
+        reference=body.com,
+        things=things_of(scene, body.name),
+        motions=(measured_motion(experiment), *motions),
+    )
+
+
+def things_of(scene: Scene, object_name: str) -> tuple[Thing, ...]:
+    """Everything in a scene, in the order of its names."""
+    bodies = [
+        Thing(b.name, "object" if b.name == object_name else "body", b.shape, b.pose)
+        for b in scene.bodies
+    ]
+    pushers = [Thing(p.name, "pusher", p.shape, p.pose) for p in scene.pushers]
+    fixels = [Thing(f.name, "fixel", f.shape, f.pose) for f in scene.fixels]
+    return (*bodies, *pushers, *fixels)
+
+
+def measured_motion(experiment: Experiment) -> Motion:
+    """What the camera and the fixels saw."""
+    track = experiment.trajectory
+    poses = {experiment.object_name: _continuous(track.pose)}
+    pushers = scene_of(experiment).pushers
+    if experiment.pusher is not None and pushers:
+        poses[pushers[0].name] = _continuous(experiment.pusher.at(track.time))
+    return Motion(
+        id="measured",
+        label="measured" if experiment.real else "measured (simulated testbed)",
+        kind="measured",
+        time=track.time,
+        pose=poses,
+        touch=experiment.channel("tactile"),
+    )
+
+
+def simulated_motion(
+    simulation: Simulation, label: str = "simulated", *, id: str = "simulation", start: float = 0.0
+) -> Motion:
+    """A simulation, `start` [s] later than on its own clock."""
+    poses = np.stack(list(simulation.pose.values()), axis=1)
+    known = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    n = int(np.argmin(np.append(known, False)))  # of those before the first that fails
+    return Motion(
+        id=id,
+        label=label,
+        kind="simulated",
+        time=start + simulation.time[:n],
+        pose={name: _continuous(pose[:n]) for name, pose in simulation.pose.items()},
+        contacts=contacts_of(simulation, n),
+        status=simulation.status,
+        advice=simulation.advice,
+    )
+
+
+def compared_motion(answer: Comparison, label: str, *, id: str) -> Motion:
+    """A simulation of an experiment, with its errors."""
+    simulation = answer.simulation
+    start = float(answer.simulated.time[0]) - float(simulation.time[0])
+    return replace(
+        simulated_motion(simulation, label, id=id, start=start),
+        touch=answer.contacts,
+        errors=Errors(answer.time, answer.position, answer.angle),
+    )
+
+
+def stored_motion(
+    experiment: Experiment, record: SimulationRecord, label: str, *, id: str
+) -> Motion:
+    """A simulation as a project keeps it: poses, without contacts."""
+    track = record.trajectory
+    poses = {experiment.object_name: _continuous(track.pose)}
+    pushers = scene_of(experiment).pushers
+    if record.pusher is not None and pushers:
+        poses[pushers[0].name] = _continuous(record.pusher.at(track.time))
+    return Motion(
+        id=id,
+        label=label,
+        kind="simulated",
+        time=track.time,
+        pose=poses,
+        errors=Errors(*errors_of(experiment, track)),
+        status=record.status,
+    )
+
+
+def contacts_of(simulation: Simulation, n_sample: int) -> Contacts:
+    """Contacts of the first so many samples, where they are at their sample.
+
+    The table of a simulation says where a contact was when the equations of its step were written.
+    Samples of one step therefore share a point, which belongs to the middle of their instants: from
+    there it is carried with its body to each of them, and its force turned.
+    """
+    rows = simulation.contacts
+    instants = simulation.time[:n_sample]
+    rows = rows[rows["time"] <= instants[-1]] if n_sample else rows[:0]
+    if len(rows) == 0:
+        none = np.zeros((0, 2))
+        return Contacts(np.zeros(0, np.int64), np.zeros((0, 2), np.int64), none, none)
+    sample = np.searchsorted(instants, rows["time"])
+    pair = np.column_stack((rows["body"], rows["other"]))
+    written = _when_written(rows["time"], pair, rows["point"])
+    point, force = np.array(rows["point"], np.float64), forces(rows)
+    for k, name in enumerate(simulation.names[: len(simulation.pose)]):
+        own = np.flatnonzero(pair[:, 0] == k)
+        if len(own):
+            track = Trajectory(time=instants, pose=simulation.pose[name][:n_sample])
+            then, now = track.at(written[own]), track.at(rows["time"][own])
+            point[own] = now[:, :2] + _turned(point[own] - then[:, :2], now[:, 2] - then[:, 2])
+            force[own] = _turned(force[own], now[:, 2] - then[:, 2])
+    return Contacts(sample, pair, point, force)
+
+
+def _when_written(time: FloatArray, pair: IntArray, point: FloatArray) -> FloatArray:
+    """(n,) middle of the instants at which the same contact stands in the table [s]."""
+    keys = np.column_stack((pair.astype(np.float64), point))
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    return np.asarray((np.bincount(group, time) / count)[group], np.float64)
+
+
+def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors.T
+    return np.column_stack((c * x - s * y, s * x + c * y))
+
+
+def _continuous(pose: FloatArray) -> FloatArray:
+    """The same poses without jumps of the angle by whole turns."""
+    return np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))
+
+
+def _swept(shape: Shape, poses: FloatArray) -> FloatArray:
+    """(n, 2) corners of the boxes about a shape at some of its poses."""
+    reach = float(np.hypot(*shape.outline.T).max())
+    places = poses[:, :2]
+    return np.concatenate((places - reach, places + reach))

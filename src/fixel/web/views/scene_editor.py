@@ -1,0 +1,178 @@
+"""Scenes that somebody makes on a page: opened, checked, simulated within bounds, written down."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, Final, NamedTuple
+
+from fixel.errors import InvalidInput, JobRefused
+from fixel.formats import SceneFile
+from fixel.formats.scene_file import scene_dict, scene_file_from_dict
+from fixel.formats.trajectory_file import plain_numbers
+from fixel.io.document import parse_json, parse_yaml, yaml_text
+from fixel.jobs.worker_process import Bounded
+from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
+from fixel.simulation import simulate
+from fixel.simulation.stepper import Adaptive
+from fixel.web.views.live_comparison import motion_model, warm_up
+from fixel.web.views.motion_views import Story, simulated_motion, story_of_scene
+from fixel.workflows.demo.scene_demo import example_names, example_text
+from fixel.workflows.simulation import Method, parts
+
+LIMIT: Final = 20.0  # [s] of computing
+MOST_TEXT: Final = 512 * 1024  # [byte] of a scene file
+MOST_DURATION: Final = 600.0  # [s] of simulated time
+MOST_STEPS: Final = 20_000
+MOST_THINGS: Final = 60
+MOST_CORNERS: Final = 4_000  # of all outlines
+MOST_POINTS: Final = 4_000  # of all supports
+MOST_WAYPOINTS: Final = 20_000
+SAMPLES: Final = 440  # of a motion that is shown; 40 a second for the runs of the thesis
+
+
+class Simulated(NamedTuple):
+    """A scene that was simulated, to be shown."""
+
+    story: Story
+    summary: dict[str, Any]  # as of `fixel simulate --json`
+
+
+def examples() -> list[tuple[str, str]]:
+    """Names of the scenes that come with fixel, each with what its first comment says."""
+    return [(name, _first_sentence(example_text(name))) for name in example_names()]
+
+
+def example(name: str) -> dict[str, Any]:
+    """A scene that comes with fixel, as the keys of a scene file."""
+    if name not in example_names():
+        raise InvalidInput(
+            "example", found=repr(name), expected="one of " + ", ".join(example_names())
+        )
+    return read_scene(example_text(name))
+
+
+def scene_of_experiment(experiment: Experiment) -> dict[str, Any]:
+    """The scene of an experiment, as the keys of a scene file."""
+    from fixel.calibration.target import scene_of
+
+    return scene_dict(SceneFile(scene=scene_of(experiment)))
+
+
+def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
+    """A scene file that somebody opened, checked, as its keys.
+
+    Raises
+    ------
+    InvalidInput
+        Too long, not well-formed, no scene, or one that is too large for a page.
+    """
+    if len(text.encode()) > MOST_TEXT:
+        raise InvalidInput(
+            "file", found=f"more than {MOST_TEXT // 1024} kB", expected="a scene file"
+        )
+    content = (parse_json if json else parse_yaml)(text, "file")
+    return scene_dict(check_scene(content))
+
+
+def check_scene(content: Any) -> SceneFile:
+    """The scene of these keys, or the first thing that is wrong with it."""
+    found = scene_file_from_dict(content)
+    motion_model(found.motion)
+    _refuse_large(found)
+    return found
+
+
+def write_scene(content: Mapping[str, Any]) -> str:
+    """The scene file of these keys, as YAML."""
+    return yaml_text(scene_dict(check_scene(content)))
+
+
+def simulated(content: Any) -> Simulated:
+    """Simulate a scene given by its keys, with as many steps and samples as a page can bear."""
+    file = check_scene(content)
+    scene = file.scene
+    motion, stepper, solver = parts(file, Method())
+    simulation = simulate(
+        scene,
+        motion=motion,
+        stepper=Adaptive(max_steps=MOST_STEPS) if isinstance(stepper, Adaptive) else stepper,
+        solver=solver,
+        output_interval=scene.duration / SAMPLES,
+    )
+    names = ", ".join(body.name for body in scene.bodies)
+    story = story_of_scene(scene, [simulated_motion(simulation)], f"simulation of {names}")
+    return Simulated(story, plain_numbers(simulation.summary()))
+
+
+@functools.cache
+def beside() -> Bounded:
+    """`simulated`, in a process of its own; one for all who ask."""
+    return Bounded(
+        simulated,
+        limit=LIMIT,
+        ready=warm_up,
+        hint="make it shorter or simpler, or run it with: fixel simulate",
+    )
+
+
+def get_ready() -> None:
+    """Start that process, so that the first who simulates need not wait for it."""
+    with suppress(JobRefused):  # whoever simulates is told
+        beside().start()
+
+
+def _refuse_large(file: SceneFile) -> None:
+    scene = file.scene
+    steps = 0.0 if file.step is None else scene.duration / file.step
+    for where, found, most, unit in (
+        ("duration", scene.duration, MOST_DURATION, " s"),
+        ("step", steps, MOST_STEPS, " steps"),
+        ("bodies", len(scene.names), MOST_THINGS, " bodies, pushers and fixels"),
+        ("bodies[0].shape.polygon", _corners(scene), MOST_CORNERS, " corners in all"),
+        ("bodies[0].support", _points(scene), MOST_POINTS, " support points in all"),
+        ("pushers[0].drive.waypoints", _waypoints(scene), MOST_WAYPOINTS, " waypoints in all"),
+    ):
+        if found > most:
+            raise InvalidInput(
+                where,
+                found=f"{found:g}{unit}",
+                expected=f"at most {most:g}{unit} on this page",
+                hint="run it with: fixel simulate",
+            )
+
+
+def _corners(scene: Scene) -> int:
+    shapes = [body.shape for body in scene.bodies]
+    shapes += [
+        obstacle.shape for obstacles in (scene.pushers, scene.fixels) for obstacle in obstacles
+    ]
+    return sum(1 if isinstance(shape, Disk) else len(shape.vertices) for shape in shapes)
+
+
+def _points(scene: Scene) -> int:
+    total = 0
+    for body in scene.bodies:
+        match body.support:
+            case UniformPressure(n_points=n):
+                total += n
+            case SupportPoints(points=points):
+                total += len(points)
+            case _:
+                total += 3
+    return total
+
+
+def _waypoints(scene: Scene) -> int:
+    drives = [pusher.drive for pusher in scene.pushers]
+    return sum(len(drive.waypoints) for drive in drives if isinstance(drive, PathDrive))
+
+
+def _first_sentence(text: str) -> str:
+    words = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        words.append(line.lstrip("# "))
+    return " ".join(words).partition(". ")[0].rstrip(".")

@@ -1,0 +1,65 @@
+"""Where a measured part appears in the video of its experiment, if the bench is known."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.errors import FixelError
+from fixel.formats.rig_file import EXAMPLES, load_rig, rig_of
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Experiment
+from fixel.vision.marks import Rig
+from fixel.vision.outlines import outline_pixels
+from fixel.workflows.acquisition.tracked_experiment import CAMERA
+
+RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
+MOST: Final = 600  # outlines; between them the part is drawn at the nearest
+
+
+class Seen(NamedTuple):
+    """Outlines in pixels of the video.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height of a picture [px].
+    time : (n,) float64
+        [s], on the clock of the experiment, which is that of the video.
+    outline : (n, m, 2) float64
+        Closed lines [px], from above on the left.
+    """
+
+    size: tuple[int, int]
+    time: FloatArray
+    outline: FloatArray
+
+
+def rig_named(project: Project, name: str) -> Rig | None:
+    """The rig of this name, from the project's `rigs` folder or the examples; none if unknown."""
+    for path in sorted((project.folder / RIGS).glob("*.yaml")):
+        try:
+            rig = load_rig(path)
+        except FixelError:
+            continue  # another bench's file may be broken; this one may still be found
+        if rig.name == name:
+            return rig
+    return next((rig for rig in map(rig_of, EXAMPLES) if rig.name == name), None)
+
+
+def seen_in_video(project: Project, experiment: Experiment) -> Seen | None:
+    """Outlines of the measured object in its video; none without rig, scene or height, or
+    where the camera was not where the rig has it."""
+    rig = rig_named(project, str(experiment.conditions.get("rig", "")))
+    scene, part = experiment.scene, None if rig is None else rig.parts.get(experiment.object_name)
+    height = experiment.height or (None if part is None else part.height)
+    if rig is None or scene is None or height is None or CAMERA in experiment.conditions:
+        return None
+    shape = next(b.shape for b in scene.bodies if b.name == experiment.object_name)
+    track = experiment.trajectory
+    n = len(track.time)
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
+    lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
+    return Seen(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))

@@ -1,0 +1,1 @@
+"""From a camera to experiments: record, track, overlay, drive, and rendered films."""

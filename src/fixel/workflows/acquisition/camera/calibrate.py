@@ -1,0 +1,297 @@
+"""A camera from pictures of a board, from another program's file, at its place above the plate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from fixel.drawing.chart import draw_chart
+from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.errors import InvalidInput
+from fixel.formats.camera_file import load_camera, save_camera
+from fixel.formats.camera_import import import_camera
+from fixel.formats.camera_opencv import save_opencv, save_ros
+from fixel.formats.rig_file import plate_of
+from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.io.document import read_document
+from fixel.vision.boards import Board, Picture, board_of
+from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
+from fixel.vision.measured_camera import MeasuredCamera
+from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
+from fixel.workflows.acquisition.camera.charts import files_of, first_picture, pictures_of
+from fixel.workflows.acquisition.camera.report import Verdict, empty_corners, verdict
+
+RIG_FILE = "rig.yaml"
+CAMERA_ENDINGS = (".yaml", ".yml")
+Tell = Callable[[int, int, str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraAnswer:
+    """What became of a camera.
+
+    Attributes
+    ----------
+    camera : MeasuredCamera
+    file : Path, optional
+        Where it was written.
+    calibration : LensCalibration, optional
+    placement : Placement, optional
+    verdicts : tuple of Verdict
+        At each height that was asked for.
+    remarks : tuple of str
+    plot : Path, optional
+    """
+
+    camera: MeasuredCamera
+    file: Path | None = None
+    calibration: LensCalibration | None = None
+    placement: Placement | None = None
+    verdicts: tuple[Verdict, ...] = ()
+    remarks: tuple[str, ...] = ()
+    plot: Path | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """As plain values."""
+        lens, found = self.camera.lens, self.calibration
+        answer: dict[str, Any] = {
+            "image_size_px": list(lens.image_size),
+            "focal_px": lens.focal.tolist(),
+            "centre_px": lens.centre.tolist(),
+            "skew": lens.skew,
+            "distortion": lens.distortion.tolist(),
+            "fisheye": lens.fisheye,
+            "standard_deviations": self.camera.deviations,
+            "noise_px": self.camera.noise,
+            "remarks": list(self.remarks),
+            "file": str(self.file) if self.file else None,
+            "plot": str(self.plot) if self.plot else None,
+        }
+        if self.camera.camera is not None:
+            answer["position_m"] = self.camera.camera.position.tolist()
+            answer["metres_per_pixel"] = self.camera.camera.metres_per_pixel()
+            answer["verdicts"] = [each.summary() for each in self.verdicts]
+        if found is not None:
+            answer["rms_px"] = found.rms
+            answer["corners_without_board"] = list(empty_corners(self.camera.seen))
+            answer["used"] = [
+                {"name": u.name, "corners": u.corners, "rms_px": u.rms, "tilt_rad": u.tilt}
+                for u in found.used
+            ]
+            used = {u.name for u in found.used}
+            for key, whole in (("dropped", True), ("used_in_part", False)):
+                answer[key] = [
+                    {"name": d.name, "reason": d.reason}
+                    for d in found.dropped
+                    if (d.name not in used) is whole
+                ]
+            answer["left_out_rms_px"] = {str(n): rms for n, rms in found.unseen.items()}
+        if self.placement is not None:
+            off = np.hypot(*self.placement.misfit.T)
+            answer["place_rms_px"] = self.placement.rms
+            answer["misfit_rms_m"] = float(np.sqrt(np.mean(off**2)))
+            answer["misfit_worst_m"] = float(off.max())
+            answer["points"] = len(off)
+        return answer
+
+
+def calibrate(
+    paths: Sequence[Path],
+    board: str,
+    output: Path,
+    *,
+    coefficients: int | None = None,
+    fisheye: bool = False,
+    tell: Tell | None = None,
+) -> CameraAnswer:
+    """Calibrate a lens from pictures of a board, and write the camera.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Pictures, folders of them, or videos.
+    board : str
+        See `board_of`.
+    output : Path
+        The camera file.
+    coefficients, fisheye
+        See `calibrate_lens`.
+    tell : callable, optional
+        Told of how many pictures and of which.
+    """
+    wanted = board_of(board)
+    _refuse_output(output)
+    files = files_of(paths)
+    done = 0
+
+    def one(name: str) -> None:
+        nonlocal done
+        done += 1
+        if tell:
+            tell(min(done, len(files)), len(files), name)
+
+    views, dropped = find_boards(pictures_of(files), wanted, one)
+    found = calibrate_lens(views, dropped, coefficients=coefficients, fisheye=fisheye)
+    save_camera(found.camera, output)
+    return CameraAnswer(camera=found.camera, file=output, calibration=found)
+
+
+def bring_in(
+    path: Path,
+    output: Path,
+    *,
+    format: str = "auto",
+    size: tuple[int, int] | None = None,
+    which: str = "",
+    unit: float = 1e-3,
+) -> CameraAnswer:
+    """Read another program's camera, and write it as one of fixel; see `import_camera`."""
+    _refuse_output(output)
+    if output.resolve() == path.resolve():
+        raise InvalidInput(
+            str(output), found="the file that is read", expected="another one to write"
+        )
+    found = import_camera(path, format, size=size, which=which, unit=unit)
+    save_camera(found.camera, output)
+    return CameraAnswer(camera=found.camera, file=output, remarks=found.remarks)
+
+
+def export(path: Path, output: Path, format: str) -> CameraAnswer:
+    """Write a camera's lens as OpenCV or ROS has it."""
+    camera = load_camera(path)
+    refuse_unwritable(output)
+    writers = {"opencv": save_opencv, "ros": save_ros}
+    if format not in writers:
+        raise InvalidInput("format", found=repr(format), expected=", ".join(writers))
+    writers[format](camera.lens, output)
+    return CameraAnswer(camera=camera, file=output)
+
+
+def place(
+    path: Path,
+    picture: Path,
+    output: Path,
+    *,
+    board: str | None = None,
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    thickness: float = 0.0,
+    rig: str | None = None,
+    heights: Sequence[float] = (0.0,),
+    plot: Path | None = None,
+) -> CameraAnswer:
+    """Find where a camera is above the plate, and write it with its place.
+
+    Parameters
+    ----------
+    path : Path
+        The camera file.
+    picture : Path
+        Of the plate, or a video whose first frame is taken.
+    board : str, optional
+        That lies on the plate, its lower left corner `at` a pose of the world [m, m, rad], its
+        upper face `thickness` above the plate [m].
+    rig : str, optional
+        Whose tags are on the plate. They are used where two or more of them are seen, else the
+        board; left out, `rig.yaml` beside the camera file or the picture, where there is one.
+    heights : sequence of float
+        Above the plate, for which to say how right places are [m].
+    plot : Path, optional
+        A picture of that: `.png`, `.svg` or `.pdf`.
+    """
+    if rig is None:
+        beside = [folder / RIG_FILE for folder in (path.parent, picture.parent)]
+        rig = next((str(file) for file in beside if _has_plate(file)), None)
+    if board is None and rig is None:
+        raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
+    _refuse_output(output)
+    refuse_plot(plot)
+    measured = load_camera(path)
+    seen = first_picture(picture)
+    found, remarks = _place(measured, seen, board, at, thickness, rig)
+    save_camera(found.camera, output)
+    verdicts = tuple(verdict(found.camera, height) for height in heights)
+    return CameraAnswer(
+        camera=found.camera,
+        file=output,
+        placement=found,
+        verdicts=verdicts,
+        remarks=remarks,
+        plot=draw_errors(found.camera, verdicts, plot),
+    )
+
+
+def _place(
+    measured: MeasuredCamera,
+    seen: Picture,
+    board: str | None,
+    at: tuple[float, float, float],
+    thickness: float,
+    rig: str | None,
+) -> tuple[Placement, tuple[str, ...]]:
+    """The place by the plate's tags where they are seen, else by the board; and by which."""
+    why_not = "no rig with tags on the plate was named (--rig)"
+    if rig is not None:
+        try:
+            tags = plate_of(rig)
+            if not tags:
+                raise InvalidInput(
+                    rig, found="no tags on the plate", expected="a rig with plate tags, or --board"
+                )
+            found = place_by_tags(measured, seen, tags)
+            return found, (f"placed by the tags on the plate of {rig}",)
+        except InvalidInput as problem:
+            if board is None:
+                raise
+            why_not = f"by its tags it could not be: {problem.found}"
+    found = place_by_board(measured, seen, board_of(str(board)), pose=at, height=thickness)
+    return found, (
+        f"placed by the board; {why_not}. Tags in the corners of the plate make the corners of the "
+        "picture surer than a board in its middle",
+    )
+
+
+def _has_plate(file: Path) -> bool:
+    """Whether a rig file is there and has tags on its plate, whatever its camera file is."""
+    if not file.is_file():
+        return False
+    raw = read_document(file)
+    return isinstance(raw, dict) and bool(raw.get("plate"))
+
+
+def draw_errors(
+    measured: MeasuredCamera, verdicts: Sequence[Verdict], plot: Path | None
+) -> Path | None:
+    """The map of errors at the first height, where one is asked for."""
+    from fixel.drawing.camera import CameraErrorChart
+
+    if plot is None or not verdicts:
+        return None
+    chart = CameraErrorChart(verdicts[0].errors, measured.lens.image_size, measured.seen)
+    with written_whole(plot) as unfinished:
+        draw_chart(chart, unfinished)
+    return plot
+
+
+def board_text(board: Board) -> str:
+    """A board as one types it."""
+    mm = f"{1e3 * board.square:g}mm"
+    if board.marker is None:
+        return f"checkerboard:{board.columns - 1}x{board.rows - 1}:{mm}"
+    return f"charuco:{board.columns}x{board.rows}:{mm}:{1e3 * board.marker:g}mm"
+
+
+def _refuse_output(output: Path) -> None:
+    refuse_ending(output, CAMERA_ENDINGS, "camera")
+    refuse_unwritable(output)
+
+
+def refuse_plot(plot: Path | None) -> None:
+    """Refuse a picture that cannot be written, before any work."""
+    if plot is not None:
+        refuse_ending(plot, PICTURE_ENDINGS, "picture")
+        refuse_unwritable(plot)

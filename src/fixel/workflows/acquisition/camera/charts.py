@@ -1,0 +1,95 @@
+"""Pictures of boards and plates: files, folders of them, or frames of a video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
+from fixel.formats.video_file import open_video
+from fixel.vision.boards import Picture
+from fixel.vision.opencv import opencv
+
+PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+FROM_VIDEO: Final = 40  # frames of a video that are looked at
+MOST_BYTES: Final = 200_000_000
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Files, and those of folders in the order of their names.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing there, or nothing that is a picture.
+    """
+    known = (*PICTURE_ENDINGS, *VIDEO_ENDINGS)
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+            if not inside:
+                raise InvalidInput(
+                    str(path), found="a folder without pictures", expected="files such as .png"
+                )
+            files += inside
+        elif path.suffix.lower() not in known:
+            raise InvalidInput(
+                str(path), found=f"the ending {path.suffix!r}", expected=", ".join(known)
+            )
+        else:
+            files.append(path)
+    return files
+
+
+def pictures_of(files: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
+    """Every picture with its name; of videos, some frames spread over their length."""
+    for file in files:
+        if file.suffix.lower() in VIDEO_ENDINGS:
+            yield from _frames_of(file)
+        else:
+            yield file.name, read_picture(file)
+
+
+def first_picture(path: Path) -> Picture:
+    """A picture, or the first frame of a video."""
+    (file,) = files_of([path])[:1]
+    if file.suffix.lower() in VIDEO_ENDINGS:
+        for frame in open_video(file).frames():
+            return frame.picture
+        raise InvalidInput(str(path), found="no frames", expected="a video with pictures")
+    return read_picture(file)
+
+
+def read_picture(path: Path) -> Picture:
+    """A picture as the sensor gave it, whatever its file says of being turned."""
+    cv2 = opencv()
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(str(path), found=reason, expected="a picture") from None
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        picture: Picture | None = cv2.imdecode(data, flags) if len(data) else None
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise InvalidInput(
+            str(path), found="what is no picture", expected="a file such as .png or .jpg"
+        )
+    return picture
+
+
+def _frames_of(file: Path) -> Iterator[tuple[str, Picture]]:
+    video = open_video(file)
+    every = max(1, (video.n_frames or FROM_VIDEO) // FROM_VIDEO)
+    for number, frame in enumerate(video.frames()):
+        if number % every == 0:
+            yield f"{file.name} at {frame.time:.2f} s", frame.picture

@@ -1,0 +1,150 @@
+"""Is this the camera, and is it where it was?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.formats.camera_file import load_camera
+from fixel.formats.rig_file import EXAMPLES, rig_of
+from fixel.io.document import read_document
+from fixel.vision.find_tags import find_tags
+from fixel.vision.lens import Lens
+from fixel.vision.marks import Rig
+from fixel.vision.measured_camera import MeasuredCamera
+from fixel.vision.tracking.checks import moved_limit
+from fixel.vision.tracking.tag_reader import tag_corners
+from fixel.workflows.acquisition.camera.calibrate import CameraAnswer, draw_errors, refuse_plot
+from fixel.workflows.acquisition.camera.charts import first_picture
+from fixel.workflows.acquisition.camera.report import mm, verdict
+
+MOVED: Final = 5e-4  # [m] that a tag of the plate may lie off its place beside the camera's errors
+ROUND_TRIP: Final = 1e-6  # [px]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class CameraCheck:
+    """What was found out about a camera.
+
+    Attributes
+    ----------
+    answer : CameraAnswer
+    round_trip : float
+        Largest way from pixels to directions and back, over the whole picture [px].
+    tags : dict of int to float
+        How far each tag of the plate is seen from its place [m]; empty where none was looked for.
+    problems : tuple of str
+        What stands against using it.
+    """
+
+    answer: CameraAnswer
+    round_trip: float
+    tags: dict[int, float]
+    problems: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            **self.answer.summary(),
+            "round_trip_px": self.round_trip,
+            "plate_tags_off_m": {str(k): v for k, v in self.tags.items()},
+            "problems": list(self.problems),
+        }
+
+
+def check(
+    name: str,
+    *,
+    video: Path | None = None,
+    heights: Sequence[float] = (0.0,),
+    plot: Path | None = None,
+) -> CameraCheck:
+    """Check a camera, or that of a rig, against itself and against a video or picture.
+
+    Parameters
+    ----------
+    name : str
+        A camera file, a rig file or the name of an example rig.
+    video : Path, optional
+        Its size is compared; and its first frame shows whether the tags of a rig's plate are where
+        they belong.
+    heights : sequence of float
+        Above the plate [m].
+    plot : Path, optional
+        Map of errors at the first height.
+    """
+    refuse_plot(plot)
+    measured, rig = _camera_of(name)
+    problems: list[str] = []
+    tags: dict[int, float] = {}
+    if video is not None:
+        picture = first_picture(video)
+        measured.lens.for_pictures_of((picture.shape[1], picture.shape[0]))
+        if rig is not None and rig.plate:
+            tags = _tags_off(rig, picture)
+            problems += _moved(rig, tags)
+    trip = round_trip(measured.lens)
+    if not trip < ROUND_TRIP:
+        problems.append(f"pixels come back {trip:.1g} px from where they were")
+    placed = measured.camera is not None
+    verdicts = tuple(verdict(measured, height) for height in heights) if placed else ()
+    remarks = () if placed else ("it has no place above a plate yet",)
+    answer = CameraAnswer(
+        camera=measured,
+        verdicts=verdicts,
+        remarks=remarks,
+        plot=draw_errors(measured, verdicts, plot),
+    )
+    return CameraCheck(answer, trip, tags, tuple(problems))
+
+
+def round_trip(lens: Lens, columns: int = 65, rows: int = 37) -> float:
+    """Largest way from pixels to directions and back, on a grid over the whole picture [px]."""
+    width, height = lens.image_size
+    u, v = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1)
+    return float(np.abs(lens.pixel(lens.direction(pixels)) - pixels).max())
+
+
+def _camera_of(name: str) -> tuple[MeasuredCamera, Rig | None]:
+    if name not in EXAMPLES:
+        raw = read_document(Path(name))
+        if not (isinstance(raw, dict) and "fixel_rig" in raw):
+            return load_camera(name), None
+    rig = rig_of(name)
+    return rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera), rig
+
+
+def _tags_off(rig: Rig, picture: Any) -> dict[int, float]:
+    off = {}
+    for index, pixels in find_tags(picture, rig.plate).items():
+        tag = rig.plate[index]
+        seen = rig.camera.on_plane(pixels, tag.height)
+        off[tag.id] = float(np.hypot(*(seen - tag_corners(tag)).T).max())
+    return off
+
+
+def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
+    if not tags:
+        raise InvalidInput(
+            "picture",
+            found="none of the tags on the plate",
+            expected="tags " + ", ".join(str(tag.id) for tag in rig.plate),
+            hint="is this the bench of the rig?",
+        )
+    limits = {tag.id: moved_limit(rig, tag, MOVED) for tag in rig.plate}
+    far = {number: off for number, off in tags.items() if off > limits[number]}
+    if not far:
+        return []
+    worst = max(far, key=lambda number: far[number] / limits[number])
+    return [
+        f"tag {worst} of the plate is seen {mm(far[worst])} from its place, {len(far)} of "
+        f"{len(tags)} tags are off by more than the calibration explains ({mm(limits[worst])}): "
+        "the camera was moved, or the plate"
+    ]

@@ -1,0 +1,101 @@
+"""Boards and tags to print, true to scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from fixel.drawing.picture import refuse_ending
+from fixel.drawing.prints import (
+    PRINT_ENDINGS,
+    Sheet,
+    board_sheet,
+    save_sheets,
+    tag_sheets,
+)
+from fixel.errors import InvalidInput
+from fixel.formats.rig_file import rig_of
+from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.vision.boards import board_of
+from fixel.vision.marks import Tag
+from fixel.workflows.acquisition.camera.calibrate import board_text
+
+MOST_TAGS = 500
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PrintAnswer:
+    """What was printed into a file.
+
+    Attributes
+    ----------
+    file : Path
+    sheets : int
+    what : str
+    tags : int
+        How many, 0 for a board.
+    """
+
+    file: Path
+    sheets: int
+    what: str
+    tags: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "file": str(self.file),
+            "sheets": self.sheets,
+            "what": self.what,
+            "tags": self.tags,
+        }
+
+
+def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
+    """A board as a PDF or PNG."""
+    board = board_of(text)
+    name = board_text(board)
+    _save((board_sheet(board, name, paper),), output)
+    return PrintAnswer(output, 1, name)
+
+
+def print_rig_tags(rig: str, output: Path, paper: str) -> PrintAnswer:
+    """All tags of a rig, each with the part it belongs to."""
+    found = rig_of(rig)
+    tags = [
+        (mark, name)
+        for name, part in found.parts.items()
+        for mark in part.marks
+        if isinstance(mark, Tag)
+    ]
+    tags += [(tag, "plate") for tag in found.plate]
+    if not tags:
+        raise InvalidInput(rig, found="no tags", expected="a rig with tags", hint="thesis-tags")
+    return _print_tags(tags, output, paper, found.name)
+
+
+def print_tags(
+    first: int, last: int, size: float, family: str, output: Path, paper: str
+) -> PrintAnswer:
+    """Tags with numbers from `first` to `last`, all of one size [m]."""
+    if not 0 <= first <= last or last - first >= MOST_TAGS:
+        raise InvalidInput(
+            "ids", found=f"{first}-{last}", expected=f"a range of at most {MOST_TAGS}: 0-9"
+        )
+    tags = [(Tag(id=k, size=size, height=0.0, family=family), "") for k in range(first, last + 1)]
+    return _print_tags(tags, output, paper, f"{family}, {1e3 * size:g} mm")
+
+
+def _print_tags(tags: list[tuple[Tag, str]], output: Path, paper: str, title: str) -> PrintAnswer:
+    sheets = tag_sheets(tags, paper, title)
+    _save(sheets, output)
+    return PrintAnswer(output, len(sheets), title, len(tags))
+
+
+def _save(sheets: tuple[Sheet, ...], output: Path) -> None:
+    refuse_ending(output, PRINT_ENDINGS, "print")
+    refuse_unwritable(output)
+    with written_whole(output) as unfinished:
+        save_sheets(sheets, unfinished)

@@ -1,0 +1,182 @@
+"""What is to be filmed: scenes, plans, and experiments of the simulated testbed done again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.formats.plan_file import load_plan
+from fixel.formats.scene_file import SceneFile, load_scene
+from fixel.io.document import read_document
+from fixel.model import Experiment, PlannedExperiment, Scene, pose_error
+from fixel.simulation import Simulation, simulate
+from fixel.testbed.simulated import TRUTH, SimulatedTestbed
+from fixel.workflows.simulation import Method, parts
+
+SAMPLE: Final = 1.0 / 240.0  # [s] between poses of the true motion
+
+# How far the end of the motion done again may be from what the experiment remembers; the sampling
+# of a run moves the steps of its solver, and its end by some micrometres.
+SAME_END: Final = 2e-4  # [m]
+
+FILES: Final = (".yaml", ".yml", ".json")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """Something to film.
+
+    Attributes
+    ----------
+    name : str
+    planned : SceneFile
+        What the experimenter believes to be on the plate.
+    simulation : Simulation
+        What really happens; its scene has the true shapes and frictions.
+    testbed : SimulatedTestbed
+        Whose camera and fixels report it.
+    truth : mapping of str to float or str
+        What is known of the difference, under names that end with their unit.
+    """
+
+    name: str
+    planned: SceneFile
+    simulation: Simulation
+    testbed: SimulatedTestbed
+    truth: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """As it really is."""
+        return self.simulation.scene
+
+
+def shots(
+    sources: Sequence[str], project: Path, *, seed: int = 1, limit: int | None = None
+) -> tuple[int, Iterator[Shot]]:
+    """How many there are, and one after the other.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Scene files, plan files, and ids or names of experiments of a project.
+    project : Path
+        Folder of the project, opened only where an experiment is asked for.
+    seed : int
+        Of the simulated testbed, for plans.
+    limit : int, optional
+        Only the first so many of each plan.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing to film, a file that cannot be read, or an experiment no simulated testbed has done.
+    """
+    if not sources:
+        raise InvalidInput(
+            "film",
+            found="nothing to film",
+            expected="a scene file, a plan file, or experiments of a project",
+            hint="fixel testbed film scene.yaml, or: fixel testbed film EXPERIMENT --project DIR",
+        )
+    found = [item for source in sources for item in _found(source, project, seed, limit)]
+    return len(found), (_done(item, seed) for item in found)
+
+
+_Item = tuple[str, SceneFile] | tuple[PlannedExperiment, SimulatedTestbed] | Experiment
+
+
+def _found(source: str, project: Path, seed: int, limit: int | None) -> list[_Item]:
+    path = Path(source)
+    if path.suffix.lower() not in FILES:
+        with Project.open(project).store() as store:
+            experiment = store.experiment(store.find(source))
+        _refuse_stranger(experiment)
+        return [experiment]
+    if "bodies" in read_document(path):
+        return [(path.stem, load_scene(path))]
+    bench = SimulatedTestbed(seed=seed)
+    return [(planned, bench) for planned in load_plan(path).experiments[:limit]]
+
+
+def _done(item: _Item, seed: int) -> Shot:
+    if isinstance(item, Experiment):
+        return _again(item)
+    first, second = item
+    if isinstance(second, SimulatedTestbed):
+        return _performed(first, second)  # type: ignore[arg-type]
+    return _as_written(first, second, seed)  # type: ignore[arg-type]
+
+
+def _as_written(name: str, scene_file: SceneFile, seed: int) -> Shot:
+    """A scene file, as exactly as it is written."""
+    motion, stepper, solver = parts(scene_file, Method())
+    simulation = simulate(
+        scene_file.scene, motion=motion, stepper=stepper, solver=solver, output_interval=SAMPLE
+    )
+    bench = SimulatedTestbed.ideal(seed)
+    return Shot(name=name, planned=scene_file, simulation=simulation, testbed=bench)
+
+
+def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> Shot:
+    """A planned experiment, on the simulated testbed."""
+    simulation = simulate(bench.true_scene(planned), output_interval=SAMPLE)
+    return Shot(
+        name=planned.name,
+        planned=SceneFile(scene=planned.scene),
+        simulation=simulation,
+        testbed=bench,
+    )
+
+
+def _again(experiment: Experiment) -> Shot:
+    """An experiment that the simulated testbed has done, done once more: its true motion."""
+    scene, conditions = experiment.scene, experiment.conditions
+    assert scene is not None
+    planned = PlannedExperiment(
+        name=experiment.name,
+        scene=scene,
+        conditions={k: v for k, v in conditions.items() if not k.startswith(TRUTH)},
+    )
+    seed = experiment.provenance.seed
+    bench = SimulatedTestbed(seed=1 if seed is None else seed, dataset=experiment.dataset)
+    shot = _performed(planned, bench)
+    end = shot.simulation.final[experiment.object_name]
+    remembered = np.array([conditions[f"{TRUTH}final_{k}"] for k in ("x_m", "y_m", "angle_rad")])
+    apart, _ = pose_error(end, remembered)
+    if apart > SAME_END:
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found=f"a motion that ends {apart * 1e3:.2f} mm from where it once ended",
+            expected="the same motion again",
+            hint="its testbed had other settings than `fixel testbed run` uses",
+        )
+    truth = {k: v for k, v in conditions.items() if k.startswith(TRUTH)}
+    return Shot(
+        name=experiment.name,
+        planned=shot.planned,
+        simulation=shot.simulation,
+        testbed=bench,
+        truth=truth,
+    )
+
+
+def _refuse_stranger(experiment: Experiment) -> None:
+    if (
+        experiment.real
+        or experiment.scene is None
+        or f"{TRUTH}final_x_m" not in experiment.conditions
+    ):
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found="a real one" if experiment.real else "one whose true motion is not known",
+            expected="an experiment of the simulated testbed",
+            hint="fixel testbed run makes some",
+        )

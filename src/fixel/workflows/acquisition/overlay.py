@@ -1,0 +1,224 @@
+"""Placing parts by eye and camera: how far everything is from where a scene wants it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.formats.scene_file import load_scene
+from fixel.io.atomic import written_whole
+from fixel.model import Body, Fixel, Pusher, Scene
+from fixel.testbed.frame_queue import FrameQueue
+from fixel.testbed.frame_source import STALLED, Arrived, FrameSource
+from fixel.vision.frame import Frame, Picture
+from fixel.vision.locate import Located, Locator
+from fixel.vision.marks import Rig
+from fixel.vision.tracking.fixels import LEAST
+from fixel.workflows.acquisition.overlay_charts import draw_look
+from fixel.workflows.acquisition.overlay_check import Look, PartLook, Tolerance
+
+ACTUATOR_HEIGHT: Final = 0.03  # [m] of one that the rig does not know
+TRIES: Final = 10  # pictures that one look may take
+HELD: Final = 2  # pictures that wait; of a live camera the older of them are late
+BETWEEN_SIGNS: Final = 0.2  # [s] of waiting for a picture before looking whether there will be any
+SILENT: Final = STALLED + 1.0  # [s] most sources notice by themselves, and say more
+
+Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
+
+
+@final
+class Overlay:
+    """Compares pictures with a scene.
+
+    Parameters
+    ----------
+    rig : Rig
+        Of at least one part of the scene.
+    scene : Scene
+        Its poses are those that are wanted.
+    tolerance : Tolerance, optional
+        The rig's own where left out.
+
+    Raises
+    ------
+    InvalidInput
+        A rig that knows no part of the scene.
+    """
+
+    def __init__(self, rig: Rig, scene: Scene, tolerance: Tolerance | None = None) -> None:
+        self.rig = rig
+        self.tolerance = tolerance or Tolerance(
+            distance=rig.position_tolerance, angle=rig.angle_tolerance
+        )
+        self._locator = Locator(rig, scene)
+        self._things: tuple[Body | Pusher | Fixel, ...] = (
+            *scene.bodies,
+            *scene.pushers,
+            *scene.fixels,
+        )
+
+    def look(self, frame: Frame) -> Look:
+        """Where everything is in this frame."""
+        located = self._locator.see(frame)
+        return Look(
+            rig=self.rig,
+            tolerance=self.tolerance,
+            parts=tuple(self._part(thing, located) for thing in self._things),
+            problems=located.problems,
+            remarks=located.remarks,
+        )
+
+    def drawn(self, picture: Picture, look: Look, *, words: bool = False) -> Picture:
+        """A copy of the picture with outlines; `words` writes the errors into it too."""
+        return draw_look(picture, look, words=words)
+
+    def _part(self, thing: Body | Pusher | Fixel, located: Located) -> PartLook:
+        sight = located.parts.get(thing.name)
+        measured = None if sight is None else sight.pose
+        if thing.name in located.fixels:  # round: turned as it should be
+            measured = np.append(located.fixels[thing.name], thing.pose[2])
+        known = self.rig.parts.get(thing.name)
+        return PartLook(
+            thing=thing,
+            height=known.height if known else self._height(thing),
+            looked_for=measured is not None or thing.name in self._locator.names,
+            measured=measured,
+            reason="" if sight is None else sight.reason,
+            tolerance=self.tolerance,
+        )
+
+    def _height(self, thing: Body | Pusher | Fixel) -> float:
+        if isinstance(thing, Fixel):
+            return self.rig.fixel_height
+        if isinstance(thing, Pusher):
+            return ACTUATOR_HEIGHT
+        return max((part.height for part in self.rig.parts.values()), default=ACTUATOR_HEIGHT)
+
+
+def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
+    """The scene of a file, or of a stored experiment.
+
+    Raises
+    ------
+    InvalidInput
+        Neither or both are given, or not all is known of what was on the plate.
+    """
+    if (path is None) == (key is None):
+        raise InvalidInput(
+            "fixel overlay",
+            found="both a scene and an experiment" if path else "neither scene nor experiment",
+            expected="a scene file, or --experiment with the name of a stored one",
+        )
+    if path is not None:
+        return load_scene(path).scene
+    with Project.open(project).store() as store:
+        experiment = store.experiment(store.find(str(key)))
+    if experiment.scene is None:
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found="no scene: not all is known of what was on the plate",
+            expected="an experiment with a scene",
+        )
+    return experiment.scene
+
+
+def frames_of(
+    source: FrameSource, live: bool, tell: Callable[[str], None] | None = None
+) -> Iterator[Frame]:
+    """Pictures of an open source as they are wanted now: of a live one only ever the newest.
+
+    Parameters
+    ----------
+    source : FrameSource
+    live : bool
+        Whether it goes on without waiting for its reader.
+    tell : callable, optional
+        Told why there are no more, when there are no more.
+    """
+    queue = FrameQueue(source, live=live, held=HELD)
+    queue.start()
+    came, reason = time.monotonic(), ""
+    try:
+        while not reason:
+            arrived = queue.get(BETWEEN_SIGNS)
+            while live and (newer := queue.get(0.0)) is not None:
+                arrived = newer
+            if arrived is not None:
+                if (frame := _decoded(arrived)) is not None:
+                    yield frame
+                came = time.monotonic()
+            elif queue.over:
+                reason = queue.reason
+            elif live and time.monotonic() - came > SILENT:
+                reason = f"the camera has sent nothing for {SILENT:g} s"
+        if tell is not None:
+            tell(reason)
+    finally:
+        queue.close()
+
+
+def _decoded(arrived: Arrived) -> Frame | None:
+    """The frame, or None for a spoilt one: the next is soon there."""
+    try:
+        return Frame(arrived.time, arrived.picture())
+    except InvalidInput:
+        return None
+
+
+def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:
+    """Look at frames until they end, and show each with its outlines.
+
+    Parameters
+    ----------
+    overlay : Overlay
+    frames : iterable of Frame
+    show : callable
+        Told a function that draws the picture, to be called only if somebody looks, and the status:
+        `LiveView.show`.
+
+    Yields
+    ------
+    Look
+        After it was shown.
+    """
+    for frame in frames:
+        look = overlay.look(frame)
+        show(partial(overlay.drawn, frame.picture, look), look.summary())
+        yield look
+
+
+def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]:
+    """A picture that shows everything that can be measured, of a few; else the last of them.
+
+    Raises
+    ------
+    InvalidInput
+        No picture at all, or one that nothing can be measured in.
+    """
+    answer = None
+    for number, frame in enumerate(islice(frames, TRIES), 1):
+        look = overlay.look(frame)
+        answer = frame.picture, look
+        if number >= LEAST and all(part.measured is not None for part in look.checked):
+            break
+    if answer is None:
+        raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
+    if answer[1].problems:
+        raise InvalidInput(answer[1].problems[0])
+    return answer
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """A picture as a PNG file, whole or absent."""
+    from PIL import Image
+
+    with written_whole(path) as unfinished:
+        Image.fromarray(np.ascontiguousarray(picture[:, :, ::-1])).save(unfinished, format="PNG")

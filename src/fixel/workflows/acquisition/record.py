@@ -1,0 +1,240 @@
+"""Recording an experiment: a camera, the fixels, one folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from fixel.errors import InvalidInput
+from fixel.formats.recording import (
+    CODECS,
+    Recording,
+    is_recording,
+    open_recording,
+    repair_recording,
+)
+from fixel.formats.recording_video import warm_up
+from fixel.formats.rig_file import rig_of, save_rig
+from fixel.formats.scene_file import load_scene
+from fixel.testbed.frame_source import Stream
+from fixel.testbed.open_source import refuse_size, source_of
+from fixel.testbed.recorder import Recorded, Recorder, Stop, TouchReader, Watch
+from fixel.testbed.seating import Seating
+from fixel.vision.marks import Rig
+
+ENDS: Final = ("key", "limit", "seated")
+CHOICES: Final = ("auto", *CODECS)
+FILM: Final = "film"  # in place of a port: the readings of the recording that is played
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordPlan:
+    """What to record, and until when.
+
+    Parameters
+    ----------
+    camera : str
+        See `source_of`.
+    folder : Path
+        To be made.
+    tactile : str, optional
+        Port of the tactile board; `film`, or `film:FOLDER`, for the readings of a recording.
+    rig : str, optional
+        A rig by name or file: pictures of another size than its camera's are refused.
+    scene : Path, optional
+        Scene file of what lies on the plate; kept with the recording.
+    size : (int, int), optional
+        Asked of a camera where there is no rig [px].
+    rate : float
+        Likewise [frames/s].
+    codec : str
+        One of `CHOICES`; `auto` keeps JPEG as it comes, and is `near` where pixels come.
+    until : str
+        One of `ENDS`. A key ends it in any case.
+    mode : str, optional
+        Digits of fixels 1, 2, 3 that mean seated: `"010"`.
+    limit : float, optional
+        [s].
+    fast : bool
+        Whether a file is played as fast as it is read.
+    """
+
+    camera: str
+    folder: Path
+    tactile: str | None = None
+    rig: str | None = None
+    scene: Path | None = None
+    size: tuple[int, int] | None = None
+    rate: float = 30.0
+    codec: str = "auto"
+    until: str = "key"
+    mode: str | None = None
+    limit: float | None = None
+    fast: bool = False
+
+    def __post_init__(self) -> None:
+        for option, value, known in (
+            ("--codec", self.codec, CHOICES),
+            ("--until", self.until, ENDS),
+        ):
+            if value not in known:
+                raise InvalidInput(option, found=value, expected=", ".join(known))
+        if self.until == "limit" and self.limit is None:
+            raise InvalidInput("--limit", found=None, expected="a duration such as 15s")
+        if self.limit is not None and not (math.isfinite(self.limit) and self.limit > 0.0):
+            raise InvalidInput("--limit", found=f"{self.limit} s", expected="more than 0 s")
+        if self.mode is not None and (self.until != "seated" or self.tactile is None):
+            raise InvalidInput("--mode", found=self.mode, expected="--until seated, --tactile")
+        if self.folder.exists():
+            what = "a recording" if is_recording(self.folder) else "something there already"
+            raise InvalidInput(
+                str(self.folder), found=what, expected="a folder that is not there yet"
+            )
+
+
+def record(plan: RecordPlan, *, stop: Stop | None = None, watch: Watch | None = None) -> Recorded:
+    """Record an experiment.
+
+    Parameters
+    ----------
+    plan : RecordPlan
+    stop : callable, optional
+        Asked often; a reason in words, once somebody wants to end it.
+    watch : callable, optional
+        Told of pictures and status.
+
+    Raises
+    ------
+    InvalidInput
+        Before anything is recorded: no camera, another size, no fixels, no folder, no space.
+    """
+    rig = None if plan.rig is None else rig_of(plan.rig)
+    scene = None if plan.scene is None else _scene_text(plan.scene)
+    seating = _seating(plan, rig) if plan.until == "seated" else None
+    size = plan.size if rig is None else rig.camera.lens.image_size
+
+    def prepare(folder: Path) -> None:
+        if rig is not None:
+            save_rig(rig, folder / "rig.yaml")
+        if scene is not None:
+            (folder / "scene.yaml").write_bytes(scene)
+
+    warm_up()
+    source = source_of(plan.camera, size=size, rate=plan.rate, as_fast_as_possible=plan.fast)
+    # The camera last: pictures that nobody takes wait somewhere, and get the time of their taking.
+    with _tactile(plan) as tactile, source:
+        stream = source.open()
+        if size is not None:
+            refuse_size(stream, size, source.name)
+        return Recorder(
+            source=source,
+            stream=stream,
+            folder=plan.folder,
+            codec=codec_for(plan.codec, stream),
+            tactile=tactile,
+            rig="" if rig is None else rig.name,
+            limit=plan.limit,
+            seating=seating,
+            stop=stop,
+            watch=watch,
+            prepare=prepare,
+        ).run()
+
+
+def codec_for(choice: str, stream: Stream) -> str:
+    """The codec that was chosen, or suits the camera.
+
+    Raises
+    ------
+    InvalidInput
+        `as-it-comes` for a camera that sends no JPEG.
+    """
+    if choice == "as-it-comes" and not stream.jpeg:
+        raise InvalidInput(
+            "--codec", found=choice, expected="near or exact: this source sends pixels, no JPEG"
+        )
+    if choice != "auto":
+        return choice
+    return "as-it-comes" if stream.jpeg else "near"
+
+
+def summary(done: Recorded) -> dict[str, Any]:
+    """What came of it, as plain values."""
+    return {
+        "folder": str(done.folder),
+        "frames": done.frames,
+        "lost": done.lost,
+        "duration_s": done.seconds,
+        "rate_per_s": done.rate,
+        "bytes": done.bytes,
+        "reason": done.reason,
+        "early": done.early,
+        "without_reading": done.without_reading,
+        "problems": list(done.problems),
+    }
+
+
+def check(folder: Path, *, repair: bool = False) -> Recording:
+    """Read a recording and check every row against its picture; repair its end where asked."""
+    return repair_recording(folder) if repair else open_recording(folder)
+
+
+def check_summary(recording: Recording) -> dict[str, Any]:
+    """What was found in a recording, as plain values."""
+    header, end = recording.header, recording.end
+    return {
+        "folder": str(recording.folder),
+        "complete": recording.complete,
+        "frames": recording.n_frames,
+        "duration_s": float(recording.time[-1] - recording.time[0]),
+        "readings": int((recording.readings >= 0).sum()),
+        "size_px": list(header.size),
+        "codec": header.codec,
+        "rig": header.rig,
+        "source": header.source,
+        "started": header.started,
+        "reason": "" if end is None else end.reason,
+        "problems": list(recording.problems),
+    }
+
+
+def _scene_text(path: Path) -> bytes:
+    """A scene file as it is, once it has been read."""
+    load_scene(path)
+    return path.read_bytes()
+
+
+def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
+    """Digits of the fixels, in order of their names, become the byte the board sends then."""
+    if plan.mode is None:
+        return Seating()
+    n = 3 if rig is None else len(rig.tactile)
+    if len(plan.mode) != n or set(plan.mode) - {"0", "1"}:
+        raise InvalidInput("--mode", found=plan.mode, expected=f"a 0 or 1 for each of {n} fixels")
+    if rig is None:
+        return Seating(int(plan.mode, 2))  # the thesis: the byte is the mode
+    digits = dict(zip(sorted(rig.tactile), plan.mode, strict=True))
+    return Seating(sum(int(digits[name]) << bit for bit, name in enumerate(rig.tactile)))
+
+
+@contextmanager
+def _tactile(plan: RecordPlan) -> Iterator[TouchReader | None]:
+    """Whoever asks the fixels."""
+    if plan.tactile is None:
+        yield None
+        return
+    kind, _, film = plan.tactile.partition(":")
+    if kind == FILM:
+        from fixel.testbed.file_source import PlayedTactile
+
+        yield PlayedTactile(film or plan.camera, in_turn=plan.fast)
+        return
+    from fixel.testbed.tactile import TactileReader
+
+    with TactileReader(plan.tactile) as reader:
+        yield reader

@@ -1,0 +1,315 @@
+"""A film or a recording, tracked, drawn and stored as an experiment."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.errors import InvalidInput
+from fixel.formats.recording import is_recording, open_recording
+from fixel.formats.rig_file import rig_of
+from fixel.formats.scene_file import load_scene
+from fixel.formats.video_file import ENDINGS, open_video
+from fixel.io.atomic import refuse_unwritable
+from fixel.model import Experiment, Provenance, Scene
+from fixel.vision.frame import Frame
+from fixel.vision.marks import Rig
+from fixel.vision.tracking import AUTO, Tracked, track
+from fixel.vision.tracking.actuator import Motion
+from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
+from fixel.workflows.project.importing import typed
+
+Progress = Callable[[int, int], None]
+
+RIG_FILE: Final = "rig.yaml"
+SCENE_FILE: Final = "scene.yaml"
+DATASET: Final = "bench"
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Film:
+    """A video file or a recording, with what is known of it.
+
+    Attributes
+    ----------
+    path : Path
+    video : Path
+        The file with the pictures.
+    frames : callable
+        Gives an iterator over all frames, each time anew.
+    n_frames : int or None
+    rate : float
+        About how many a second, for an overlay.
+    readings : Readings or None
+    remarks : callable
+        Sentences about the file, complete once its frames were read.
+    simulated_by : str
+    """
+
+    path: Path
+    video: Path
+    frames: Callable[[], Iterator[Frame]]
+    n_frames: int | None
+    readings: Readings | None
+    remarks: Callable[[], tuple[str, ...]]
+    simulated_by: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackAnswer:
+    """What `fixel track` found.
+
+    Attributes
+    ----------
+    film : Film
+    rig : Rig
+    tracked : Tracked
+    motion : Motion or None
+        Of the actuator.
+    experiment : Experiment
+    number : int or None
+        In the project; None where it was not stored.
+    new : bool
+        Whether the project did not have it.
+    files : dict from kind to Path
+        `overlay`, `sheet`, `plot`.
+    """
+
+    film: Film
+    rig: Rig
+    tracked: Tracked
+    motion: Motion | None
+    experiment: Experiment
+    number: int | None
+    new: bool
+    files: dict[str, Path]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything one may want to know, as plain values."""
+        experiment, motion = self.experiment, self.motion
+        return {
+            "source": str(self.film.path),
+            "experiment": experiment.key,
+            "id": self.number,
+            "new": self.new,
+            "rig": self.rig.name,
+            "method": self.tracked.method,
+            "frames": len(self.tracked.time),
+            "seconds": float(self.tracked.time[-1] - self.tracked.time[0]),
+            "parts": {name: _part(part) for name, part in self.tracked.parts.items()},
+            "fixels": {
+                fixel.name: {
+                    "place_m": fixel.place.tolist(),
+                    "scatter_m": fixel.scatter,
+                    "frames": fixel.n,
+                }
+                for fixel in self.tracked.fixels
+            },
+            "actuator": None
+            if motion is None or not motion.moved
+            else {"speed_m_s": motion.cruise, "travel_m": motion.travel},
+            "effective_s": None if experiment.effective is None else list(experiment.effective),
+            "contact_mode": experiment.contact_mode,
+            "scene": experiment.scene is not None,
+            "flags": [{"name": f.name, "detail": f.detail} for f in experiment.flags],
+            "files": {kind: str(path) for kind, path in self.files.items()},
+        }
+
+
+def track_film(
+    source: Path,
+    *,
+    rig: str = "",
+    scene: Path | None = None,
+    method: str = AUTO,
+    register: bool = False,
+    project: Path | None = None,
+    dataset: str = DATASET,
+    name: str = "",
+    overlay: Path | None = None,
+    sheet: Path | None = None,
+    plot: Path | None = None,
+    progress: Progress | None = None,
+) -> TrackAnswer:
+    """Track a film and store it as an experiment.
+
+    Parameters
+    ----------
+    source : Path
+        A video file, or the folder of a recording.
+    rig : str
+        A rig file or the name of an example; empty: the `rig.yaml` beside the film.
+    scene : Path, optional
+        As planned; left out: the `scene.yaml` beside the film.
+    method : str
+        `auto`, `tags`, `stickers` or `silhouette`.
+    register : bool
+        Find the camera's place anew, from the tags on the plate.
+    project : Path, optional
+        To store it in; left out, nothing is stored.
+    dataset, name : str
+        Of the experiment; the name is that of the film, if it is empty.
+    overlay : Path, optional
+        A video of the measured outlines on the film.
+    sheet : Path, optional
+        A few frames of that: `.png`.
+    plot : Path, optional
+        Poses, residuals and gaps against time.
+    progress : callable, optional
+        Called as `progress(done, total)`.
+
+    Raises
+    ------
+    InvalidInput
+        What `fixel.vision.tracking.track` refuses, and files that cannot be read or written.
+    """
+    files = {
+        kind: path
+        for kind, path in (("overlay", overlay), ("sheet", sheet), ("plot", plot))
+        if path is not None
+    }
+    _refuse_files(files)
+    opened = None if project is None else Project.open(project)
+    film = open_film(source)
+    marked = rig_of(rig or _beside(source, RIG_FILE, "--rig"))
+    planned = load_scene(scene or _beside(source, SCENE_FILE, "--scene")).scene
+    tracked = track(
+        film.frames(),
+        marked,
+        planned,
+        method=method,
+        register=register,
+        progress=_counted(progress, film.n_frames),
+    )
+    experiment = experiment_of(
+        tracked,
+        marked,
+        planned,
+        film.readings,
+        dataset=dataset,
+        name=name or source.stem,
+        provenance=_provenance(film),
+        simulated_by=film.simulated_by,
+        remarks=film.remarks(),
+    )
+    _draw(film, planned, tracked, experiment, files)
+    number, new = None, False
+    if opened is not None:
+        with opened.store() as store:
+            experiment = replace(experiment, video=store.add_video(film.video))
+            number, new = store.add_experiment(experiment)
+    found = actuator_motion(tracked, planned)
+    return TrackAnswer(
+        film=film,
+        rig=marked,
+        tracked=tracked,
+        motion=None if found is None else found[1],
+        experiment=experiment,
+        number=number,
+        new=new,
+        files=files,
+    )
+
+
+def open_film(source: Path) -> Film:
+    """A video file, or the folder of a recording."""
+    if is_recording(source):
+        recording = open_recording(source)
+        when = np.where(np.isfinite(recording.reading_time), recording.reading_time, recording.time)
+        return Film(
+            path=source,
+            video=recording.video,
+            frames=recording.frames,
+            n_frames=recording.n_frames,
+            readings=Readings(time=when, value=recording.readings),
+            remarks=lambda: recording.problems,
+            simulated_by=recording.header.simulated_by,
+        )
+    if source.is_dir():
+        raise InvalidInput(
+            str(source), found="a folder without a recording", expected="a video or a recording"
+        )
+    video = open_video(source)
+    return Film(
+        path=source,
+        video=source,
+        frames=video.frames,
+        n_frames=video.n_frames,
+        readings=None,
+        remarks=lambda: tuple(video.remarks),
+        simulated_by=video.note if video.note.startswith("SIMULATED") else "",
+    )
+
+
+def _beside(source: Path, name: str, option: str) -> Path:
+    folder = source if source.is_dir() else source.parent
+    if not (folder / name).is_file():
+        raise InvalidInput(
+            option, found=f"none, and no {name} beside the film", expected="a file to read"
+        )
+    return folder / name
+
+
+def _provenance(film: Film) -> Provenance:
+    with film.video.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Provenance(
+        version=version("fixel"), command=typed(), source=film.video.name, sha256=digest
+    )
+
+
+def _draw(
+    film: Film,
+    scene: Scene,
+    tracked: Tracked,
+    experiment: Experiment,
+    files: dict[str, Path],
+) -> None:
+    from fixel.drawing.track import draw_track
+    from fixel.workflows.acquisition.track_charts import write_overlay, write_sheet
+
+    if "overlay" in files:
+        write_overlay(film.frames(), scene, tracked, files["overlay"], film.simulated_by)
+    if "sheet" in files:
+        write_sheet(film.frames(), scene, tracked, files["sheet"])
+    if "plot" in files:
+        draw_track(tracked, files["plot"], experiment.effective)
+
+
+def _refuse_files(files: dict[str, Path]) -> None:
+    endings = {"overlay": ENDINGS, "sheet": (".png",), "plot": PICTURE_ENDINGS}
+    for kind, path in files.items():
+        refuse_ending(path, endings[kind], kind)
+        refuse_unwritable(path)
+
+
+def _counted(progress: Progress | None, total: int | None) -> Callable[[int], None] | None:
+    if progress is None or not total:
+        return None
+    return lambda done: progress(min(done, total), total)
+
+
+def _part(part: Any) -> dict[str, Any]:
+    good = part.good
+    return {
+        "frames": int(good.sum()),
+        "outliers": part.n_outliers,
+        "residual_px": float(np.median(part.residual[good])),
+        "residual_m": float(np.median(part.residual_m[good])),
+        "sd_m": float(np.median(part.total_sd[good, :2])),
+        "sd_rad": float(np.median(part.total_sd[good, 2])),
+        "camera_sd_m": None
+        if part.camera_sd is None
+        else float(np.median(part.camera_sd[good, :2])),
+        "gaps": [{"from_s": a, "to_s": b, "reason": why} for a, b, why in part.gaps],
+    }

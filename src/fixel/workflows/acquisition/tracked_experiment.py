@@ -1,0 +1,329 @@
+"""From a track to an experiment: what was on the plate, as the camera measured it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.datasets.base import remark, scene_or_flag
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import (
+    Channel,
+    Experiment,
+    Fixel,
+    Flag,
+    PathDrive,
+    Provenance,
+    Pusher,
+    Scene,
+    Trajectory,
+)
+from fixel.uncertainty.apart import Neighbour, set_apart
+from fixel.vision.marks import Rig
+from fixel.vision.tracking.actuator import Motion, motion_of
+from fixel.vision.tracking.judge import stamp_scatter
+from fixel.vision.tracking.tracked import PartTrack, Tracked
+
+MOST_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
+MOST_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
+STILL: Final = 0.1e-3  # [m] that a resting object may seem to move
+STARTS: Final = 5  # frames that tell whether an object rests
+LAST: Final = 0.5  # [s] of readings that tell the contact mode
+CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig has it
+RESTLESS: Final = 0.2e-3  # [m] that places of a fixel may scatter by; 0.03 mm are usual
+MISPLACED: Final = 0.02  # [m] of a start from where the scene plans it
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readings:
+    """Tactile bytes, frame by frame.
+
+    Attributes
+    ----------
+    time : (n,) float64
+        [s].
+    value : (n,) int64
+        -1 for none.
+    """
+
+    time: FloatArray
+    value: NDArray[np.int64]
+
+
+def actuator_motion(tracked: Tracked, scene: Scene) -> tuple[str, Motion] | None:
+    """Name of the tracked pusher, and how it moved; none where none was tracked."""
+    for pusher in scene.pushers:
+        track = tracked.parts.get(pusher.name)
+        if track is not None and track.good.sum() > 1:
+            time, place = track.time[track.good], track.pose[track.good, :2]
+            noise = float(np.median(np.hypot(track.sd[track.good, 0], track.sd[track.good, 1])))
+            # A place is off along its way by as much as its time stamp is uncertain.
+            fastest = np.hypot(*(place[-1] - place[0])) / (time[-1] - time[0])
+            late = float(fastest) * float(np.median(stamp_scatter(track.time)))
+            return pusher.name, motion_of(time, place, max(noise, late, 1e-9))
+    return None
+
+
+def experiment_of(
+    tracked: Tracked,
+    rig: Rig,
+    scene: Scene,
+    readings: Readings | None,
+    *,
+    dataset: str,
+    name: str,
+    provenance: Provenance,
+    simulated_by: str = "",
+    remarks: tuple[str, ...] = (),
+) -> Experiment:
+    """An experiment whose clock begins with the first frame.
+
+    Parameters
+    ----------
+    tracked : Tracked
+    rig : Rig
+    scene : Scene
+        As planned: shapes, masses, nominal friction.
+    readings : Readings, optional
+    dataset, name : str
+    provenance : Provenance
+    simulated_by : str
+        What made the film, where no camera did.
+    remarks : tuple of str
+        About the video or recording.
+
+    Raises
+    ------
+    InvalidInput
+        The object was seen in no frame.
+    """
+    zero = float(tracked.time[0])
+    body = scene.bodies[0]
+    if body.name not in tracked.parts:
+        raise InvalidInput(
+            f"rig {rig.name!r}",
+            found="parts " + ", ".join(map(repr, tracked.parts)),
+            expected=f"one called {body.name!r}, as the body of the scene is",
+        )
+    track = tracked.parts[body.name]
+    trajectory = _shifted(track.trajectory, zero)
+    found = actuator_motion(tracked, scene)
+    pusher = None if found is None else _shifted(tracked.parts[found[0]].trajectory, zero)
+    motion = None if found is None else found[1]
+    effective = (
+        (motion.start - zero, motion.end - zero) if motion is not None and motion.moved else None
+    )
+    begins = effective[0] if effective else float(trajectory.time[-1])
+    flags = [*_flags(tracked, track, scene, motion, remarks)]
+    moved: list[float] = []
+    measured, why_not = scene_or_flag(
+        lambda: _scene(scene, trajectory, pusher, found, tracked, begins, moved)
+    )
+    if moved:
+        detail = (
+            f"the measured start was moved by {moved[0] * 1e3:.3f} mm out of what it overlapped"
+        )
+        flags.append(remark("start-moved", detail))
+    tactile = None if readings is None else _tactile(readings, rig, scene, zero)
+    return Experiment(
+        dataset=dataset,
+        name=name,
+        real=not simulated_by,
+        simulated_by=simulated_by,
+        provenance=provenance,
+        object_name=body.name,
+        trajectory=trajectory,
+        pusher=pusher,
+        scene=measured,
+        height=rig.parts[body.name].height,
+        pusher_height=None if found is None else rig.parts[found[0]].height,
+        fixel_height=rig.fixel_height if scene.fixels else None,
+        channels=() if tactile is None else (tactile,),
+        contact_mode="" if tactile is None else contact_mode(tactile, effective),
+        effective=effective,
+        conditions=_conditions(tracked, rig, motion),
+        flags=(*flags, *why_not),
+    )
+
+
+def contact_mode(tactile: Channel, effective: tuple[float, float] | None) -> str:
+    """A digit a fixel: what most readings say at the end of the motion, and after it."""
+    end = tactile.time[-1] if len(tactile.time) else 0.0
+    begin = max(end - LAST, effective[0] if effective else 0.0)
+    last = tactile.values[tactile.time >= begin]
+    last = last[np.isfinite(last).all(1)]
+    if not len(last):
+        return ""
+    return "".join(str(int(share > 0.5)) for share in last.mean(0))
+
+
+def _scene(
+    scene: Scene,
+    trajectory: Trajectory,
+    pusher: Trajectory | None,
+    found: tuple[str, Motion] | None,
+    tracked: Tracked,
+    begins: float,
+    moved: list[float],
+) -> Scene:
+    """The scene with what was measured in place of what was planned."""
+    _refuse_two_pushes(found)
+    places = {fixel.name: fixel.place for fixel in tracked.fixels}
+    fixels = tuple(
+        replace(fixel, pose=np.append(places[fixel.name], fixel.pose[2]))
+        if fixel.name in places
+        else fixel
+        for fixel in scene.fixels
+    )
+    pushers = tuple(
+        _driven(member, pusher) if found and pusher and member.name == found[0] else member
+        for member in scene.pushers
+    )
+    body = scene.bodies[0]
+    _refuse_late(body.name, trajectory, begins)
+    start = _start(trajectory, begins)
+    apart = _apart(body.shape, start, (*pushers, *fixels))
+    if (apart != start).any():
+        moved.append(float(np.hypot(*(apart - start)[:2])))
+    return replace(
+        scene,
+        bodies=(replace(body, pose=apart), *scene.bodies[1:]),
+        pushers=pushers,
+        fixels=fixels,
+        duration=float(trajectory.time[-1]),
+    )
+
+
+def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
+    """A pusher on its measured path; its head does not turn, so that its angle is one number."""
+    angle = np.full(len(measured.time), float(np.median(np.unwrap(measured.pose[:, 2]))))
+    path = np.column_stack((measured.time, measured.pose[:, :2], angle))
+    return replace(
+        pusher,
+        drive=PathDrive(waypoints=path, force_limit=pusher.drive.force_limit),
+        pose=path[0, 1:],
+    )
+
+
+def _refuse_two_pushes(found: tuple[str, Motion] | None) -> None:
+    if found is None or found[1].back is None:
+        return
+    begin, end = found[1].back
+    raise InvalidInput(
+        "film",
+        found=f"{found[0]} goes back from {begin:.2f} to {end:.2f} s, and pushes again",
+        expected="one push",
+        hint="cut the film there, and track its parts one by one",
+    )
+
+
+def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
+    """Refuse an object whose start nobody saw: after the push has begun, and moving already."""
+    first = float(trajectory.time[0])
+    early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
+    if first > begins and np.hypot(*early.T).max() > STILL:
+        raise InvalidInput(
+            name,
+            found=f"it first seen at {first:.2f} s, when it moved already",
+            expected="its start in the film: a simulation begins there",
+        )
+
+
+def _start(trajectory: Trajectory, begins: float) -> FloatArray:
+    """(3,) the pose before anything moved: a mean, where it rested."""
+    early = trajectory.pose[trajectory.time < begins]
+    still = np.hypot(*(early[:, :2] - trajectory.pose[0, :2]).T) < STILL
+    n = int(np.argmin(still)) if not still.all() else len(still)
+    return trajectory.pose[0] if n < 3 else np.asarray(np.mean(early[:n], axis=0))
+
+
+def _apart(shape: object, start: FloatArray, others: tuple[Pusher | Fixel, ...]) -> FloatArray:
+    neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
+    poses, reasons = set_apart(shape, start[None], neighbours, MOST_APART)  # type: ignore[arg-type]
+    if reasons[0]:
+        raise InvalidInput("scene", found=reasons[0], expected="parts that do not overlap")
+    return np.asarray(poses[0])
+
+
+def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel | None:
+    names = [fixel.name for fixel in scene.fixels]
+    bits = [rig.tactile.index(name) for name in names if name in rig.tactile]
+    if len(bits) != len(names) or not names or (readings.value < 0).all():
+        return None
+    value = readings.value[:, None] >> np.array(bits) & 1
+    return Channel(
+        name="tactile",
+        time=np.maximum.accumulate(readings.time) - zero,
+        columns=tuple(f"fixel_{k}_bool" for k in range(1, len(names) + 1)),
+        values=np.where(readings.value[:, None] < 0, np.nan, value.astype(np.float64)),
+    )
+
+
+def _conditions(tracked: Tracked, rig: Rig, motion: Motion | None) -> dict[str, str | float]:
+    conditions: dict[str, str | float] = {"rig": rig.name, "tracked_by": tracked.method}
+    if tracked.rig.camera != rig.camera:
+        conditions[CAMERA] = "registered anew"
+    if motion is not None and motion.moved:
+        conditions |= {"speed_m_s": motion.cruise, "travel_m": motion.travel}
+    for name, track in tracked.parts.items():
+        conditions[f"{name}_residual_m"] = float(np.median(track.residual_m[track.seen]))
+        conditions[f"{name}_seen_ratio"] = float(track.good.mean())
+    return conditions
+
+
+def _flags(
+    tracked: Tracked,
+    track: PartTrack,
+    scene: Scene,
+    motion: Motion | None,
+    remarks: tuple[str, ...],
+) -> Iterator[Flag]:
+    if track.good.mean() < MOST_GAPS:
+        yield Flag("object-lost", f"{track.name} was seen in {track.good.mean():.0%} of the frames")
+    for part in tracked.parts.values():
+        if part.gaps:
+            longest = max(part.gaps, key=lambda gap: gap[1] - gap[0])
+            n = int((~part.good).sum())
+            yield remark(
+                f"{_plain(part.name)}-gaps",
+                f"{n} of {len(part.time)} frames without a pose; the longest gap is from "
+                f"{longest[0]:.2f} to {longest[1]:.2f} s: {longest[2]}",
+            )
+        if part.n_outliers:
+            yield remark(
+                f"{_plain(part.name)}-outliers", f"{part.n_outliers} poses are not believed"
+            )
+    if motion is None:
+        yield remark("no-actuator", "the path of the actuator was not tracked")
+    elif not motion.moved:
+        detail = f"no steady motion of the actuator, over {motion.travel * 1e3:.3f} mm"
+        yield remark("no-motion", detail)
+    missing = {f.name for f in scene.fixels} - {f.name for f in tracked.fixels}
+    if missing:
+        yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " did not show")
+    for fixel in tracked.fixels:
+        if fixel.scatter > RESTLESS:
+            detail = f"its places scatter by {fixel.scatter * 1e3:.2f} mm: was it hit, or hidden?"
+            yield remark(f"{_plain(fixel.name)}-restless", detail)
+    off = float(np.hypot(*(track.trajectory.pose[0] - scene.bodies[0].pose)[:2]))
+    if off > MISPLACED:
+        detail = f"{track.name} starts {off * 1e3:.1f} mm from where the scene plans it"
+        yield remark("starts-elsewhere", detail)
+    for index, sentence in enumerate((*tracked.remarks, *remarks)):
+        yield remark(f"film-{index + 1}", sentence)
+
+
+def _plain(name: str) -> str:
+    return (
+        "".join(c if c.isalnum() and c.isascii() else "-" for c in name.lower()).strip("-") or "p"
+    )
+
+
+def _shifted(trajectory: Trajectory, zero: float) -> Trajectory:
+    return Trajectory(time=trajectory.time - zero, pose=trajectory.pose)

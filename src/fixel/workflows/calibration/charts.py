@@ -1,0 +1,387 @@
+"""The pictures of a calibration, each as PNG, as PDF, and as the numbers behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fixel.calibration.target import Target
+from fixel.drawing.calibration import BEFORE, ErrorsChart, SecondsChart
+from fixel.drawing.offsets import OffsetsChart, Quantity
+from fixel.drawing.overlay import OverlayChart, Track
+from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Parameters, placed
+from fixel.model.space import Unknown
+from fixel.simulation import Simulation, simulate
+from fixel.workflows.calibration.job import NEARLY
+from fixel.workflows.calibration.report_data import Desk, title_of
+from fixel.workflows.calibration.result import DIRECT, Curve, Found
+from fixel.workflows.calibration.run import Calibration
+from fixel.workflows.figures import Picture, make_folder, write_picture
+
+SAMPLES: Final = 200  # of a simulation, at least
+OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
+GROUPED_BY: Final = ("shape", "layout")
+MOST_OTHERS: Final = 3
+VISIBLE: Final = 0.005  # share of a range that shows on paper
+
+
+Pictures = Iterator[Picture]
+
+
+def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
+    """Draw what there is to see of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    folder : Path
+        Made where there is none; files of the same names are replaced.
+
+    Returns
+    -------
+    list of Path
+        PNG, PDF and CSV of each picture.
+
+    Raises
+    ------
+    InvalidInput
+        The folder cannot be written to.
+    """
+    make_folder(folder)
+    pictures = pictures_of(Desk(calibration))
+    return [path for picture in pictures for path in write_picture(folder, picture)]
+
+
+# --- which pictures -----------------------------------------------------------------------------
+
+# What to see in them, by how their names begin.
+CAPTIONS: Final = {
+    "search_alone": "Error against evaluation in three single calibrations: the best of the"
+    " experiments, the one in the middle, the worst.",
+    "search": "Error against evaluation while the search went on; the line is the best so far.",
+    "starts": "Where the searches from several starts ended: their errors in order, and the values"
+    " they found.",
+    "seconds": "How long the single calibrations took.",
+    "parameters_by_offset": "Values that each experiment by itself asks for, against where its"
+    " object started.",
+    "parameters": "Values before and after, with their intervals and verdicts, between the bounds"
+    " of the search.",
+    "profiles": "Profile likelihoods: how much worse the best fit becomes when one value is held"
+    " elsewhere. A flat line says that the data do not determine it.",
+    "errors_by_offset": "Error against where the object started.",
+    "errors": "Error of every experiment before and after.",
+    "overlay": "Measured and simulated motion, before and after calibration.",
+}
+
+
+def pictures_of(desk: Desk) -> Pictures:
+    """The pictures of a calibration, with captions."""
+    for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
+        for picture in parts(desk):
+            yield picture._replace(caption=_caption(picture.name))
+
+
+def _caption(name: str) -> str:
+    stem = max((stem for stem in CAPTIONS if name.startswith(stem)), key=len)
+    which = name[len(stem) + 1 :]
+    return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
+
+
+def _of_searches(desk: Desk) -> Pictures:
+    """Of the search for all experiments; of three single ones; how long each took."""
+    together, searched = desk.together, desk.searched
+    if together is not None and together.trace is not None:
+        yield Picture("search", _search_chart(desk, [("", together)]), desk.banner)
+        yield from _starts(desk, "starts", together)
+    picks = _picks(searched)
+    if picks:
+        name = "search" if together is None else "search_alone"
+        yield Picture(name, _search_chart(desk, picks), desk.banner)
+    for word, one in picks:
+        yield from _starts(desk, _named("starts", word, desk), one)
+    if len(searched) > 1:
+        yield Picture("seconds", _seconds_chart(desk, searched), desk.banner)
+
+
+def _of_parameters(desk: Desk) -> Pictures:
+    """Of the set for all experiments; of single ones only where there is no such set."""
+    together = desk.together
+    sets = [("", together)] if together is not None else _picks(desk.searched)
+    for word, one in sets:
+        yield Picture(
+            _named("parameters", word, desk), _parameters_chart(desk, word, one), desk.banner
+        )
+        if one.profiles:
+            profiles = _profiles_chart(desk, word, one)
+            yield Picture(_named("profiles", word, desk), profiles, desk.banner)
+    if len(desk.alone) > 1:
+        quantities = [
+            Quantity(
+                unknown.label,
+                unknown.unit,
+                _column(desk, [one.point[k] for one in desk.alone]),
+                bounds=(unknown.low, unknown.high),
+            )
+            for k, unknown in enumerate(desk.space.free)
+        ]
+        chart = _offsets_chart(desk, "Parameters, each experiment by itself", quantities)
+        yield Picture("parameters_by_offset", chart, desk.banner)
+
+
+def _of_experiments(desk: Desk) -> Pictures:
+    """Errors of the experiments, before and after."""
+    if len(desk.keys) == 1:  # the overlay says it all
+        return
+    series = {name: desk.lengths(errors) for name, errors in _series(desk).items()}
+    yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit="mm"), desk.banner)
+    if desk.offset_axes:
+        name = "each alone" if "each alone" in series else list(series)[-1]
+        error = Quantity("error", "mm", series[name], log=True)
+        chart = _offsets_chart(desk, f"Error, {name}", [error])
+        yield Picture("errors_by_offset", chart, desk.banner)
+
+
+def _overlays(desk: Desk) -> Pictures:
+    """The best, the median and the worst experiment, before and after."""
+    together, alone = desk.together, {one.members[0]: one for one in desk.alone}
+    after = list(_series(desk).values())[-1]
+    for word, member in _three(after):
+        one = together if together is not None else alone[member]
+        chart = _overlay_chart(desk, word, member, one.point, float(after[member]))
+        yield Picture(_named("overlay", word, desk), chart, desk.banners[member])
+
+
+# --- choices ------------------------------------------------------------------------------------
+
+
+def _named(stem: str, word: str, desk: Desk) -> str:
+    """Of the only experiment there is, nothing is the best."""
+    return f"{stem}_{word}" if word and len(desk.keys) > 1 else stem
+
+
+def _three(errors: FloatArray) -> list[tuple[str, int]]:
+    """Places of the best, the median and the worst; as many as there are."""
+    order = np.argsort(errors, kind="stable").tolist()
+    if len(order) == 1:
+        return [("", order[0])]
+    middle = [("median", order[(len(order) - 1) // 2])] if len(order) > 2 else []
+    return [("best", order[0]), *middle, ("worst", order[-1])]
+
+
+def _picks(found: list[Found]) -> list[tuple[str, Found]]:
+    """Single calibrations to look at closely."""
+    if not found:
+        return []
+    errors = np.array([one.errors[0] for one in found])
+    return [(word, found[k]) for word, k in _three(errors)]
+
+
+def _series(desk: Desk) -> dict[str, FloatArray]:
+    """Errors of all experiments by what they are with; the last is what was wanted."""
+    series = {BEFORE: desk.outcome.nominal}
+    if desk.alone:
+        name = "after" if desk.together is None else "each alone"
+        series[name] = _column(desk, [one.errors[0] for one in desk.alone])
+    if desk.together is not None:
+        series["after" if not desk.alone else "one set for all"] = desk.together.errors
+    return series
+
+
+def _column(desk: Desk, values: list[float]) -> FloatArray:
+    """Values of the single calibrations, by experiment; nan where one has none."""
+    column = np.full(len(desk.keys), np.nan)
+    for one, value in zip(desk.alone, values, strict=True):
+        column[one.members[0]] = value if math.isfinite(one.errors[0]) else np.nan
+    return column
+
+
+# --- charts -------------------------------------------------------------------------------------
+
+
+def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
+    panels = []
+    for word, one in picks:
+        assert one.trace is not None
+        begins = desk.retraced(one).begins
+        title = title_of(desk, one)
+        if word:
+            title = f"{word} of {len(desk.searched)}\n{title}"
+        panels.append(SearchPanel(title, desk.lengths(one.trace.errors, len(one.members)), begins))
+    return SearchChart(panels=panels, unit="mm", what=_what(desk, picks[0][1]))
+
+
+def _what(desk: Desk, one: Found) -> str:
+    """The number that a search made small."""
+    if len(one.members) == 1:
+        return "RMS error"
+    return "largest RMS error" if desk.request.combine == "largest" else "RMS error"
+
+
+def _starts(desk: Desk, name: str, one: Found) -> Pictures:
+    """Where there were several."""
+    if desk.request.starts == 1:
+        return
+    traced = desk.retraced(one)
+    if len(traced.ends) < 2:
+        return
+    space = desk.space
+    chart = StartsChart(
+        title=f"{len(traced.ends)} starts: {title_of(desk, one)}",
+        unit="mm",
+        errors=desk.lengths(np.array([end.error for end in traced.ends]), len(one.members)),
+        points=np.array([end.point for end in traced.ends]),
+        labels=space.labels,
+        units=[unknown.unit for unknown in space.free],
+        low=space.low,
+        high=space.high,
+        evaluations=traced.evaluations,
+        nearly=NEARLY if desk.unit == "mm" else 0.5 * NEARLY,
+        what=_what(desk, one),
+    )
+    yield Picture(name, chart, desk.banner)
+
+
+def _seconds_chart(desk: Desk, searched: list[Found]) -> SecondsChart:
+    return SecondsChart(
+        keys=[desk.keys[one.members[0]] for one in searched],
+        seconds=np.array([one.seconds for one in searched]),
+        evaluations=[0 if one.trace is None else len(one.trace.errors) for one in searched],
+    )
+
+
+def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
+    others = _other_sets(desk, one)
+    estimates = {estimate.label: estimate for estimate in one.estimates}
+    values = one.values(desk.space.labels)
+    rows = []
+    for k, unknown in enumerate(desk.space.free):
+        own = estimates.get(unknown.label)
+        rows.append(
+            ParameterRow(
+                label=unknown.label,
+                unit=unknown.unit,
+                bounds=(unknown.low, unknown.high),
+                before=unknown.nominal,
+                value=float(values[k]),
+                low=None if own is None else own.low,
+                high=None if own is None else own.high,
+                best_fit=_elsewhere(float(one.point[k]), float(values[k]), unknown),
+                verdict="" if own is None else own.verdict,
+                others=tuple(float(point[k]) for point in others.values()),
+            )
+        )
+    return ParametersChart(
+        title=title_of(desk, one, word),
+        rows=rows,
+        others=list(others),
+        level=desk.request.level,
+    )
+
+
+def _elsewhere(best: float, value: float, unknown: Unknown) -> float | None:
+    """The best fit, where it lies visibly elsewhere than the value to quote."""
+    return best if abs(best - value) > VISIBLE * (unknown.high - unknown.low) else None
+
+
+def _other_sets(desk: Desk, one: Found) -> dict[str, FloatArray]:
+    """Other sets for the same experiments; other ends that are nearly as good."""
+    found = {o.how: o.point for o in desk.outcome.together if o is not one and one.how == DIRECT}
+    for k, point in enumerate(one.solutions[1:], 2):
+        found[f"solution {k}, nearly as good"] = point
+    return dict(list(found.items())[:MOST_OTHERS])
+
+
+def _profiles_chart(desk: Desk, word: str, one: Found) -> ProfilesChart:
+    units = {unknown.label: unknown.unit for unknown in desk.space.free}
+    return ProfilesChart(
+        title=title_of(desk, one, word),
+        panels=[_panel(curve, units[curve.label]) for curve in one.profiles],
+        level=desk.request.level,
+        misfits=bool(one.misfit),
+    )
+
+
+def _panel(curve: Curve, unit: str) -> ProfilePanel:
+    return ProfilePanel(
+        label=curve.label,
+        unit=unit,
+        values=curve.values,
+        rises=curve.deviances,
+        low=curve.low,
+        high=curve.high,
+        threshold=curve.threshold,
+        slice_values=curve.slice_values,
+        slice_rises=curve.slice_deviances,
+        best=float(curve.values[int(np.argmin(curve.deviances))]),
+    )
+
+
+def _offsets_chart(desk: Desk, title: str, quantities: list[Quantity]) -> OffsetsChart:
+    return OffsetsChart(
+        title=title,
+        keys=desk.keys,
+        groups=desk.groups,
+        axes=desk.offset_axes,
+        quantities=quantities,
+    )
+
+
+# --- one experiment -----------------------------------------------------------------------------
+
+
+def _overlay_chart(
+    desk: Desk, word: str, member: int, point: FloatArray, error: float
+) -> OverlayChart:
+    target = desk.targets[member]
+    scene = target.case.scene
+    before, after = (_simulated(desk, target, p) for p in (desk.space.nominal, point))
+    body = scene.bodies[0]
+    nominal = float(desk.lengths(desk.outcome.nominal[member]))
+    start = np.concatenate(([0.0], target.case.times))
+    return OverlayChart(
+        title=target.key if not word else f"{target.key}: the {word} of {len(desk.keys)}",
+        outline=body.shape.outline,
+        measured=Track(start, np.vstack((body.pose, target.pose))),
+        before=_track(before, nominal),
+        after=_track(after, float(desk.lengths(np.asarray(error)))),
+        real=not desk.banners[member],
+        fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in scene.fixels],
+        pusher=_pusher(after),
+        unit="mm",
+    )
+
+
+def _simulated(desk: Desk, target: Target, point: FloatArray) -> Simulation:
+    columns = desk.space.columns(point[None], target.conditions)
+    duration = float(target.case.times[-1])
+    return simulate(
+        target.case.scene,
+        Parameters({name: float(values[0]) for name, values in columns.items()}),
+        motion=desk.request.made_motion,
+        duration=duration,
+        output_interval=duration / max(SAMPLES, len(target.pose)),
+    )
+
+
+def _track(simulation: Simulation, error: float) -> Track:
+    """As far as it came."""
+    pose = simulation.pose[simulation.scene.bodies[0].name]
+    known = np.isfinite(pose).all(axis=1)
+    return Track(simulation.time[known], pose[known], error if math.isfinite(error) else None)
+
+
+def _pusher(simulation: Simulation) -> list[FloatArray]:
+    """Outlines at the start and at the end."""
+    outlines = []
+    for pusher in simulation.scene.pushers[:1]:
+        pose = simulation.pose[pusher.name]
+        known = pose[np.isfinite(pose).all(axis=1)]
+        outlines += [placed(pusher.shape.outline, known[k]) for k in (0, -1)]
+    return outlines

@@ -1,0 +1,314 @@
+"""A stored calibration, as one who has to believe it wants to see it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import FixelError
+from fixel.kernels.arrays import FloatArray
+from fixel.model.records import CalibrationRecord
+from fixel.workflows.calibration.job import NEARLY
+from fixel.workflows.calibration.report_data import Desk
+from fixel.workflows.calibration.result import Curve, Found
+from fixel.workflows.calibration.run import Calibration, reopened
+from fixel.workflows.calibration.stored import parted
+
+WORST: Final = 3
+
+
+class Row(NamedTuple):
+    """One unknown [SI]."""
+
+    label: str
+    unit: str
+    value: float  # inside its interval
+    best_fit: float  # what predicts best, found by the search
+    low: float | None
+    high: float | None
+    bounds: tuple[float, float] | None
+    before: float | None
+    verdict: str
+    reason: str
+
+
+class Residual(NamedTuple):
+    """One experiment."""
+
+    id: int
+    key: str
+    before: float | None  # in the unit of the error
+    after: float | None
+
+
+class Start(NamedTuple):
+    """Where one of several searches ended."""
+
+    error: float  # inf where it found nothing
+    point: list[float]
+    evaluations: int
+    good: bool  # as good as the best, or nearly
+
+
+class Told(NamedTuple):
+    """All there is to see.
+
+    Attributes
+    ----------
+    id : int
+    record : CalibrationRecord
+    unit : str
+        Of errors, `"mm^2"` or `"mm"`.
+    rows : list of Row
+    residuals : list of Residual
+        The worst first.
+    objective : (n,) float64
+        Of every evaluation, shared out among the experiments where it is a sum.
+    starts : list of Start
+        The best first; none where there was one.
+    curves : tuple of Curve
+        Profiles, one an unknown.
+    units : dict from label to str
+    level : float
+        Of the intervals.
+    misfit : list of str
+        Warning that the model is wrong by more than the noise explains; empty where it is not.
+    noise, note : str
+    siblings : list of (int, str)
+        Ids and names of the sets that came of the same job.
+    complete : bool
+        Whether its job is still there; without it there are no profiles and no starts.
+    """
+
+    id: int
+    record: CalibrationRecord
+    unit: str
+    rows: list[Row]
+    residuals: list[Residual]
+    objective: FloatArray
+    starts: list[Start]
+    curves: tuple[Curve, ...]
+    units: dict[str, str]
+    level: float
+    misfit: list[str]
+    noise: str
+    note: str
+    siblings: list[tuple[int, str]]
+    complete: bool
+
+    @property
+    def worst(self) -> list[Residual]:
+        """The experiments to look at first."""
+        return self.residuals[:WORST]
+
+
+def tell(project: Project, store: Store, number: int) -> Told:
+    """What there is to see of a stored calibration."""
+    record = store.calibration(number)
+    calibration = one = desk = None
+    starts: list[Start] = []
+    trouble = ""
+    try:
+        calibration = reopened(project, record)
+        if calibration is not None and number in calibration.ids:
+            one = calibration.outcome.found[calibration.ids.index(number)]
+            desk = Desk(calibration)
+            starts = starts_of(desk, one)
+    except FixelError as problem:  # what is stored can be shown all the same
+        calibration = one = desk = None
+        trouble = str(problem)
+    return Told(
+        id=number,
+        record=record,
+        unit=record.error_unit,
+        rows=_rows(record, desk, one),
+        residuals=_residuals(store, record, calibration, one),
+        objective=_objective(record),
+        starts=starts,
+        curves=() if one is None else one.profiles,
+        units={estimate.label: estimate.unit for estimate in record.estimates},
+        level=0.95 if desk is None else desk.request.level,
+        misfit=misfit_of(record),
+        noise="" if one is None else one.noise,
+        note=trouble if one is None else one.note,
+        siblings=_siblings(calibration, store),
+        complete=one is not None,
+    )
+
+
+def starts_of(desk: Desk, one: Found) -> list[Start]:
+    """Where several searches ended, the best first; nothing where there was one."""
+    if desk.request.starts == 1 or one.trace is None:
+        return []
+    traced = desk.retraced(one)
+    best = min((end.error for end in traced.ends), default=math.inf)
+    shared = len(one.members) if desk.request.combine == "sum" else 1
+    found = [
+        Start(
+            end.error / shared,
+            end.point.tolist(),
+            evaluations,
+            math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
+        )
+        for end, evaluations in zip(traced.ends, traced.evaluations, strict=True)
+    ]
+    return sorted(found, key=lambda start: start.error)
+
+
+def misfit_of(record: CalibrationRecord) -> list[str]:
+    """Warning that was stored with a calibration, one sentence each."""
+    return str(record.method.get("misfit", "")).splitlines()
+
+
+def _rows(record: CalibrationRecord, desk: Desk | None, one: Found | None) -> list[Row]:
+    estimates = {estimate.label: estimate for estimate in record.estimates}
+    if desk is None or one is None:
+        values = dict(record.parameters)
+        return [
+            Row(e.label, e.unit, e.value, values.get(parted(e.label)[0], e.value), e.low, e.high,
+                None, None, e.verdict, e.reason)
+            for e in record.estimates
+        ] or [
+            Row(name, "", value, value, None, None, None, None, "", "")
+            for name, value in values.items()
+        ]  # fmt: skip
+    rows = []
+    for unknown, value in zip(desk.space.free, one.point.tolist(), strict=True):
+        own = estimates.get(unknown.label)
+        rows.append(
+            Row(
+                label=unknown.label,
+                unit=unknown.unit,
+                value=value if own is None else own.value,
+                best_fit=value,
+                low=None if own is None else own.low,
+                high=None if own is None else own.high,
+                bounds=(unknown.low, unknown.high),
+                before=unknown.nominal,
+                verdict="" if own is None else own.verdict,
+                reason="" if own is None else own.reason,
+            )
+        )
+    return rows
+
+
+def _residuals(
+    store: Store, record: CalibrationRecord, calibration: Calibration | None, one: Found | None
+) -> list[Residual]:
+    before: list[float] = [math.nan] * len(record.members)
+    if calibration is not None and one is not None:
+        before = calibration.outcome.nominal[list(one.members)].tolist()
+    keys = keys_of(store, [member.experiment_id for member in record.members])
+    found = [
+        Residual(member.experiment_id, key, _finite(start), _finite(error))
+        for member, error, key, start in zip(
+            record.members, record.errors, keys, before, strict=True
+        )
+    ]
+    return sorted(found, key=lambda r: -math.inf if r.after is None else -r.after)
+
+
+def keys_of(store: Store, ids: Sequence[int]) -> list[str]:
+    """Names of experiments, deleted and replaced ones too."""
+    from fixel.database.query import Query
+
+    known = {
+        summary.id: summary.key
+        for summary in store.experiments(Query(flagged=True, replaced=True)).summaries
+    }
+    return [known.get(number, f"experiment {number}") for number in ids]
+
+
+def _objective(record: CalibrationRecord) -> FloatArray:
+    if record.evaluations is None:
+        return np.zeros(0)
+    share = len(record.members) if record.method.get("combine") == "sum" else 1
+    return np.asarray(record.evaluations.error / share)
+
+
+def _siblings(calibration: Calibration | None, store: Store) -> list[tuple[int, str]]:
+    if calibration is None:
+        return []
+    names = {number: record.name for number, record in store.calibration_summaries().items()}
+    return [(number, names[number]) for number in calibration.ids if number in names]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+# --- the list -----------------------------------------------------------------------------------
+
+
+class Listed(NamedTuple):
+    """What came of one job, or a calibration without one.
+
+    Attributes
+    ----------
+    id : int
+        Of the calibration to open: the last set for several experiments, else the first.
+    name, how, mode, optimiser, unit, created : str
+    sets : int
+        Calibrations that came of it.
+    experiments : int
+    before, after : float or None
+        Mean errors.
+    verdicts : dict from verdict to int
+        Unknowns of the set to open.
+    evaluations : int
+    """
+
+    id: int
+    name: str
+    how: str
+    mode: str
+    optimiser: str
+    unit: str
+    created: str
+    sets: int
+    experiments: int
+    before: float | None
+    after: float | None
+    verdicts: dict[str, int]
+
+
+def listed(store: Store) -> list[Listed]:
+    """Stored calibrations, those of one job together, the newest first."""
+    jobs: dict[str, list[tuple[int, CalibrationRecord]]] = {}
+    for number, record in store.calibration_summaries().items():
+        name = str(record.method.get("job", f" {number}"))
+        jobs.setdefault(name, []).append((number, record))
+    found = [_listed(sets) for sets in jobs.values()]
+    return sorted(found, key=lambda one: -one.id)
+
+
+def _listed(sets: list[tuple[int, CalibrationRecord]]) -> Listed:
+    together = [pair for pair in sets if len(pair[1].members) > 1]
+    number, record = together[-1] if together else sets[0]
+    shown = [record] if together else [one for _, one in sets]
+    before = [float(one.method.get("nominal_error", math.nan)) for one in shown]
+    after = [float(np.mean(one.errors)) for one in shown]
+    verdicts: dict[str, int] = {}
+    for estimate in record.estimates:
+        if estimate.verdict:
+            word = "trades off" if estimate.verdict.startswith("trades") else estimate.verdict
+            verdicts[word] = verdicts.get(word, 0) + 1
+    return Listed(
+        id=number,
+        name=record.name.partition(":")[0],
+        how=str(record.method.get("how", "")),
+        mode=str(record.method.get("mode", "")),
+        optimiser=str(record.method.get("optimiser", "")),
+        unit=record.error_unit,
+        created=record.provenance.created,
+        sets=len(sets),
+        experiments=len({m.experiment_id for _, one in sets for m in one.members}),
+        before=_finite(float(np.mean(before))),
+        after=_finite(float(np.mean(after))),
+        verdicts=verdicts if together or len(sets) == 1 else {},
+    )

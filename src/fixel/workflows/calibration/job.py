@@ -1,0 +1,630 @@
+"""A calibration as rounds of chunks, for this machine and for a cluster alike.
+
+What a chunk answers depends on the experiments and the request only. So a calibration that was
+interrupted, or ran on other machines, ends with the same bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from fixel.calibration.assess import (
+    Asking,
+    Assessment,
+    Frames,
+    answer,
+    assessing,
+    conducted_here,
+)
+from fixel.calibration.cost import Prior
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import Comparer, Evaluated, Objective
+from fixel.calibration.profile import Profiles
+from fixel.calibration.solutions import find_solutions
+from fixel.calibration.study import (
+    OUT_OF_BUDGET,
+    Ask,
+    Pooled,
+    Study,
+    Trace,
+    at_points,
+    best_stored,
+    best_subset,
+    box_of,
+    conducted,
+    each_alone,
+    neighbours,
+    polished,
+    together,
+    weighted,
+)
+from fixel.calibration.verdict import Verdict
+from fixel.errors import InvalidInput
+from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.jobs.functions import callable_by_jobs, threads
+from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
+from fixel.kernels.arrays import FloatArray
+from fixel.model.records import Estimate
+from fixel.workflows.calibration.files import read_targets
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.result import (
+    ALONE,
+    DIRECT,
+    NEIGHBOUR,
+    STORED,
+    SUBSET,
+    WEIGHTED,
+    Curve,
+    Found,
+    Outcome,
+    found_arrays,
+    found_of,
+    length_of,
+    outcome_bytes,
+)
+
+T = TypeVar("T")
+
+REQUEST: Final = "request.json"
+
+# Experiments calibrated alone in one chunk, in step: enough for full batches, and seconds of work.
+MEMBERS_A_CHUNK: Final = 4
+TIME: Final = "cpu_s"  # name of the computing time among the arrays of an answer [s]
+# Share of a budget that the search may take where verdicts are wanted.
+SEARCH_SHARE: Final = 0.5
+# Rollouts evaluated in one chunk, about a second of them.
+ROLLOUTS_A_CHUNK: Final = 4000
+
+
+@callable_by_jobs
+def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """The whole calibration; its result is an `Outcome`."""
+    request, comparer = _desk(inputs)
+    n = len(comparer.targets)
+    members = list(range(n))
+    start = comparer.space.nominal
+    budget = _Budget(request.budget)
+    before, _ = yield from _asked(at_points(members, start[None]), "nominal")
+    found: list[Found] = []
+    if request.mode in ("each", "campaign"):
+        alone = yield from _alone(request, comparer, n)
+        found += alone
+    if request.mode == "campaign" and n > 1:
+        found = yield from _campaign(request, comparer, found)
+    elif request.mode == "stored":
+        points = np.array(request.stored)
+        pooled = yield from _asked(best_stored(members, points), "stored")
+        found.append(_pooled(STORED, members, pooled))
+    elif request.mode == "joint":
+        one = _by_squares if request.least_squares is not None else _direct
+        found.append((yield from one(request, comparer, members, start, budget)))
+    if request.verdicts and request.mode != "each":
+        found = yield from _judged(request, comparer, found, budget)
+    return outcome_bytes(
+        Outcome(
+            keys=tuple(target.key for target in comparer.targets),
+            labels=comparer.space.labels,
+            nominal=before[0],
+            found=tuple(found),
+        )
+    )
+
+
+Rounds = Generator[Round, Answers, T]
+
+
+class _Budget:
+    """Computing time that chunks have taken, out of their answers: the same after an interruption.
+
+    Parameters
+    ----------
+    limit : float or None
+        [s]
+    """
+
+    def __init__(self, limit: float | None) -> None:
+        self._limit = limit
+        self._spent = 0.0
+
+    def add(self, answers: Answers) -> None:
+        """Count the time of a round."""
+        if self._limit is not None:
+            good = (one for one in answers.values() if not isinstance(one, Failure))
+            self._spent += sum(float(arrays_of(one)[TIME]) for one in good)
+
+    def over(self, share: float = 1.0) -> bool:
+        """Whether more than a share of it is used up."""
+        return self._limit is not None and self._spent > share * self._limit
+
+
+def _timed(begun: float, **arrays: Any) -> bytes:
+    """An answer that says how long it took to compute."""
+    return bytes_of(**arrays, **{TIME: time.process_time() - begun})
+
+
+def _asked(
+    study: Study[T], stage: str, objective: Objective | None = None, budget: _Budget | None = None
+) -> Rounds[T]:
+    """Answer a study in rounds of chunks; with an objective, the note shows its best."""
+    note, best = stage, math.inf
+    try:
+        ask = next(study)
+        while True:
+            starts = range(0, len(ask.which), ROLLOUTS_A_CHUNK)
+            chunks = [
+                Chunk(
+                    f"{stage}/{k}",
+                    bytes_of(
+                        which=ask.which[at : at + ROLLOUTS_A_CHUNK],
+                        points=ask.points[at : at + ROLLOUTS_A_CHUNK],
+                    ),
+                )
+                for k, at in enumerate(starts)
+            ]
+            answers = yield Round("calibration:evaluate", chunks, note=note)
+            if budget is not None:
+                budget.add(answers)
+            parts = [
+                _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
+                for chunk, at in zip(chunks, starts, strict=True)
+            ]
+            errors = np.concatenate([part.error for part in parts])
+            if objective is not None:
+                table = errors.reshape(-1, len(objective.members))
+                best = min(best, float(objective.combined(table).min()))
+                note = f"{stage}, {_best_shown(best, objective)}"
+            reasons = [reason for part in parts for reason in part.reasons]
+            ask = study.send(Evaluated(errors, reasons))
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def _best_shown(best: float, objective: Objective) -> str:
+    """The best combined error so far, per experiment and as a length."""
+    shared = best / len(objective.members) if objective.combine == "sum" else best
+    return f"best RMS {length_of(shared, objective.comparer.error.unit):.4g} mm"
+
+
+def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
+    """Errors out of a chunk's answer; a chunk without one is evaluations without one."""
+    if isinstance(answer, Failure):
+        return Evaluated(np.full(n, math.inf), [answer.reason] * n)
+    arrays = arrays_of(answer)
+    reasons = [""] * n
+    for k, reason in json.loads(arrays["reasons"].tobytes()).items():
+        reasons[int(k)] = reason
+    return Evaluated(arrays["error"], reasons)
+
+
+@callable_by_jobs
+def evaluate(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: errors of experiments under points."""
+    _, comparer = _desk(inputs)
+    begun, asked = time.process_time(), arrays_of(payload)
+    answer = comparer.errors(asked["which"], asked["points"])
+    failed = {str(k): reason for k, reason in enumerate(answer.reasons) if reason}
+    said = np.frombuffer(json.dumps(failed).encode(), np.uint8)
+    return _timed(begun, error=answer.error, reasons=said)
+
+
+# --- every experiment by itself -----------------------------------------------------------------
+
+
+def _alone(request: Request, comparer: Comparer, n: int) -> Rounds[list[Found]]:
+    chunks = [
+        Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + MEMBERS_A_CHUNK))))
+        for at in range(0, n, MEMBERS_A_CHUNK)
+    ]
+    left = 0 if request.mode == "each" else None
+    answers = yield Round("calibration:calibrate_alone", chunks, note="each experiment", left=left)
+    found: list[Found] = []
+    for chunk in chunks:
+        answer = answers[chunk.name]
+        if isinstance(answer, Failure):
+            members = arrays_of(chunk.payload)["members"].tolist()
+            found += [_nothing(comparer, m, answer.reason) for m in members]
+        else:
+            found += found_of(arrays_of(answer))
+    return found
+
+
+def _nothing(comparer: Comparer, member: int, reason: str) -> Found:
+    return Found(
+        how=ALONE,
+        members=(member,),
+        point=comparer.space.nominal,
+        errors=np.array([math.inf]),
+        note=reason,
+    )
+
+
+@callable_by_jobs
+def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: the calibration of a few experiments, each by itself."""
+    request, comparer = _desk(inputs)
+    members = arrays_of(payload)["members"].tolist()
+    begun = time.perf_counter()
+    traces = conducted(
+        each_alone(
+            members,
+            box_of(comparer.space),
+            request.made_optimiser,
+            request.seed,
+            comparer.feasible,
+        ),
+        _here(comparer),
+    )
+    shared = (time.perf_counter() - begun) / len(members)
+    found = []
+    for member, trace in zip(members, traces, strict=True):
+        begun = time.perf_counter()
+        one = Found(
+            solutions=_apart(comparer, trace),
+            how=ALONE,
+            members=(member,),
+            point=trace.point,
+            errors=np.array([trace.error]),
+            trace=trace,
+            note=next((reason for reason in trace.reasons if reason), "")
+            if math.isinf(trace.error)
+            else "",
+        )
+        if request.verdicts:
+            one = _with_estimates(request, comparer, one)
+        seconds = shared + time.perf_counter() - begun
+        found.append(dataclasses.replace(one, seconds=seconds))
+    return bytes_of(**found_arrays(found))
+
+
+# Errors up to so much larger than the least are nearly as good: noise in the measurements moves the
+# error of the best by about as much.
+NEARLY: Final = 0.02
+
+
+def _apart(comparer: Comparer, trace: Trace) -> FloatArray:
+    """(k, n_free) points nearly as good as the best, one a cluster of those evaluated."""
+    if not np.isfinite(trace.error):
+        return np.zeros((0, len(trace.point)))
+    box = box_of(comparer.space)
+    threshold = NEARLY * trace.error
+    clusters = find_solutions(trace.points, trace.errors, box.scale, threshold)
+    return np.array([cluster.point for cluster in clusters])
+
+
+# --- several experiments ------------------------------------------------------------------------
+
+
+def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Rounds[list[Found]]:
+    """After the single calibrations: neighbours' values, and one set for all in three ways."""
+    members = list(range(len(comparer.targets)))
+    points = np.array([one.point for one in alone])
+    errors = np.array([one.errors[0] for one in alone])
+    groups = neighbours([target.conditions for target in comparer.targets])
+    better, least = yield from _asked(polished(points, errors, groups), "neighbours")
+    combine = Objective(comparer, combine=request.combine).combined
+    free = comparer.space.free
+    informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
+    pooled = yield from _asked(weighted(members, better, least, informed), "weighted mean")
+    subset = yield from _asked(
+        best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
+    )
+    start = subset.point
+    direct = yield from _direct(request, comparer, members, start, _Budget(None))
+    return [
+        *alone,
+        *_improved(alone, better, least),
+        _pooled(WEIGHTED, members, pooled),
+        _pooled(SUBSET, members, subset),
+        direct,
+    ]
+
+
+def _improved(alone: Sequence[Found], points: FloatArray, errors: FloatArray) -> list[Found]:
+    return [
+        Found(how=NEIGHBOUR, members=one.members, point=point, errors=np.array([error]))
+        for one, point, error in zip(alone, points, errors, strict=True)
+        if error < one.errors[0]
+    ]
+
+
+def _pooled(how: str, members: Sequence[int], pooled: Pooled) -> Found:
+    return Found(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
+
+
+def _direct(
+    request: Request,
+    comparer: Comparer,
+    members: Sequence[int],
+    start: FloatArray,
+    budget: _Budget,
+) -> Rounds[Found]:
+    objective = Objective(comparer, combine=request.combine)
+    share = SEARCH_SHARE if request.verdicts else 1.0
+    begun = time.perf_counter()
+    trace, _ = yield from _asked(
+        together(
+            members,
+            box_of(comparer.space.started_at(start)),
+            request.made_optimiser,
+            objective.combined,
+            request.seed,
+            comparer.feasible,
+            lambda: budget.over(share),
+        ),
+        "all together",
+        objective,
+        budget,
+    )
+    errors, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    return Found(
+        how=DIRECT,
+        members=tuple(members),
+        point=trace.point,
+        errors=errors[0],
+        trace=trace,
+        solutions=_apart(comparer, trace),
+        seconds=time.perf_counter() - begun,
+        note=reasons[0],
+    )
+
+
+def _by_squares(
+    request: Request,
+    comparer: Comparer,
+    members: Sequence[int],
+    start: FloatArray,
+    budget: _Budget,
+) -> Rounds[Found]:
+    """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
+    options = request.least_squares
+    assert options is not None
+    begun = time.perf_counter()
+    box = box_of(comparer.space)
+    search = options.start(box, request.seed, comparer.feasible, Prior.of(comparer.space))
+    tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
+    best = math.inf
+    ended = ""
+    share = SEARCH_SHARE if request.verdicts else 1.0
+    divisor = len(members) if request.combine == "sum" else 1
+    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
+    while not search.done:
+        points = search.ask()
+        chunks = [
+            Chunk(f"squares/{k}", bytes_of(points=points[at : at + per_chunk]))
+            for k, at in enumerate(range(0, len(points), per_chunk))
+        ]
+        note = "least squares"
+        if tried[1:]:
+            note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
+        answers = yield Round("calibration:residuals", chunks, note=note)
+        budget.add(answers)
+        table = np.concatenate([_table(answers[c.name], c) for c in chunks])
+        search.tell(table)
+        tried.append(points)
+        errors.append(np.einsum("km,km->k", table, table))
+        best = min(best, float(errors[-1].min()))
+        if budget.over(share) and not search.done:
+            ended = OUT_OF_BUDGET
+            break
+    trace = Trace(
+        search.best.point,
+        best,
+        np.concatenate(tried),
+        np.concatenate(errors),
+        [""] * sum(map(len, errors)),
+        ended or search.reason,
+    )
+    found, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    return Found(
+        how=DIRECT,
+        members=tuple(members),
+        point=trace.point,
+        errors=found[0],
+        trace=trace,
+        seconds=time.perf_counter() - begun,
+        note=reasons[0],
+    )
+
+
+def _table(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
+    """One row for each point of a chunk."""
+    if isinstance(answer, Failure):
+        raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
+    table: FloatArray = arrays_of(answer)["table"]
+    return table
+
+
+@callable_by_jobs
+def residuals(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: residuals of all experiments under points, whose squares add up to the summed error.
+
+    A few frames stand for all of a long trajectory.
+    """
+    begun = time.process_time()
+    request, comparer = _desk(inputs)
+    members = np.arange(len(comparer.targets))
+    scale = request.made_error.angle_scale  # type: ignore[attr-defined]
+    noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale, source="stated")
+    frames = Frames(comparer, members)
+    table = frames.residuals(noise)(arrays_of(payload)["points"])
+    share = len(members) if request.combine == "mean" else 1
+    return _timed(begun, table=table / np.sqrt(share * frames.weights))
+
+
+# --- what the data determine --------------------------------------------------------------------
+
+
+def _judged(
+    request: Request, comparer: Comparer, found: list[Found], budget: _Budget
+) -> Rounds[list[Found]]:
+    """Verdicts on the sets that were found by searching for all experiments together."""
+    judged = []
+    for one in found:
+        wanted = one.how == DIRECT
+        judged.append(
+            (yield from _with_verdicts(request, comparer, one, budget)) if wanted else one
+        )
+    return judged
+
+
+def _with_verdicts(
+    request: Request, comparer: Comparer, one: Found, budget: _Budget
+) -> Rounds[Found]:
+    """With a verdict on every unknown; every simulation behind them is an answer in the journal."""
+    if not np.isfinite(one.errors).all():
+        return one
+    members = np.array(one.members, np.int64)
+    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
+    running = _assessing(request, comparer, one)
+    try:
+        ask = next(running)
+        while True:
+            chunks = [
+                Chunk(
+                    f"verdicts/{k}",
+                    bytes_of(
+                        kind=ask.kind, members=members, points=ask.points[at : at + per_chunk]
+                    ),
+                )
+                for k, at in enumerate(range(0, len(ask.points), per_chunk))
+            ]
+            left = None if ask.left is None else math.ceil(ask.left / per_chunk)
+            answers = yield Round("calibration:assess_points", chunks, note=ask.note, left=left)
+            budget.add(answers)
+            if budget.over():
+                more = "give a larger --budget, or fewer experiments: --sample"
+                return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
+            ask = running.send(np.concatenate([_table(answers[c.name], c) for c in chunks]))
+    except StopIteration as end:
+        return _with_assessment(comparer, one, end.value)
+    except InvalidInput as problem:  # the values that were found stay worth having
+        return dataclasses.replace(one, note=f"no verdicts: {problem}")
+
+
+@callable_by_jobs
+def assess_points(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: answers to a question of `assessing`."""
+    begun = time.process_time()
+    _, comparer = _desk(inputs)
+    asked = arrays_of(payload)
+    kind = str(asked["kind"])
+    return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
+
+
+def _assessing(request: Request, comparer: Comparer, one: Found) -> Asking[Assessment]:
+    return assessing(
+        comparer,
+        one.members,
+        one.point,
+        noise=request.noise,
+        level=request.level,
+        solutions=list(one.solutions[1:]),
+    )
+
+
+def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
+    """The same within one chunk, for an experiment by itself."""
+    if not np.isfinite(one.errors).all():
+        return one
+    try:
+        found = conducted_here(comparer, one.members, _assessing(request, comparer, one))
+    except InvalidInput as problem:
+        return dataclasses.replace(one, note=f"no verdicts: {problem}")
+    return _with_assessment(comparer, one, found)
+
+
+def _with_assessment(comparer: Comparer, one: Found, found: Assessment) -> Found:
+    return dataclasses.replace(
+        one,
+        estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
+        profiles=_curves(comparer.space.labels, found.profiles),
+        noise=_said(found.noise),
+        misfit=() if found.misfit is None else found.misfit.sentences,
+        misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
+    )
+
+
+def _estimate(verdict: Verdict) -> Estimate:
+    return Estimate(
+        label=verdict.label,
+        unit=verdict.unit,
+        value=verdict.value,
+        low=verdict.low,
+        high=verdict.high,
+        verdict=str(verdict),
+        reason=verdict.reason,
+    )
+
+
+def _frozen(comparer: Comparer) -> list[Estimate]:
+    return [
+        Estimate(label=u.label, unit=u.unit, value=u.nominal, verdict="frozen")
+        for u in comparer.space.unknowns
+        if u.frozen
+    ]
+
+
+def _curves(labels: Sequence[str], found: Profiles) -> tuple[Curve, ...]:
+    least = found.best.error
+    return tuple(
+        Curve(
+            label=labels[one.unknown],
+            values=one.values,
+            deviances=one.deviances - least,
+            slice_values=one.slice.values,
+            slice_deviances=one.slice.deviances - least,
+            low=one.low,
+            high=one.high,
+            threshold=found.limit,
+        )
+        for one in found.profiles
+    )
+
+
+def _said(noise: Noise) -> str:
+    """One sentence for people."""
+    how = {
+        "stated": "as stated",
+        "repetitions": "from the scatter of repetitions",
+        "residuals": "what the fit leaves, model errors included",
+        "differences": "second differences of the poses",
+    }[noise.source]
+    together = f", {noise.correlation:.0f} frames say as much as one" * (noise.correlation > 1.5)
+    return (
+        f"noise {1e3 * noise.position_m:.3g} mm, {1e3 * noise.angle_rad:.3g} mrad ({how}{together})"
+    )
+
+
+# --- shared -------------------------------------------------------------------------------------
+
+
+def _here(comparer: Comparer) -> Callable[[Ask], Evaluated]:
+    return lambda ask: comparer.errors(ask.which, ask.points)
+
+
+def _desk(inputs: Path) -> tuple[Request, Comparer]:
+    """Request and experiments of a job; kept in memory from chunk to chunk."""
+    return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=2)
+def _read(inputs: Path, _: int) -> tuple[Request, Comparer]:
+    request = Request.model_validate_json((inputs / REQUEST).read_bytes())
+    comparer = Comparer(
+        read_targets(inputs),
+        request.space,
+        request.made_error,
+        request.made_motion,
+        threads=threads(),
+    )
+    return request, comparer

@@ -1,0 +1,144 @@
+"""A finished calibration, and what its pictures want to know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from fixel.calibration.objective import Comparer
+from fixel.calibration.study import NOMINAL, box_of
+from fixel.calibration.target import Target
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.drawing.offsets import Axis
+from fixel.kernels.arrays import FloatArray
+from fixel.model.space import ParameterSpace
+from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.result import DIRECT, STORED, SUBSET, Found, Outcome
+from fixel.workflows.calibration.retrace import Retraced, retraced
+from fixel.workflows.calibration.run import Calibration, experiments_of
+from fixel.workflows.figures import banner_of
+
+# Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
+OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
+
+
+class Desk:
+    """Looks things up once.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
+        self.request: Request = calibration.request
+        self.outcome: Outcome = calibration.outcome
+        self.space: ParameterSpace = calibration.request.space
+        self.keys: Sequence[str] = calibration.outcome.keys
+        self.unit: str = calibration.request.made_error.unit
+
+    def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
+        """Errors as lengths [mm], the unit of all pictures and tables.
+
+        Parameters
+        ----------
+        errors : array
+            In the unit of the calibration.
+        members : int
+            Experiments whose combined errors these are; a sum is shared out among them.
+        """
+        shared = errors / members if self.request.combine == "sum" else errors
+        return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
+
+    @cached_property
+    def targets(self) -> list[Target]:
+        """The experiments."""
+        return self.calibration.targets
+
+    @cached_property
+    def alone(self) -> list[Found]:
+        """The best set of each experiment by itself: its own, or a neighbour's."""
+        # Neighbours' sets come after the experiments' own, and only where they are better.
+        best = {one.members[0]: one for one in self.outcome.alone}
+        return [best[member] for member in sorted(best)]
+
+    @cached_property
+    def searched(self) -> list[Found]:
+        """Single experiments with a search of their own."""
+        return [one for one in self.outcome.alone if one.trace is not None]
+
+    @cached_property
+    def together(self) -> Found | None:
+        """The best set for all experiments."""
+        return next((one for one in self.outcome.together if one.how in (DIRECT, STORED)), None)
+
+    @cached_property
+    def banners(self) -> list[str]:
+        """What stands over a picture of each experiment; nothing where it is real."""
+        folder = self.calibration.folder
+        ids = experiments_of(folder)
+        with Project.open(folder.parents[1]).store() as store:
+            listed = store.experiments(Query(flagged=True, replaced=True)).summaries
+            real = {summary.id for summary in listed if summary.is_real}
+            makers = {k: store.experiment(k).simulated_by for k in set(ids) - real}
+        return [f"SIMULATED by {makers[k]}" if makers.get(k) else "" for k in ids]
+
+    @cached_property
+    def banner(self) -> str:
+        """What stands over pictures of all experiments."""
+        return banner_of(self.banners)
+
+    @cached_property
+    def groups(self) -> list[str]:
+        """What each experiment was offset from."""
+        return [
+            " ".join(str(own[name]) for name in ("shape", "layout") if name in own)
+            for own in (target.conditions for target in self.targets)
+        ]
+
+    @cached_property
+    def offset_axes(self) -> list[Axis]:
+        """Axes along which experiments were offset; the nominal ones are on all of them."""
+        found = []
+        conditions = [target.conditions for target in self.targets]
+        for name, unit in OFFSETS.items():
+            offset = f"offset_{name}_{unit}"
+            members = [
+                k for k, own in enumerate(conditions)
+                if own.get("axis") in (name, NOMINAL) and offset in own
+            ]  # fmt: skip
+            values = np.array([float(conditions[k][offset]) for k in members])
+            if len(np.unique(values)) > 1:
+                found.append(Axis(name, unit, np.array(members), values))
+        return found
+
+    @cached_property
+    def comparer(self) -> Comparer:
+        """As in the calibration."""
+        request = self.request
+        return Comparer(self.targets, self.space, request.made_error, request.made_motion)
+
+    def retraced(self, one: Found) -> Retraced:
+        """How the search of a set went."""
+        if one.trace is None:
+            raise ValueError("a set without a search")
+        space = self.space
+        if one.how == DIRECT:
+            for other in self.outcome.together:
+                if other.how == SUBSET:
+                    space = space.started_at(other.point)
+        feasible = self.comparer.feasible
+        return retraced(self.request, one.trace, box_of(space), feasible)
+
+
+def title_of(desk: Desk, one: Found, word: str = "") -> str:
+    """Whose parameters a set is, and how it came to be picked."""
+    if len(one.members) > 1:
+        return f"{len(one.members)} experiments, {one.how}"
+    name = desk.keys[one.members[0]]
+    return f"{name} ({word})" if word else name

@@ -1,0 +1,288 @@
+"""What a calibration found, and its bytes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.calibration.study import Trace
+from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.kernels.arrays import FloatArray
+from fixel.model.records import Estimate
+
+ALONE: Final = "alone"  # how a set of one experiment was found
+NEIGHBOUR: Final = "a neighbour's"
+WEIGHTED: Final = "weighted mean"
+SUBSET: Final = "weighted mean of a subset"
+DIRECT: Final = "direct minimisation"
+STORED: Final = "best of those stored"
+SEARCHED: Final = "unknowns"  # in the method of a record: what was searched, as JSON
+GROWTH: Final = "domain growth"  # a weighted mean that `workflows/growth` made on its way
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """Profile likelihood of one unknown, to be drawn.
+
+    Attributes
+    ----------
+    label : str
+    values : (n,) float64
+        Ascending.
+    deviances : (n,) float64
+        Rise above the least, the others fitted; inf where nothing could be evaluated.
+    slice_values, slice_deviances : (m,) float64
+        The same with the others held at the best.
+    low, high : float, optional
+        Ends of the interval.
+    threshold : float
+        Rise at these.
+    """
+
+    label: str
+    values: FloatArray
+    deviances: FloatArray
+    slice_values: FloatArray
+    slice_deviances: FloatArray
+    low: float | None
+    high: float | None
+    threshold: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """One set of parameters, for one experiment or for several.
+
+    Attributes
+    ----------
+    how : str
+        `ALONE`, `NEIGHBOUR`, `WEIGHTED`, `SUBSET` or `DIRECT`.
+    members : tuple of int
+        Places of the experiments.
+    point : (n_free,) float64
+        Best fit: what predicts best. `values` are those to quote.
+    errors : (n_member,) float64
+        Of each experiment with it; inf where it has none.
+    trace : Trace, optional
+        What the search evaluated; none where there was no search.
+    estimates : tuple of Estimate
+        One an unknown.
+    profiles : tuple of Curve
+        One a free unknown; none where nobody asked.
+    noise : str
+        What the intervals take the scatter of the measurements to be.
+    misfit : tuple of str
+        Warning that the model is wrong by more than the noise explains, the size first; empty where
+        it is not, or where nobody asked.
+    misfit_ratio : float
+        Residuals over noise; nan where the noise is not known.
+    solutions : (n_solution, n_free) float64
+        Where several starts ended nearly as well as the best, in places apart; the best first.
+    seconds : float
+        It took [s].
+    note : str
+        Why there is no error, where there is none.
+    """
+
+    how: str
+    members: tuple[int, ...]
+    point: FloatArray
+    errors: FloatArray
+    trace: Trace | None = None
+    estimates: tuple[Estimate, ...] = ()
+    profiles: tuple[Curve, ...] = ()
+    noise: str = ""
+    misfit: tuple[str, ...] = ()
+    misfit_ratio: float = math.nan
+    solutions: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    seconds: float = 0.0
+    note: str = ""
+
+    def values(self, labels: Sequence[str]) -> FloatArray:
+        """(n_free,) values to quote of the free unknowns, each inside its interval; `point` where
+        nobody asked what the data determine."""
+        known = {estimate.label: estimate.value for estimate in self.estimates}
+        pairs = zip(labels, self.point.tolist(), strict=True)
+        return np.array([known.get(label, value) for label, value in pairs])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """All a calibration found.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Of the experiments.
+    labels : tuple of str
+        Of the free unknowns.
+    nominal : (n_key,) float64
+        Errors before calibration.
+    found : tuple of Found
+    """
+
+    keys: tuple[str, ...]
+    labels: tuple[str, ...]
+    nominal: FloatArray
+    found: tuple[Found, ...]
+
+    @property
+    def alone(self) -> list[Found]:
+        """Of the single experiments."""
+        return [one for one in self.found if len(one.members) == 1 and one.how in SINGLE]
+
+    @property
+    def together(self) -> list[Found]:
+        """Of all experiments together."""
+        return [one for one in self.found if one.how not in SINGLE]
+
+
+SINGLE: Final = (ALONE, NEIGHBOUR)
+
+# Experiments that stand out: their error, as a length, is larger than the usual one by this many
+# standard deviations of its logarithm, and by this factor; both robust, of this many at least.
+STANDS_OUT: Final = 3.5
+TIMES: Final = 2.0
+LEAST_COUNT: Final = 8
+# Or it alone makes this share of the summed square, and this many times an equal share.
+RULES: Final = 0.05
+TIMES_ITS_SHARE: Final = 20.0
+
+
+def length_of(error: float, unit: str) -> float:
+    """An error as a length [mm]: the root of one in mm^2."""
+    return math.sqrt(error) if unit == "mm^2" else error
+
+
+def outliers(errors: FloatArray, unit: str) -> list[int]:
+    """Places of the errors (n,) that stand out from the others, the largest first.
+
+    Parameters
+    ----------
+    errors : (n,) float64
+    unit : str
+        `"mm^2"` or `"mm"`.
+
+    Source
+    ------
+    Iglewicz & Hoaglin (1993): the modified z-score, here of logarithms, as errors are positive and
+    skewed; 3.5 is their limit.
+    """
+    known = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
+    if len(known) < LEAST_COUNT:
+        return []
+    logs = np.log(errors[known]) * (0.5 if unit == "mm^2" else 1.0)
+    middle = float(np.median(logs))
+    scatter = 1.4826 * float(np.median(np.abs(logs - middle)))
+    squares = np.exp(2.0 * (logs - logs.max()))
+    ruling = squares > max(RULES, TIMES_ITS_SHARE / len(known)) * squares.sum()
+    far = known[(logs > middle + max(STANDS_OUT * scatter, math.log(TIMES))) | ruling]
+    return sorted(far.tolist(), key=lambda k: -float(errors[k]))
+
+
+def outcome_bytes(outcome: Outcome) -> bytes:
+    """All of it."""
+    return bytes_of(
+        keys=_text(list(outcome.keys)),
+        labels=_text(list(outcome.labels)),
+        nominal=outcome.nominal,
+        **found_arrays(outcome.found),
+    )
+
+
+def outcome_of(data: bytes) -> Outcome:
+    """The other way round."""
+    arrays = arrays_of(data)
+    return Outcome(
+        keys=tuple(_plain(arrays["keys"])),
+        labels=tuple(_plain(arrays["labels"])),
+        nominal=arrays["nominal"],
+        found=tuple(found_of(arrays)),
+    )
+
+
+CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
+
+
+def found_arrays(found: Sequence[Found]) -> dict[str, Any]:
+    """Sets of parameters as named arrays."""
+    plain, arrays = [], {}
+    for k, one in enumerate(found):
+        arrays[f"point_{k}"], arrays[f"errors_{k}"] = one.point, one.errors
+        arrays[f"solutions_{k}"] = one.solutions
+        for j, curve in enumerate(one.profiles):
+            for name in CURVE:
+                arrays[f"{name}_{k}_{j}"] = getattr(curve, name)
+        if one.trace is not None:
+            arrays[f"points_{k}"], arrays[f"tried_{k}"] = one.trace.points, one.trace.errors
+        plain.append(
+            {
+                "how": one.how,
+                "members": list(one.members),
+                "estimates": [asdict(estimate) for estimate in one.estimates],
+                "profiles": [
+                    {name: getattr(curve, name) for name in ("label", "low", "high", "threshold")}
+                    for curve in one.profiles
+                ],
+                "noise": one.noise,
+                "misfit": list(one.misfit),
+                "misfit_ratio": None if math.isnan(one.misfit_ratio) else one.misfit_ratio,
+                "seconds": one.seconds,
+                "note": one.note,
+                "ended": None if one.trace is None else one.trace.ended,
+                "reasons": {}
+                if one.trace is None
+                else {str(n): reason for n, reason in enumerate(one.trace.reasons) if reason},
+            }
+        )
+    return {"found": _text(plain), **arrays}
+
+
+def found_of(arrays: dict[str, Any]) -> list[Found]:
+    """The other way round."""
+    return [
+        Found(
+            how=entry["how"],
+            members=tuple(entry["members"]),
+            point=arrays[f"point_{k}"],
+            errors=arrays[f"errors_{k}"],
+            trace=None if entry["ended"] is None else _trace(entry, arrays, k),
+            estimates=tuple(Estimate(**estimate) for estimate in entry["estimates"]),
+            profiles=tuple(
+                Curve(**curve, **{name: arrays[f"{name}_{k}_{j}"] for name in CURVE})
+                for j, curve in enumerate(entry["profiles"])
+            ),
+            noise=entry["noise"],
+            misfit=tuple(entry.get("misfit", ())),
+            misfit_ratio=math.nan if entry.get("misfit_ratio") is None else entry["misfit_ratio"],
+            solutions=arrays[f"solutions_{k}"],
+            seconds=entry["seconds"],
+            note=entry["note"],
+        )
+        for k, entry in enumerate(_plain(arrays["found"]))
+    ]
+
+
+def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
+    errors = arrays[f"tried_{k}"]
+    reasons = [entry["reasons"].get(str(n), "") for n in range(len(errors))]
+    best = float(errors.min()) if len(errors) else float("inf")
+    return Trace(arrays[f"point_{k}"], best, arrays[f"points_{k}"], errors, reasons, entry["ended"])
+
+
+def _text(content: Any) -> FloatArray:
+    """Plain content as an array of bytes."""
+    data: Any = np.frombuffer(json.dumps(content).encode(), np.uint8)
+    return data  # type: ignore[no-any-return]
+
+
+def _plain(data: Any) -> Any:
+    return json.loads(data.tobytes())

@@ -1,0 +1,198 @@
+"""A stored calibration as a model to simulate with."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
+from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Parameters, Scene
+from fixel.model.parameters import KNOWN_PARAMETERS
+from fixel.model.records import CalibrationRecord
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.simulation import AbstractMotionModel, Dynamic
+from fixel.simulation.motion import MOTION_MODELS
+from fixel.workflows.calibration.job import REQUEST
+from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.result import ALONE, GROWTH, NEIGHBOUR, SEARCHED
+from fixel.workflows.calibration.run import request_of
+from fixel.workflows.jobs import JOBS
+
+_LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
+
+
+@final
+@dataclass(frozen=True)
+class Calibrated:
+    """Values of parameters with the method they were found by.
+
+    Parameters
+    ----------
+    id : int
+    record : CalibrationRecord
+    """
+
+    id: int
+    record: CalibrationRecord
+
+    @property
+    def members(self) -> frozenset[int]:
+        """Ids of the experiments it was found from."""
+        return frozenset(member.experiment_id for member in self.record.members)
+
+    @property
+    def is_for_several(self) -> bool:
+        """Whether its one set of parameters was found for several experiments."""
+        how = self.record.method.get("how")
+        return len(self.record.members) > 1 and how not in (ALONE, NEIGHBOUR)
+
+    @cached_property
+    def motion(self) -> AbstractMotionModel:
+        """As it was calibrated with."""
+        name = self.record.method.get("motion")
+        return next((model() for model in MOTION_MODELS if model.name == name), Dynamic())
+
+    @cached_property
+    def error(self) -> AbstractError:
+        """As was minimised."""
+        name = self.record.method.get("error")
+        scale = float(self.record.method.get("error.angle_scale", ANGLE_SCALE))
+        kind = next((kind for kind in ERRORS if kind.name == name), MeanSquare)
+        return kind(angle_scale=scale)
+
+    def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
+        """Parameters of an experiment under these conditions, by name [SI].
+
+        Conditions have the experiment's key as `"experiment"`.
+        """
+        found = dict(self.record.parameters)
+        for estimate in self.record.estimates:
+            name, where = parted(estimate.label)
+            if where and name not in found and _meets(conditions, where):
+                found[name] = estimate.value
+        return found
+
+
+def parted(label: str) -> tuple[str, dict[str, str]]:
+    """Name and conditions of an unknown's label: `"mu_pusher[surface=abs]"`."""
+    match = _LABEL.fullmatch(label)
+    if match is None:
+        raise InvalidInput("label", found=repr(label), expected="NAME or NAME[CONDITION=VALUE]")
+    pairs = (match["where"] or "").split(", ")
+    where = dict(pair.split("=", 1) for pair in pairs if "=" in pair)
+    return match["name"], where
+
+
+def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> bool:
+    return all(str(conditions.get(name)) == value for name, value in where.items())
+
+
+def calibrated(
+    store: Store, number: int | None = None, experiment: int | None = None
+) -> Calibrated:
+    """A stored calibration.
+
+    Parameters
+    ----------
+    store : Store
+    number : int, optional
+        Its id; where left out, the newest for several experiments, else the newest of all. Means
+        that the growth of a domain made on its way count only by their id.
+    experiment : int, optional
+        Id of one that has to be among its members, where no number is given.
+    """
+    own = newest(store, experiment) if number is None else number
+    if own is None:
+        raise InvalidInput(
+            "calibration",
+            found="none stored" + ("" if experiment is None else " for this experiment"),
+            expected="one at least",
+            hint="calibrate first: fixel calibrate",
+        )
+    return Calibrated(own, store.calibration(own))
+
+
+def parameters_of(
+    store: Store,
+    number: int,
+    experiment: Experiment,
+    changed: Parameters,
+    motion: AbstractMotionModel | None = None,
+) -> tuple[Parameters, AbstractMotionModel]:
+    """Return the parameters of a stored calibration for an experiment, and the motion model.
+
+    Parameters
+    ----------
+    store : Store
+    number : int
+        Id of the calibration.
+    experiment : Experiment
+    changed : Parameters
+        Instead of the calibration's.
+    motion : AbstractMotionModel, optional
+        Instead of the calibration's.
+    """
+    one = calibrated(store, number)
+    values = one.values({**experiment.conditions, "experiment": experiment.key})
+    known = {name: value for name, value in values.items() if name in KNOWN_PARAMETERS}
+    return Parameters({**known, **changed}), motion or one.motion
+
+
+def newest(store: Store, experiment: int | None = None) -> int | None:
+    """Id of the calibration that `calibrated` takes where none is named; none without any."""
+    known = [
+        Calibrated(number, record)
+        for number, record in reversed(store.calibration_summaries().items())
+        if record.method.get("how") != GROWTH
+    ]
+    known = [one for one in known if experiment is None or experiment in one.members]
+    several = [one for one in known if one.is_for_several]
+    return next((one.id for one in (*several, *known)), None)
+
+
+def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -> ParameterSpace:
+    """Return the box that a calibration searched, started at its result.
+
+    Calibrations stored by earlier versions have it in their job folder only. Where that is gone, it
+    is the usual box of the parameters they found.
+    """
+    searched = one.record.method.get(SEARCHED)
+    folder = project.folder / JOBS / str(one.record.method.get("job", ""))
+    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+    if searched is not None:
+        unknowns = [Unknown(**entry) for entry in json.loads(str(searched))]
+        space = ParameterSpace(unknowns=tuple(unknowns))
+    elif (folder / "inputs" / REQUEST).is_file():
+        space = request_of(folder).space
+    else:
+        space = _usual_space(one, found, scenes)
+    start = zip(space.labels, space.nominal.tolist(), strict=True)
+    return space.started_at([found.get(label, value) for label, value in start])
+
+
+def _usual_space(
+    one: Calibrated, found: Mapping[str, float], scenes: Sequence[Scene]
+) -> ParameterSpace:
+    """Usual bounds, widened to the result; a refusal where a parameter has none."""
+    held = {e.label for e in one.record.estimates if e.verdict == "frozen"}
+    unknowns = []
+    for label, value in found.items():
+        name, where = parted(label)
+        if where:
+            raise InvalidInput(
+                f"calibration {one.id}",
+                found=f"a job folder that is gone, and {label}, shared by some experiments only",
+                expected="the job folder, which has the conditions and bounds",
+                hint="calibrate again, or name the parameters with --fit",
+            )
+        (unknown,) = fitted([name], scenes)
+        low, high = min(unknown.low, value), max(unknown.high, value)
+        unknowns.append(replace(unknown, low=low, high=high, nominal=value, frozen=label in held))
+    return ParameterSpace(unknowns=tuple(unknowns))

@@ -1,0 +1,1 @@
+"""Demonstrations: one scene, a simulated laboratory, a rendered camera."""

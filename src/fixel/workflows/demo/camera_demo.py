@@ -1,0 +1,436 @@
+"""The whole way from a film to calibrated parameters, where the truth is known at every step."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.database.project import SETTINGS, Project
+from fixel.database.query import Query
+from fixel.drawing.side_by_side import SideBySide, TrackedRun
+from fixel.errors import InvalidInput
+from fixel.formats.recording import is_recording, open_recording
+from fixel.formats.scene_file import load_scene
+from fixel.model import Experiment, PathDrive, Trajectory, placed
+from fixel.model.records import Estimate
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing import emulated_mega
+from fixel.workflows.acquisition.film import Progress, Shooting, film
+from fixel.workflows.acquisition.film_truth import ARRAYS
+from fixel.workflows.acquisition.track import TrackAnswer, track_film
+from fixel.workflows.analysis import Analysis, TextTable, keep
+from fixel.workflows.calibration import run as calibration
+from fixel.workflows.calibration.parameter_options import default_unknowns
+from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
+from fixel.workflows.compilation import engine_is_cold
+from fixel.workflows.demo.emulated_bench import record_film
+from fixel.workflows.figures import Picture
+from fixel.workflows.report.write import Report, write_report
+
+# Of the plan of the thesis: straight on, beside the middle, turned; pushes from several sides say
+# more about friction than one does.
+PUSHES: Final = (0, 12, 18)
+SEED: Final = 1
+LEAD: Final = 0.5  # [s] at rest before the drive starts
+TRACKED, TRUE = "tracked", "true-poses"
+MARK: Final = "tour.json"  # in the folder: what was asked for, so that the same can go on
+RUNS: Final = "runs.json"  # in the folder: what was measured while a run was recorded
+ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
+
+Say = Callable[[str], None]
+
+
+class Errors(NamedTuple):
+    """Root mean square distances of tracked from true poses."""
+
+    position: float  # [m]
+    angle: float  # [rad]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraTour:
+    """What the tour found.
+
+    Attributes
+    ----------
+    project : Path
+    runs : tuple of TrackedRun
+    estimates : tuple of (Estimate, Estimate)
+        Of each unknown: from tracked poses, and from true ones.
+    lost : int
+        Frames that the recorder was too slow for.
+    frames : int
+    drive : dict of str to float
+        Where the drive said it stood at the end of each run [m].
+    report : Report
+    overlays : tuple of Path
+        Films with the measured outlines drawn in, and sheets of a few of their frames.
+    """
+
+    project: Path
+    runs: tuple[TrackedRun, ...]
+    estimates: tuple[tuple[Estimate, Estimate], ...]
+    frames: int
+    lost: int
+    drive: dict[str, float]
+    report: Report
+    overlays: tuple[Path, ...]
+
+    @property
+    def errors(self) -> Errors:
+        """Over all frames of all runs."""
+        return errors_of(self.runs)
+
+
+def run_camera_tour(
+    folder: Path,
+    *,
+    pushes: tuple[int, ...] = PUSHES,
+    frames: int | None = None,
+    say: Say | None = None,
+    progress: Progress | None = None,
+) -> CameraTour:
+    """Film simulated pushes, record the films off a camera, track, calibrate, compare.
+
+    A tour that was interrupted, or whose recordings could not be tracked, continues in its folder.
+
+    The camera is a network camera that plays the film; the fixels are read from the real firmware
+    in an emulator, where that can be built, through a serial port; the drive is an emulated GRBL
+    controller.
+
+    Parameters
+    ----------
+    folder : Path
+        To be made: films, recordings, the project, the report.
+    pushes : tuple of int
+        Of the plan of the thesis.
+    frames : int, optional
+        No more than so many of each film.
+    say : callable, optional
+        Told what is being done.
+    progress : callable, optional
+        Called as `progress(done, total)` while a film is rendered.
+
+    Raises
+    ------
+    InvalidInput
+        A folder with something else in it, or a run that could not be tracked from its start.
+    """
+    tell = say or (lambda _: None)
+    project = _begun(folder, {"pushes": list(pushes), "frames": frames})
+    films = _filmed(project, folder, pushes, frames, tell, progress)
+    firmware = _firmware(folder, tell)
+    runs, drive, lost, total = [], {}, 0, 0
+    for made in films:
+        name = made.name
+        answer = _tracked(folder, made, firmware, tell)
+        recording = open_recording(folder / "recordings" / name)
+        lost += 0 if recording.end is None else recording.end.lost
+        total += recording.n_frames
+        position = _noted(folder).get(name)
+        if position is not None:
+            drive[name] = position
+        twin, run = true_twin(answer.experiment, made)
+        with project.store() as store:
+            video = store.add_video(answer.film.video)
+            store.add_experiment(replace(answer.experiment, video=video))
+            store.add_experiment(twin)
+        runs.append(run)
+    tell("calibrating friction and support to the tracked poses, and to the true ones")
+    command = f"fixel calibrate --dataset %s --optimiser {LEAST_SQUARES} --project lab"
+    numbers = [_calibrate(project, dataset, command % dataset) for dataset in (TRUE, TRACKED)]
+    with project.store() as store:
+        true, tracked = (store.calibration(number).estimates for number in numbers)
+        listing = store.experiments(Query(dataset=TRACKED, flagged=True))
+        members = [summary.id for summary in listing.summaries]
+    estimates = tuple(zip(tracked, true, strict=True))
+    _keep(project, tuple(runs), estimates, numbers[1], members)
+    tell("writing the report")
+    at = shlex.quote(str(project.folder))
+    report = write_report(
+        project, folder / "report", number=numbers[1], command=f"fixel report --project {at}"
+    )
+    return CameraTour(
+        project=project.folder,
+        runs=tuple(runs),
+        estimates=estimates,
+        frames=total,
+        lost=lost,
+        drive=drive,
+        report=report,
+        overlays=tuple(sorted(folder.glob("*-overlay.*"))),
+    )
+
+
+def _begun(folder: Path, asked: dict[str, object]) -> Project:
+    """Make the folder of a tour, or open that of one that was begun with the same requests."""
+    mark, lab = folder / MARK, folder / "lab"
+    if not folder.exists():
+        folder.mkdir(parents=True)
+        mark.write_text(json.dumps(asked), encoding="utf-8")
+    elif not mark.is_file():
+        raise InvalidInput(
+            str(folder), found="something there already", expected="a folder to be made"
+        )
+    elif json.loads(mark.read_text(encoding="utf-8")) != asked:
+        raise InvalidInput(
+            str(folder), found="a tour of other pushes", expected="a folder to be made"
+        )
+    return Project.open(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
+
+
+def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Say) -> TrackAnswer:
+    """Record a film where that has not been done, and track it.
+
+    Raises
+    ------
+    InvalidInput
+        The object was not tracked from its start, in none of the recordings.
+    """
+    name, out = made.name, folder / "recordings" / made.name
+    why_not = ""
+    for _ in range(ATTEMPTS):
+        if not (is_recording(out) and open_recording(out).complete):
+            shutil.rmtree(out, ignore_errors=True)
+            again = f" again: {why_not}" if why_not else ""
+            tell(f"recording {name} off a network camera, fixels and drive on serial ports{again}")
+            scene = load_scene(made / "scene.yaml").scene
+            _, position = record_film(made, out, scene, LEAD, firmware)
+            noted = _noted(folder) | {name: position}
+            (folder / RUNS).write_text(json.dumps(noted), encoding="utf-8")
+        tell(f"tracking {name}")
+        answer = track_film(
+            out,
+            dataset=TRACKED,
+            name=name,
+            overlay=folder / f"{name}-overlay.mp4",
+            sheet=folder / f"{name}-overlay.png",
+        )
+        if answer.experiment.scene is not None:
+            return answer
+        why_not = "; ".join(flag.detail for flag in answer.experiment.flags if flag.detail)
+        shutil.rmtree(out)
+    raise InvalidInput(
+        f"recording {name}",
+        found=why_not or "no scene",
+        expected="an object that is tracked from its start",
+        hint="the computer may be too busy to record: the same command goes on with this run",
+    )
+
+
+def _noted(folder: Path) -> dict[str, float | None]:
+    """Where the drive stood at the end of each run [m], by its name."""
+    path = folder / RUNS
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
+    """The same experiment with true poses at the frames, and both beside each other.
+
+    Parameters
+    ----------
+    tracked : Experiment
+    film : Path
+        The film it was tracked in, with its truth.
+    """
+    scene = tracked.scene
+    if scene is None:
+        raise InvalidInput(tracked.key, found="no scene", expected="a run with a scene")
+    body, pusher = scene.bodies[0], scene.pushers[0]
+    with np.load(film / "truth.npz") as truth:
+        time = truth["time_s"] - truth["time_s"][0]
+        pose, path = truth[f"pose_{body.name}"], truth[f"pose_{pusher.name}"]
+    planned = load_scene(film / "scene.yaml").scene
+    drive = PathDrive(waypoints=np.column_stack((time, path)), force_limit=pusher.drive.force_limit)
+    twin = replace(
+        tracked,
+        dataset=TRUE,
+        video="",
+        trajectory=Trajectory(time=time, pose=pose),
+        pusher=Trajectory(time=time, pose=path),
+        scene=replace(
+            scene,
+            bodies=(replace(body, pose=pose[0]),),
+            pushers=(replace(pusher, drive=drive),),
+            fixels=planned.fixels,
+        ),
+        flags=(),
+    )
+    # A frame that was lost or not believed is left out; the others came a little late, or early.
+    at = tracked.trajectory.time
+    nearest = np.abs(time[:, None] - at).argmin(axis=0)
+    run = TrackedRun(
+        name=tracked.name,
+        outline=body.shape.outline,
+        fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in planned.fixels],
+        time=at,
+        true=pose[nearest],
+        tracked=tracked.trajectory.pose,
+    )
+    return twin, run
+
+
+def errors_of(runs: tuple[TrackedRun, ...]) -> Errors:
+    """Root mean squares over all frames."""
+    position = np.concatenate([run.position_error for run in runs])
+    angle = np.concatenate([run.angle_error for run in runs])
+    return Errors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
+
+
+def within_interval(tracked: Estimate, true: Estimate) -> bool:
+    """Whether the value from true poses lies in the interval from tracked ones, as far as that has
+    ends."""
+    low = -math.inf if tracked.low is None else tracked.low
+    high = math.inf if tracked.high is None else tracked.high
+    return low <= true.value <= high
+
+
+def _filmed(
+    project: Project,
+    folder: Path,
+    pushes: tuple[int, ...],
+    frames: int | None,
+    tell: Say,
+    progress: Progress | None,
+) -> list[Path]:
+    planned = [thesis_plan().experiments[k] for k in pushes]
+    films = folder / "films"
+    missing = [one.name for one in planned if not _is_film(films / one.name)]
+    if not missing:
+        return [films / one.name for one in planned]
+    compiling = "; the engine is compiled first, once: about a minute" if engine_is_cold() else ""
+    tell(f"simulating {len(pushes)} pushes{compiling}")
+    with project.store() as store:
+        for experiment in SimulatedTestbed(seed=SEED).run(planned):
+            store.add_experiment(experiment)
+    tell(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
+    shooting = Shooting(seed=SEED, lead=LEAD, frames=frames)
+    films.mkdir(exist_ok=True)
+    for name in missing:
+        shutil.rmtree(films / name, ignore_errors=True)
+        film([name], films / name, shooting, project=project.folder, say=tell, progress=progress)
+    return [films / one.name for one in planned]
+
+
+def _is_film(folder: Path) -> bool:
+    """Whether a film is there as a whole, with its truth."""
+    return is_recording(folder) and open_recording(folder).complete and (folder / ARRAYS).is_file()
+
+
+def _firmware(folder: Path, tell: Say) -> Path | None:
+    """The firmware of the fixels, built for its emulator; none where that cannot be."""
+    missing = emulated_mega.why_not()
+    if missing:
+        tell(f"fixels are read from the film, not from an emulated board: {missing}")
+        return None
+    tell("building the firmware of the fixels and its emulator")
+    return emulated_mega.built(folder / "firmware")
+
+
+def _calibrate(project: Project, dataset: str, command: str) -> int:
+    with project.store() as store:
+        chosen = calibration.choose(store, (), Query(dataset=dataset, flagged=True))
+    request = Request(
+        name=dataset,
+        mode="joint",
+        unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
+        optimiser=Choice(name=LEAST_SQUARES),
+    )
+    job = calibration.prepare(project, chosen, request)
+    calibration.run(job)
+    return calibration.collect(project, job, command, chosen.left_out).ids[-1]
+
+
+def _keep(
+    project: Project,
+    runs: tuple[TrackedRun, ...],
+    estimates: tuple[tuple[Estimate, Estimate], ...],
+    number: int,
+    members: list[int],
+) -> None:
+    errors = errors_of(runs)
+    within = sum(within_interval(*pair) for pair in estimates)
+    analysis = Analysis(
+        kind="tracking",
+        title="Tracked against true poses",
+        question={"runs": [run.name for run in runs], "seed": SEED},
+        headline=(
+            f"Tracked poses are {1e3 * errors.position:.3f} mm and"
+            f" {math.degrees(errors.angle):.3f} deg from the true ones (root mean square over"
+            f" {sum(len(run.time) for run in runs)} frames).",
+            f"The values that true poses give lie within the intervals that the film gives for"
+            f" {within} of {len(estimates)} parameters.",
+        ),
+        tables=(_run_table(runs), estimate_table(estimates)),
+        methods=(
+            "The motion of a simulated laboratory was rendered as its camera would see it, recorded"
+            " and tracked; the truth was kept apart.",
+        ),
+        numbers={
+            "position_rms_m": errors.position,
+            "angle_rms_rad": errors.angle,
+            "agreeing": within,
+            "parameters": len(estimates),
+        },
+        calibrations=(number,),
+        experiments=tuple(members),
+        command="fixel demo --camera",
+        seed=SEED,
+    )
+    picture = Picture(
+        name="side_by_side",
+        chart=SideBySide(runs=runs),
+        banner="SIMULATED: no camera has seen this",
+        caption="True and tracked paths of the object, and how far apart they are.",
+    )
+    keep(project, analysis, (picture,))
+
+
+def _run_table(runs: tuple[TrackedRun, ...]) -> TextTable:
+    rows = []
+    for run in runs:
+        one = errors_of((run,))
+        rows.append(
+            (
+                run.name,
+                str(len(run.time)),
+                f"{1e3 * one.position:.3f}",
+                f"{1e3 * float(run.position_error.max()):.3f}",
+                f"{math.degrees(one.angle):.3f}",
+                f"{math.degrees(float(np.abs(run.angle_error).max())):.3f}",
+            )
+        )
+    head = ("run", "frames", "RMS [mm]", "largest [mm]", "RMS [deg]", "largest [deg]")
+    return TextTable(title="Tracked less true", head=head, rows=tuple(rows))
+
+
+def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTable:
+    """Values from the film beside those from true poses."""
+    rows = tuple(
+        (
+            f"{tracked.label} [{tracked.unit or '-'}]",
+            written_estimate(tracked),
+            written_estimate(true),
+            "yes" if within_interval(tracked, true) else "NO",
+        )
+        for tracked, true in estimates
+    )
+    head = ("parameter", "from the film", "from true poses", "within")
+    return TextTable(title="Parameters, with their intervals and verdicts", head=head, rows=rows)
+
+
+def written_estimate(estimate: Estimate) -> str:
+    """Value, interval and verdict: `0.41 (0.38 to 0.44), identified`."""
+    ends = (estimate.low, estimate.high)
+    low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
+    return f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"

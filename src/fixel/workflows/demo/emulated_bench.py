@@ -1,0 +1,162 @@
+"""A bench without hardware: a film as camera, firmware in an emulator, a controller to move."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from fixel.errors import FixelError
+from fixel.formats.recording import Recording, open_recording
+from fixel.model import LineDrive, Scene
+from fixel.testbed.frame_source import Arrived
+from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.recorder import Recorded, Status
+from fixel.workflows.acquisition.record import FILM, RecordPlan, record
+
+if TYPE_CHECKING:
+    from fixel.testbed.motion import AbstractActuator
+    from fixel.testing.emulated_mega import EmulatedMega
+
+
+@final
+class EmulatedBench:
+    """Everything a recorder talks to.
+
+    Attributes
+    ----------
+    camera : str
+        Address of the network camera that plays the film.
+    tactile : str
+        Port of the board, or `film` for its readings where the board cannot be emulated.
+    actuator : AbstractActuator or None
+        A GRBL driver with an emulated controller behind it.
+    """
+
+    def __init__(
+        self,
+        film: Recording,
+        camera: str,
+        board: EmulatedMega | None,
+        actuator: AbstractActuator | None,
+    ) -> None:
+        self.camera, self.actuator = camera, actuator
+        self.tactile = f"{FILM}:{film.folder}" if board is None else board.port
+        self._film, self._board = film, board
+        self._move: threading.Thread | None = None
+        self._failure: FixelError | None = None
+
+    def begin(self, status: Status, scene: Scene, lead: float) -> None:
+        """The film plays: close and open contacts as it goes on, and start the drive in time."""
+        if self._board is not None:
+            self._schedule_contacts(self._board, status.seconds)
+        drive = scene.pushers[0].drive
+        if self.actuator is not None and isinstance(drive, LineDrive):
+            travel = min(drive.travel, drive.speed * scene.duration)
+            self._move = threading.Thread(
+                target=self._drive, args=(max(0.0, lead - status.seconds), travel, drive.speed)
+            )
+            self._move.start()
+
+    def end(self) -> float | None:
+        """Wait for the drive; where it says it stands [m].
+
+        Raises
+        ------
+        FixelError
+            It did not move as it should.
+        """
+        if self.actuator is None:
+            return None
+        if self._move is not None:
+            self._move.join()
+        if self._failure is not None:
+            raise self._failure
+        return self.actuator.position()
+
+    def _schedule_contacts(self, board: EmulatedMega, now: float) -> None:
+        time, bits = self._film.time - self._film.time[0], self._film.readings
+        for k in np.flatnonzero(np.diff(bits, prepend=-1)).tolist():
+            board.touch(int(bits[k]), max(0.0, float(time[k]) - now))
+
+    def _drive(self, wait: float, travel: float, speed: float) -> None:
+        assert self.actuator is not None
+        time.sleep(wait)
+        try:
+            self.actuator.move(by=travel, speed=speed)
+        except FixelError as failure:
+            self._failure = failure
+
+
+@contextmanager
+def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]:
+    """A bench that plays a film.
+
+    Parameters
+    ----------
+    film : Path
+        Folder of the film.
+    firmware : Path, optional
+        The built firmware and its emulator (`emulated_mega.built`).
+    """
+    from fixel.testing.emulated_grbl import EmulatedGrbl
+    from fixel.testing.emulated_mega import EmulatedMega
+
+    with ExitStack() as stack:
+        camera = stack.enter_context(LoopbackCamera(film))
+        board = None if firmware is None else stack.enter_context(EmulatedMega(firmware))
+        actuator: AbstractActuator | None = None
+        if os.name == "posix":
+            from fixel.testbed.motion_grbl import GrblActuator
+
+            controller = stack.enter_context(EmulatedGrbl(start=0.0))
+            actuator = stack.enter_context(GrblActuator(controller.port))
+        yield EmulatedBench(open_recording(film), camera.url, board, actuator)
+
+
+def record_film(
+    film: Path, out: Path, scene: Scene, lead: float, firmware: Path | None
+) -> tuple[Recorded, float | None]:
+    """Record a film as if it happened on a bench.
+
+    Parameters
+    ----------
+    film, out : Path
+        Folders of the film and of the recording.
+    scene : Scene
+        As planned, for what the drive is told.
+    lead : float
+        For how long everything rests at first [s].
+    firmware : Path, optional
+        See `emulated_bench`.
+
+    Returns
+    -------
+    recorded : Recorded
+    position : float or None
+        Where the drive says it stands in the end [m].
+    """
+    with emulated_bench(film, firmware) as bench:
+        begun = False
+
+        def watch(_: Arrived, status: Status) -> None:
+            nonlocal begun
+            if not begun:
+                begun = True
+                bench.begin(status, scene, lead)
+
+        plan = RecordPlan(
+            camera=bench.camera,
+            folder=out,
+            tactile=bench.tactile,
+            rig=str(film / "rig.yaml"),
+            scene=film / "scene.yaml",
+        )
+        recorded = record(plan, watch=watch)
+        return recorded, bench.end()

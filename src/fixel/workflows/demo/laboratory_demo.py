@@ -1,0 +1,174 @@
+"""A tour of a simulated laboratory: perform, calibrate, ask how far to believe it, hand it over."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.model import Experiment
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import TRUTH, SimulatedTestbed
+from fixel.uncertainty.starts import StartError
+from fixel.workflows.analysis import TextTable
+from fixel.workflows.calibration import run as calibration
+from fixel.workflows.calibration.parameter_options import default_unknowns
+from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
+from fixel.workflows.domain.request import Asked
+from fixel.workflows.domain.run import map_domain
+from fixel.workflows.report.write import Report, write_report
+from fixel.workflows.sensitivity.request import SensitivityRequest
+from fixel.workflows.sensitivity.run import analyse_sensitivity
+from fixel.workflows.uncertainty.report import keep_uncertainty
+from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
+
+# One shape in one layout: the nominal pose, and steps along x, y and theta.
+EXPERIMENTS: Final = 21
+SEED: Final = 1
+# Pushes whose start is asked about: straight on, beside the middle, turned.
+ABOUT: Final = (1, 8, 19)
+# The push whose posterior is sampled, and one that is predicted with it.
+FROM, PREDICTED = 19, 20
+START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
+
+Say = Callable[[str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tour:
+    """What the tour left behind.
+
+    Attributes
+    ----------
+    project : Path
+    report : Report
+    truth : TextTable
+        What was found beside what was true of the laboratory.
+    """
+
+    project: Path
+    report: Report
+    truth: TextTable
+
+
+def run_tour(folder: Path, say: Say | None = None) -> Tour:
+    """Make a project of simulated experiments, calibrate it, and report how far to believe it.
+
+    What is there already from an earlier tour is not done again.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the project; made where there is none.
+    say : callable, optional
+        Told what is being done.
+    """
+    tell = say or (lambda _: None)
+    project = Project.open(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
+    at = f"--project {shlex.quote(str(folder))}"
+    tell(f"performing {EXPERIMENTS} experiments on a simulated testbed")
+    with project.store() as store:
+        _perform(store)
+    tell("calibrating friction and support to all of them, with verdicts")
+    number = _calibrate(project, f"fixel calibrate --optimiser {LEAST_SQUARES} {at}")
+    tell("mapping where the calibrated simulator can be trusted")
+    map_domain(project, Asked(query=Query(), calibration=number), command=f"fixel domain {at}")
+    tell("asking how far the start decides the outcome")
+    _ask_starts(project, number, at)
+    tell("asking what is not known, and what follows from it")
+    try:
+        _ask_posterior(project, number, at)
+    except InvalidInput as missing:  # the package that samples posteriors
+        tell(f"left out: {missing}")
+    tell("writing the report")
+    report = write_report(
+        project, folder.parent / "report", number=number, command=f"fixel report {at}"
+    )
+    return Tour(project=folder, report=report, truth=_beside_truth(project, number))
+
+
+def _perform(store: Store) -> None:
+    """Experiments that are there already are not stored twice."""
+    if store.experiments(limit=1).total == 0:
+        planned = thesis_plan().experiments[:EXPERIMENTS]
+        for experiment in SimulatedTestbed(seed=SEED).run(planned):
+            store.add_experiment(experiment)
+
+
+def _calibrate(project: Project, command: str) -> int:
+    with project.store() as store:
+        chosen = calibration.choose(store, (), Query())
+    request = Request(
+        mode="joint",
+        unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
+        optimiser=Choice(name=LEAST_SQUARES),
+    )
+    job = calibration.prepare(project, chosen, request)
+    calibration.run(job)
+    return calibration.collect(project, job, command, chosen.left_out).ids[-1]
+
+
+def _beside_truth(project: Project, number: int) -> TextTable:
+    """Estimates beside the mean friction that the simulated laboratory really had."""
+    with project.store() as store:
+        record = store.calibration(number)
+        experiments = [store.experiment(member.experiment_id) for member in record.members]
+    rows = []
+    for estimate in record.estimates:
+        unit, factor = {"m": ("mm", 1e3)}.get(estimate.unit, ("", 1.0))
+        true = _true_mean(estimate.label, experiments)
+        low, high = ("open" if x is None else f"{factor * x:.3g}" for x in
+                     (estimate.low, estimate.high))  # fmt: skip
+        rows.append((
+            estimate.label, f"{factor * estimate.value:.3g} {unit}".rstrip(), f"{low} to {high}",
+            "none in this world" if true is None else f"{true:.3g}", estimate.verdict,
+        ))  # fmt: skip
+    head = ("parameter", "value", "interval", "truth", "verdict")
+    return TextTable(title="Found, and true", head=head, rows=tuple(rows))
+
+
+def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
+    """Mean true friction; None where the laboratory has no such property."""
+    kind = label.removeprefix("mu_")
+    if kind not in ("pusher", "fixel", "support"):
+        return None
+    found = []
+    for experiment in experiments:
+        scene = experiment.scene
+        assert scene is not None
+        body = scene.bodies[0]
+        nominal = float(np.mean(getattr(body.support, "friction", math.nan)))
+        if kind != "support":
+            thing = scene.pushers[0] if kind == "pusher" else scene.fixels[0]
+            nominal = scene.friction(body.name, thing.name)
+        found.append(nominal * float(experiment.conditions[f"{TRUTH}{kind}_friction_ratio"]))
+    return float(np.mean(found))
+
+
+def _ask_starts(project: Project, number: int, at: str) -> None:
+    keys = [str(k) for k in ABOUT]
+    analyse_sensitivity(
+        keys,
+        SensitivityRequest(error=START_ERROR, samples=500, calibration=number),
+        lambda: project,
+        command=f"fixel sensitivity {' '.join(keys)} --samples 500 {at}",
+    )
+
+
+def _ask_posterior(project: Project, number: int, at: str) -> None:
+    request = UncertaintyRequest(
+        experiments=(str(FROM),), held_out=(str(PREDICTED),), calibration=number, samples=300
+    )
+    found = find_uncertainty(project, request)
+    asked = f"{FROM} --held-out {PREDICTED} --calibration {number} --samples 300"
+    keep_uncertainty(project, found, f"fixel uncertainty {asked} {at}")

@@ -1,0 +1,81 @@
+"""A short tour: one grasp, simulated, told, drawn and filmed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import final
+
+from fixel.drawing.animation import Progress
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+from fixel.simulation import Simulation
+from fixel.workflows.compilation import Say
+from fixel.workflows.demo.events import Event, story
+from fixel.workflows.simulation import Outputs, simulate_file
+
+EXAMPLE = "grasp"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What the tour left behind.
+
+    Attributes
+    ----------
+    simulation : Simulation
+    events : list of Event
+        What happened, in order.
+    files : dict from kind to Path
+        ``scene``, ``plot``, ``animate``, ``trajectory``.
+    """
+
+    simulation: Simulation
+    events: list[Event]
+    files: dict[str, Path]
+
+
+def example_names() -> list[str]:
+    """Names of the scenes that come with fixel."""
+    folder = files("fixel.testing") / "examples"
+    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".yaml"))
+
+
+def example_text(name: str) -> str:
+    """The scene file of an example, comments and all."""
+    with as_file(files("fixel.testing") / "examples" / f"{name}.yaml") as path:
+        return path.read_text(encoding="utf-8")
+
+
+def run_demo(folder: Path, *, say: Say | None = None, progress: Progress | None = None) -> Demo:
+    """Simulate the grasp of the examples and leave scene, picture, film and trajectory behind.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when missing; files of the same names are replaced.
+    say, progress : callable, optional
+        As for `simulate_file`.
+
+    Raises
+    ------
+    InvalidInput
+        A folder that cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(str(folder), found=reason, expected="a folder to write to") from None
+    scene = folder / f"{EXAMPLE}.yaml"
+    outputs = Outputs(
+        trajectory=scene.with_suffix(".csv"),
+        plot=scene.with_suffix(".png"),
+        animate=scene.with_suffix(".mp4"),
+    )
+    with written_whole(scene) as temporary:
+        temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
+    simulation = simulate_file(scene, outputs=outputs, say=say, progress=progress)
+    return Demo(simulation, story(simulation), {"scene": scene, **outputs.files})

@@ -1,0 +1,144 @@
+"""Is this installation in order?"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, final
+
+from fixel.errors import InvalidInput
+from fixel.kernels.jit import cache_folder
+from fixel.simulation import Lemke
+from fixel.testing import scenes
+from fixel.workflows.compilation import Say, cache_size, engine_is_cold, get_ready
+from fixel.workflows.diagnostics.self_test import Check, self_test, worst_residual
+
+PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av", "pillow")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What the doctor found.
+
+    Attributes
+    ----------
+    versions : dict from name to str
+    machine : dict
+        Platform, cores that this process may use, threads that a batch takes.
+    cache : dict
+        Folder of compiled kernels, its size [bytes], whether they were there already.
+    checks : list of Check
+    seconds : float
+        What it all took [s].
+    """
+
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    cache: dict[str, Any]
+    checks: list[Check]
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def summary(self) -> dict[str, Any]:
+        """The answer of `fixel doctor --json`."""
+        worst = worst_residual(self.checks)
+        return {"passed": self.passed, "max_residual": worst, **asdict(self)}
+
+
+def examine(say: Say | None = None) -> Diagnosis:
+    """Look at versions, cores, the cache of compiled kernels, and run the self-test.
+
+    Parameters
+    ----------
+    say : callable, optional
+        Called with a sentence when something takes its time.
+    """
+    start = time.perf_counter()
+    warm = not engine_is_cold()
+    get_ready(scenes.sliding_block(), say)
+    get_ready(scenes.grasp(support_directions=8), say, Lemke())
+    checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
+    cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
+    return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)
+
+
+def versions() -> dict[str, str]:
+    """Of fixel, Python and the packages it stands on."""
+    found = {"fixel": _version("fixel"), "python": platform.python_version()}
+    return found | {name: _version(name) for name in PACKAGES}
+
+
+@functools.cache  # they do not change while this process runs
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def machine() -> dict[str, Any]:
+    """Platform, cores that this process may use, threads that a batch takes."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
+    return {"platform": platform.platform(terse=True), "cores": usable, "threads": threads}
+
+
+def _cache_check() -> Check:
+    name = "compiled kernels can be kept"
+    folder = Path(cache_folder())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        hint = "set FIXEL_CACHE_DIR to a folder one may write to"
+        return Check(name, False, f"{folder}: {reason}; {hint}")
+    return Check(name, True, "the cache folder can be written to")
+
+
+def _film_check() -> Check:
+    name = "films can be written"
+    try:
+        import av
+        from av.codec import Codec
+    except ImportError as problem:
+        return Check(name, False, f"{problem}")
+    for codec, what in (("libx264", "H.264"), ("mpeg4", "MPEG-4, as H.264 is missing")):
+        try:
+            Codec(codec, "w")
+        except (av.FFmpegError, ValueError):
+            continue
+        return Check(name, True, what)
+    return Check(name, False, "PyAV came without H.264 and MPEG-4; write .gif files")
+
+
+def _bench_check() -> Check:
+    """What could be a bench; having none is in order."""
+    name = "cameras and serial ports"
+    found = _cameras() + _serial_ports()
+    return Check(name, True, ", ".join(found) if found else "none, fine")
+
+
+def _cameras() -> list[str]:
+    return [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
+
+
+def _serial_ports() -> list[str]:
+    from fixel.testbed.serial_port import found_ports
+
+    try:
+        return [port.port for port in found_ports()]
+    except InvalidInput:
+        return []  # pyserial is an extra

@@ -1,0 +1,262 @@
+"""Held-out evidence of a project's experiments, computed once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.noise import noise_from_repetitions
+from fixel.calibration.objective import ANGLE_SCALE, EndPose
+from fixel.calibration.repetitions import repetitions, same_configuration
+from fixel.calibration.target import Target
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.domain.evidence import Evidence, Value
+from fixel.domain.folds import usual_folds
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import readable
+from fixel.io.result_cache import Finished
+from fixel.kernels.arrays import FloatArray
+from fixel.workflows.analysis import ANALYSES
+from fixel.workflows.calibration.run import choose
+from fixel.workflows.calibration.stored import newest
+from fixel.workflows.domain.coordinates import coordinates_of
+from fixel.workflows.domain.held_out import (
+    MOST_TRAINING,
+    SQUARES,
+    Apart,
+    HeldOut,
+    Model,
+    Progress,
+    held_out,
+    label_of,
+)
+from fixel.workflows.domain.request import Asked, model_of, own_best
+
+FOLDER: Final = "held-out"
+WHOLE: Final = "evidence.json"
+VERSION: Final = 2  # raise it when the same question no longer means the same numbers
+
+
+class Gathered(NamedTuple):
+    """Evidence, and how it came to be."""
+
+    evidence: Evidence
+    calibration: int | None
+    started: str  # what fits started from
+    floor_mm: float | None  # what the measurement alone makes of a perfect simulator
+    floor_from: str
+    fits: int
+    folds: int
+    points: dict[str, list[float]]
+    labels: tuple[str, ...]
+    motion: str
+    stepper: str
+    scale_mm: float  # what a radian counts as
+    left_out: dict[str, str]
+    is_real: bool
+    mark: str = ""  # of the file it is kept in
+
+
+def gather(project: Project, asked: Asked, progress: Progress | None = None) -> Gathered:
+    """Held-out errors of the experiments asked for; from a file where they were computed before.
+
+    Maps of the same experiments with other axes, thresholds and nominals share them.
+    """
+    with project.store() as store:
+        summaries = store.experiments(asked.query).summaries
+        if not summaries:
+            raise InvalidInput(
+                "experiments", found="none", expected="some", hint="see what there is: fixel list"
+            )
+        mark = _mark(asked, [summary.id for summary in summaries], _newest(store, asked))
+        folder = project.folder / ANALYSES / FOLDER / mark
+        content = _read(folder / WHOLE)
+        if content is None:
+            content = _computed(project, store, asked, Finished(folder), progress)
+            with written_whole(folder / WHOLE) as path:
+                path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+        with readable(folder / WHOLE, f"delete the folder {folder}"):
+            gathered = _gathered(content, asked)
+        if asked.measure == "relative":
+            gathered = _with_own(project, store, asked, gathered)
+    real = all(summary.is_real for summary in summaries)
+    return gathered._replace(is_real=real, mark=mark)
+
+
+def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> Gathered | None:
+    """Evidence out of a file that `gather` has kept; nothing is computed, none where it is gone."""
+    path = project.folder / ANALYSES / FOLDER / mark / WHOLE
+    content = _read(path) if mark else None
+    if content is None:
+        return None
+    with readable(path, f"delete the folder {path.parent}, and make the map again"):
+        gathered = _gathered(content, asked)
+    if asked.measure == "relative":
+        gathered = _with_own(project, store, asked, gathered)
+    real = all(summary.is_real for summary in store.experiments(asked.query).summaries)
+    return gathered._replace(is_real=real, mark=mark)
+
+
+def mark_of(store: Store, asked: Asked, calibration: int | None) -> str:
+    """Of the file in which the evidence was kept when a calibration was the newest."""
+    ids = [one.id for one in store.experiments(asked.query).summaries]
+    return _mark(asked, ids, calibration)
+
+
+def _newest(store: Store, asked: Asked) -> int | None:
+    return None if asked.calibration is not None or asked.fit else newest(store)
+
+
+def _mark(asked: Asked, ids: Sequence[int], latest: int | None) -> str:
+    """Of everything the numbers depend on; stored records never change."""
+    question = asked.question()
+    kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
+    if asked.calibration is None and not asked.fit:
+        kept["newest"] = latest
+    of = [VERSION, kept, list(ids), repr(SQUARES), MOST_TRAINING]
+    return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _computed(
+    project: Project, store: Store, asked: Asked, finished: Finished, progress: Progress | None
+) -> dict[str, Any]:
+    chosen = choose(store, (), asked.query)
+    started = model_of(project, store, asked, chosen.targets)
+    if asked.measure == "relative":  # what refuses, refuses before hours of fits
+        own_best(store, chosen.ids, started.model)
+    folds = asked.folds or _usual(chosen.targets, asked)
+    apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
+    errors = held_out(chosen.targets, started.model, apart, finished, progress)
+    floor, source = noise_floor(
+        chosen.targets, _scale(started.model), ends=isinstance(started.model.error, EndPose)
+    )
+    return {
+        "keys": [target.key for target in chosen.targets],
+        "ids": chosen.ids,
+        "coordinates": [coordinates_of(target) for target in chosen.targets],
+        "configuration": [same_configuration(target) for target in chosen.targets],
+        **_plain(errors),
+        "calibration": started.calibration,
+        "started": started.said,
+        "floor_mm": floor,
+        "floor_from": source,
+        "folds": folds,
+        "labels": list(started.model.space.labels),
+        "motion": started.model.motion.name,
+        "scale_mm": 1e3 * _scale(started.model),
+        "left_out": dict(chosen.left_out),
+    }
+
+
+def _usual(targets: Sequence[Target], asked: Asked) -> int:
+    if asked.leave_out:
+        return len({label_of(t.conditions, (asked.leave_out,)) for t in targets})
+    return usual_folds(len(targets))
+
+
+def _scale(model: Model) -> float:
+    return float(getattr(model.error, "angle_scale", ANGLE_SCALE))
+
+
+def _plain(errors: HeldOut) -> dict[str, Any]:
+    told = {np.inf: "failed"}
+    return {
+        "error": [None if np.isnan(e) else told.get(e, e) for e in errors.error.tolist()],
+        "fold": errors.fold.tolist(),
+        "points": errors.points,
+        "stepper": errors.stepper,
+    }
+
+
+def _read(path: Any) -> dict[str, Any] | None:
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content
+
+
+def _gathered(content: dict[str, Any], asked: Asked) -> Gathered:
+    rows: list[dict[str, Value]] = content["coordinates"]
+    names = dict.fromkeys(name for row in rows for name in row)
+    told = {None: np.nan, "failed": np.inf}
+    evidence = Evidence(
+        keys=tuple(content["keys"]),
+        ids=tuple(content["ids"]),
+        coordinates={name: tuple(row.get(name) for row in rows) for name in names},
+        error_mm2=np.array([told.get(e, e) for e in content["error"]], np.float64),
+        fold=np.array(content["fold"]),
+        group=tuple(label_of(row, asked.by) for row in rows),
+        configuration=tuple(content["configuration"]),
+    )
+    return Gathered(
+        evidence=evidence,
+        calibration=content["calibration"],
+        started=content["started"],
+        floor_mm=content["floor_mm"],
+        floor_from=content["floor_from"],
+        fits=len(content["points"]),
+        folds=content["folds"],
+        points=content["points"],
+        labels=tuple(content["labels"]),
+        motion=content["motion"],
+        stepper=content["stepper"],
+        scale_mm=content["scale_mm"],
+        left_out=content["left_out"],
+        is_real=True,
+    )
+
+
+def _with_own(project: Project, store: Store, asked: Asked, one: Gathered) -> Gathered:
+    """Own bests beside; experiments without one keep a note, and are no evidence."""
+    targets = choose(store, one.evidence.keys[:1], asked.query).targets
+    model = model_of(project, store, asked, targets).model
+    own, notes = own_best(store, one.evidence.ids, model)
+    return one._replace(evidence=replace(one.evidence, own_mm2=own, notes=tuple(notes)))
+
+
+# --- what the measurement alone makes ----------------------------------------------------------
+
+
+def noise_floor(
+    targets: Sequence[Target], scale: float, *, ends: bool = False
+) -> tuple[float | None, str]:
+    """Root mean square error of a perfect simulator [mm], and where that is known from.
+
+    From repetitions; else from how measured poses scatter about smooth motion, frame by frame;
+    None where there are too few frames.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    scale : float
+        What an angle counts as [m/rad].
+    ends : bool
+        Of last poses alone, where a map counts these.
+    """
+    groups = repetitions(targets, ends=ends)
+    if groups:
+        noise = noise_from_repetitions(groups)
+        floor = 1e3 * math.hypot(noise.position_m, noise.position_m, scale * noise.angle_rad)
+        return floor, "repetitions"
+    weights = np.array([1e3, 1e3, 1e3 * scale])
+    bends = [_bends(target.pose * weights) for target in targets if len(target.pose) > 8]
+    if not bends:
+        return None, ""
+    # The median of runs: in a few, contacts bend the path itself.
+    return float(np.median(bends)), "scatter from frame to frame"
+
+
+def _bends(pose: FloatArray) -> float:
+    """Noise [mm] out of second differences, whose variance is six times as large (white noise)."""
+    second = np.diff(pose, n=2, axis=0)
+    middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
+    return float(np.sqrt(middle.sum() / 6.0))

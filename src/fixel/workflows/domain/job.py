@@ -1,0 +1,72 @@
+"""A map as a job: in a process of its own, to be looked at, stopped and gone on with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from fixel.database.project import Project
+from fixel.errors import FixelError
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import each_readable
+from fixel.jobs import folder as files
+from fixel.jobs.functions import callable_by_jobs
+from fixel.jobs.work import Work
+from fixel.workflows import jobs
+from fixel.workflows.domain.request import Asked, asked_again
+from fixel.workflows.domain.run import map_domain
+
+MAKER: Final = "domain:domain_work"
+PROGRESS: Final = "fits.json"  # how many fits of how many are done
+
+
+@callable_by_jobs
+def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """Everything `fixel domain` does.
+
+    Its fits are kept in the project as they are made, which is what an interrupted one goes on
+    from; so there is nothing to hand out in chunks.
+    """
+    yield from ()  # a generator all the same, as all work is
+
+    def show(done: int, total: int) -> None:
+        with written_whole(inputs.parent / PROGRESS) as path:
+            path.write_text(json.dumps([done, total]))
+
+    # Of a job that lies where it was made: in the folder `jobs` of its project.
+    project = Project.open(inputs.resolve().parents[2])
+    question, command = options["question"], str(options["command"])
+    done = map_domain(project, asked_again(question), progress=show, command=command)
+    return done.kept.folder.name.encode()
+
+
+def begin(project: Project, asked: Asked, command: str) -> Path:
+    """Run it in a process of its own, which outlives this one; the folder of its job."""
+    question = asked.question()
+    digest = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:10]
+    folder = project.folder / jobs.JOBS / f"domain-{digest}"
+    if not (folder / "job.json").is_file():
+        jobs.prepare_job(folder, maker=MAKER, options={"question": question, "command": command})
+    jobs.arrange(folder)
+    jobs.run_detached(folder)
+    return folder
+
+
+def jobs_of(project: Project) -> tuple[list[jobs.JobStatus], list[FixelError]]:
+    """Those of a project, the newest first, and why others cannot be read."""
+    every = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
+    own = [one for one in every if files.made_by(one, MAKER)]
+    own.sort(key=lambda one: files.read_job(one).made_utc, reverse=True)
+    return each_readable(jobs.status_of, own)
+
+
+def fits_done(folder: Path) -> tuple[int, int]:
+    """How many fits of how many a job has made; zeros where it has not begun."""
+    try:
+        done, total = json.loads((folder / PROGRESS).read_text())
+        return int(done), int(total)
+    except (OSError, TypeError, ValueError):
+        return 0, 0

@@ -1,0 +1,227 @@
+"""What a map says: sentences, tables, plain values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fixel.domain.cells import Cells
+from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, Claim, DomainMap, Verdict
+from fixel.domain.next_experiment import Proposal
+from fixel.workflows.analysis import TextTable
+from fixel.workflows.domain.evidence import Gathered
+
+
+def headline(
+    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+) -> tuple[str, ...]:
+    """What was found, in sentences."""
+    count = colour_counts(verdicts)
+    total = sum(count.values()) - count[NO_DATA] - count["predicted"]
+    sizes = [len(own) for own in domain.domains(claim)]
+    first = (
+        f"Within {claim.text()} for {100.0 * claim.level:g} % of new experiments:"
+        f" {count['trusted']} of {total} cells with data are trusted, {count['doubtful']} doubtful,"
+        f" {count['not trusted']} not trusted; {count[NO_DATA]} have no data."
+    )
+    none = f"; it is empty in {sizes.count(0)}" if 0 in sizes else ""
+    second = (
+        f"D(tau) around the nominal has {_spread(sizes)} of {len(domain.cells)} cells in"
+        f" {len(sizes)} maps{none}."
+    )
+    if len(sizes) == 1:
+        second = f"D(tau) around the nominal has {sizes[0]} of {len(domain.cells)} cells."
+    if not any(sizes):
+        second += _begins(domain, claim)
+    third = ""
+    if found:
+        best = found[0]
+        where = f"{best.group}: " if best.group else ""
+        third = f"Most would teach an experiment at {where}{best.where} ({best.reason})."
+    return tuple(sentence for sentence in (first, second, third) if sentence)
+
+
+def _begins(domain: DomainMap, claim: Claim) -> str:
+    """Where an empty domain would begin."""
+    thresholds = domain.usual_thresholds
+    filled = np.flatnonzero(domain.curve(claim, thresholds.tolist()).sum(axis=0))
+    if not len(filled):
+        return ""
+    return f" It begins at about {claim.text(float(thresholds[filled[0]]))}."
+
+
+def _spread(sizes: list[int]) -> str:
+    low, high = min(sizes), max(sizes)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+def colour_counts(verdicts: list[list[Verdict]]) -> dict[str, int]:
+    """Cells of each colour, over all maps."""
+    every = [verdict.colour for own in verdicts for verdict in own]
+    return {colour: every.count(colour) for colour in COLOURS}
+
+
+def warnings_of(
+    gathered: Gathered, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
+) -> tuple[str, ...]:
+    found = []
+    if aside:
+        found.append(
+            f"{aside} experiments were offset along something that is no axis of the map, and are"
+            " left out"
+        )
+    if gathered.left_out:
+        reason = next(iter(gathered.left_out.values()))
+        found.append(f"{len(gathered.left_out)} experiments cannot be compared: {reason}")
+    failed = int(np.isinf(domain.evidence.error_mm2).sum())
+    if failed:
+        found.append(f"{failed} simulations failed and count as above every threshold")
+    unknown = [note for note in domain.evidence.notes if note]
+    if unknown and claim.measure == "relative":
+        found.append(f"{len(unknown)} experiments are no evidence: {unknown[0]}")
+    if gathered.calibration is None:
+        found.append(f"no stored calibration was used: {gathered.started}")
+    if gathered.floor_mm is None:
+        found.append("the noise of the measurement is not known: no repetitions, too few frames")
+    empty = [
+        group or "the map"
+        for g, group in enumerate(domain.groups)
+        if domain.counts[g, domain.cells.nominal] == 0
+    ]
+    if empty:
+        found.append(f"no experiment at the nominal in {len(empty)} maps, first {empty[0]}")
+    few = any(
+        verdict.colour == DOUBTFUL and domain.counts[g, c] < claim.needed
+        for g, own in enumerate(verdicts)
+        for c, verdict in enumerate(own)
+    )
+    if few and not colour_counts(verdicts)["trusted"]:
+        found.append(
+            f"no cell is trusted; {claim.needed} experiments below {claim.text()} in one cell make"
+            " the claim by themselves, fewer where neighbours agree"
+        )
+    if gathered.scale_mm != 35.0:
+        found.append(f"a radian counts as {gathered.scale_mm:g} mm, not as the thesis's 35 mm")
+    return tuple(found)
+
+
+def tables(
+    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+) -> tuple[TextTable, ...]:
+    """Extents of D(tau) by map, and the experiments that would teach most."""
+    axes = domain.cells.axes
+    rows = []
+    extents, domains = domain.extents(claim), domain.domains(claim)
+    for g, group in enumerate(domain.groups):
+        count = colour_counts([verdicts[g]])
+        reach = [_reach_text(extents[g][axis.name]) for axis in axes]
+        cells = [str(count[c]) for c in ("trusted", "doubtful", "not trusted", NO_DATA)]
+        rows.append((group or "all", *reach, str(len(domains[g])), *cells))
+    head = (
+        "map",
+        *(f"{axis.name}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes),
+        "cells in D",
+        "trusted",
+        "doubtful",
+        "not trusted",
+        "no data",
+    )
+    first = TextTable(title=f"D(tau) at {claim.text()}", head=head, rows=tuple(rows))
+    second = TextTable(
+        title="What to try next",
+        head=("map", "experiment", "expected to settle [bit]", "why"),
+        rows=tuple((p.group or "all", p.where, f"{p.bits:.2f}", p.reason) for p in found),
+    )
+    return (first, *promise_table(domain, claim), *([second] if found else []))
+
+
+def _reach_text(reach: tuple[str, str] | None) -> str:
+    if reach is None:
+        return "empty"
+    return f"{reach[0]} to {reach[1]}" if reach[1] else reach[0]
+
+
+def numbers(
+    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+) -> dict[str, Any]:
+    """Plain values in SI units; None where there is none."""
+    inside = [set(own) for own in domain.domains(claim)]
+    seen = domain.statistic(claim.level)
+    values = dict(zip(("reach", "shared", "own", "offset", "cell", "scatter"),
+                      domain.surface.values.tolist(), strict=True))  # fmt: skip
+    return {
+        "threshold": claim.threshold,
+        "threshold_unit": "mm" if claim.measure == "absolute" else "share above the own best E",
+        "level": claim.level,
+        "confidence": claim.confidence,
+        "needed_by_counting": claim.needed,
+        "cells": [
+            {
+                "group": group,
+                "cell": domain.cells.text(c),
+                "place": _place(domain.cells, c),
+                "members": int(domain.counts[g, c]),
+                "error": _finite(seen[g, c]),
+                "confidence": _finite(verdict.confidence),
+                "promised_mm": _promise_at(domain, g, c),
+                "colour": verdict.colour,
+                "in_domain": c in inside[g],
+                "reason": verdict.reason,
+            }
+            for g, group in enumerate(domain.groups)
+            for c, verdict in enumerate(verdicts[g])
+        ],
+        "surface": values,
+        "next": [
+            {"group": p.group, "cell": p.where, "bits": p.bits, "reason": p.reason} for p in found
+        ],
+    }
+
+
+def _promise_at(domain: DomainMap, g: int, c: int) -> float | None:
+    return None if domain.predicted_mm is None else _finite(domain.predicted_mm[g, c])
+
+
+def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
+    """What new experiments stay within, by map; nothing where that cannot be promised."""
+    if domain.predicted_mm is None:
+        return []
+    errors = np.sqrt(domain.evidence.error_mm2)
+    rows = []
+    for g, group in enumerate(domain.groups):
+        bound = domain.predicted_mm[g][np.isfinite(domain.predicted_mm[g])]
+        own = errors[np.concatenate([np.zeros(0, np.int64), *domain.members[g]])]
+        few = len(bound) == 0
+        shown = [f"{x:.3g}" for x in ([] if few else [bound.min(), np.median(bound), bound.max()])]
+        rows.append((group or "all", f"{np.median(own):.3g}", *(shown or ["nothing"] * 3)))
+    head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
+    likely = f"{100.0 * claim.level:g} %"
+    title = f"Promised for new experiments in these cells, with a probability of {likely}"
+    return [TextTable(title=title, head=head, rows=tuple(rows))]
+
+
+def _place(cells: Cells, c: int) -> dict[str, str | float]:
+    return {
+        axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
+        for axis, k in zip(cells.axes, cells.index[c], strict=True)
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def methods_of(gathered: Gathered, domain: DomainMap, claim: Claim) -> tuple[str, ...]:
+    n = len(domain.evidence)
+    return (
+        f"Errors of {n} experiments were held out in {gathered.folds} folds ({gathered.fits} fits"
+        f" of {', '.join(gathered.labels)} by least squares, {gathered.motion} motion,"
+        f" {gathered.stepper} steps, started from {gathered.started}); repetitions of one"
+        " configuration were held out together.",
+        f"A cell is trusted where at least {100.0 * claim.level:g} % of new experiments stay"
+        f" within {claim.text()} with a probability of {100.0 * claim.confidence:g} %: by"
+        f" counting where it has {claim.needed} members, else by a Gaussian process on the"
+        " logarithm of the error; a cell without experiments is never trusted. Bounds for new"
+        " experiments are conformal (CV+), on the same held-out errors.",
+    )

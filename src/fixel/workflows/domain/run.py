@@ -1,0 +1,258 @@
+"""The whole of `fixel domain`: evidence, map, pictures, the answer that is kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.domain.cells import Cells, cells_of, varying
+from fixel.domain.domain import Claim, DomainMap, Verdict, domain_map, usual_threshold
+from fixel.domain.evidence import Evidence
+from fixel.domain.next_experiment import Proposal, proposals
+from fixel.domain.promised_cells import promised_cells
+from fixel.domain.surface import Surface
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.workflows.analysis import Analysis, Kept, keep
+from fixel.workflows.domain.charts import pictures_of
+from fixel.workflows.domain.evidence import Gathered, gather
+from fixel.workflows.domain.held_out import Progress
+from fixel.workflows.domain.report import headline, methods_of, numbers, tables, warnings_of
+from fixel.workflows.domain.request import OFFSETS, Asked
+from fixel.workflows.figures import make_folder
+
+MOST_EXAMPLES: Final = 3
+SURFACE: Final = "surface_"  # of the arrays that are kept with a map
+PROMISED: Final = "promised"
+MOST_BYTES: Final = 64_000_000  # of a surface that is kept
+USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes where nothing was offset
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mapped:
+    """A map, and all that is said of it.
+
+    Attributes
+    ----------
+    gathered : Gathered
+    domain : DomainMap
+    claim : Claim
+    verdicts : list of list of Verdict
+        Of every cell of every map.
+    next : list of Proposal
+    warnings : tuple of str
+    kept : Kept
+        In the project.
+    files : tuple of Path
+        Pictures where they were asked for.
+    """
+
+    gathered: Gathered
+    domain: DomainMap
+    claim: Claim
+    verdicts: list[list[Verdict]]
+    next: list[Proposal]
+    warnings: tuple[str, ...]
+    kept: Kept
+    files: tuple[Path, ...] = ()
+
+
+def map_domain(
+    project: Project,
+    asked: Asked,
+    *,
+    plot: Path | None = None,
+    progress: Progress | None = None,
+    command: str = "",
+) -> Mapped:
+    """Say where one parameter set can be trusted.
+
+    Parameters
+    ----------
+    project : Project
+    asked : Asked
+    plot : Path, optional
+        Folder for pictures, besides those in the project.
+    progress : callable, optional
+        Told how many fits of how many are done.
+    command : str
+        That was typed.
+
+    Raises
+    ------
+    InvalidInput
+        Too few experiments, a threshold below the noise, a nominal without data, or an axis that
+        no experiment has.
+    """
+    begun = time.perf_counter()
+    if plot is not None:
+        make_folder(plot)
+    gathered = gather(project, asked, progress)
+    evidence, cells, aside = _cut(gathered, asked)
+    claim = _claim(asked, gathered, evidence)
+    domain = _spread(evidence, cells, asked)
+    verdicts = domain.verdicts(claim)
+    found = proposals(domain, claim, verdicts=verdicts)
+    warnings = warnings_of(gathered, domain, claim, aside, verdicts)
+    pictures = pictures_of(domain, claim, verdicts, "" if gathered.is_real else "SIMULATED")
+    analysis = Analysis(
+        kind="domain",
+        title=f"Where one parameter set stays within {claim.text()}",
+        question=asked.question(),
+        headline=headline(domain, claim, verdicts, found),
+        warnings=warnings,
+        tables=tables(domain, claim, verdicts, found),
+        methods=methods_of(gathered, domain, claim),
+        references=("vovk2005", "barber2021"),
+        numbers=numbers(domain, claim, verdicts, found) | {"evidence": gathered.mark},
+        calibrations=() if gathered.calibration is None else (gathered.calibration,),
+        experiments=tuple(evidence.ids),
+        command=command,
+        seed=asked.seed,
+        seconds=time.perf_counter() - begun,
+    )
+    arrays = {"error_mm2": evidence.error_mm2, "fold": evidence.fold, "place": domain.place}
+    arrays |= _fitted(domain)
+    kept = keep(project, analysis, pictures, arrays)
+    files = [] if plot is None else kept.copy_pictures(plot)
+    return Mapped(
+        gathered=gathered,
+        domain=domain,
+        claim=claim,
+        verdicts=verdicts,
+        next=found,
+        warnings=warnings,
+        kept=kept,
+        files=tuple(files),
+    )
+
+
+def spread_out(
+    gathered: Gathered, asked: Asked, fitted: Mapping[str, FloatArray] | None = None
+) -> tuple[DomainMap, int]:
+    """The map for every threshold at once, and how many experiments are left out of it.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    asked : Asked
+    fitted : mapping of name to array, optional
+        What was kept with the same map: then nothing is fitted.
+    """
+    evidence, cells, aside = _cut(gathered, asked)
+    known = fitted or {}
+    if not is_fitted(known):
+        return _spread(evidence, cells, asked), aside
+    surface = Surface(**{field.name: known[f"{SURFACE}{field.name}"] for field in fields(Surface)})
+    promised = known.get(PROMISED)
+    return domain_map(evidence, cells, asked.measure, asked.seed, promised, surface), aside
+
+
+def is_fitted(known: Mapping[str, FloatArray]) -> bool:
+    """Whether among the numbers kept with a map is what takes long to find."""
+    return f"{SURFACE}mean" in known
+
+
+def refuse_axes(gathered: Gathered, asked: Asked) -> None:
+    """Refuse what no map can be made of, before anything is fitted."""
+    _cut(gathered, asked)
+
+
+def _fitted(domain: DomainMap) -> dict[str, Any]:
+    """What takes seconds to find, so that pages can show the map at once."""
+    surface = domain.surface
+    if surface.covariance.nbytes > MOST_BYTES:
+        return {}
+    found = {f"{SURFACE}{field.name}": getattr(surface, field.name) for field in fields(surface)}
+    return found if domain.predicted_mm is None else found | {PROMISED: domain.predicted_mm}
+
+
+def _cut(gathered: Gathered, asked: Asked) -> tuple[Evidence, Cells, int]:
+    axes = list(asked.axes) or usual_axes(gathered.evidence, asked.by)
+    evidence, aside = _at_nominal(gathered.evidence, axes)
+    return evidence, cells_of(evidence, axes, asked.nominal, asked.steps), aside
+
+
+def _spread(evidence: Evidence, cells: Cells, asked: Asked) -> DomainMap:
+    promised = _promised(evidence, cells, asked)
+    domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
+    _refuse_empty_nominal(domain)
+    return domain
+
+
+def _promised(evidence: Evidence, cells: Cells, asked: Asked) -> FloatArray | None:
+    """Bounds are of the error itself, not of what is above an experiment's own best."""
+    if asked.measure != "absolute":
+        return None
+    return promised_cells(evidence, cells, asked.level, asked.seed)
+
+
+def usual_axes(evidence: Evidence, by: tuple[str, ...] | Any = ()) -> list[str]:
+    """Offsets that were varied; else conditions that differ, two at most."""
+    offsets = varying(evidence, OFFSETS)
+    if offsets:
+        return offsets
+    others = [name for name in varying(evidence, USUAL) if name not in by]
+    if not others:
+        raise InvalidInput(
+            "--axes",
+            found="no offset, surface, shape or contact that differs",
+            expected="one of " + ", ".join(varying(evidence, sorted(evidence.coordinates))),
+        )
+    return others[:2]
+
+
+def _at_nominal(evidence: Evidence, axes: list[str]) -> tuple[Evidence, int]:
+    """Without experiments that were offset along something that is no axis of the map."""
+    keep_row = np.ones(len(evidence), bool)
+    for name in varying(evidence, OFFSETS):
+        if name not in axes:
+            column = evidence.column(name)
+            keep_row &= np.array([value is None or value == 0.0 for value in column])
+    if keep_row.all():
+        return evidence, 0
+    if not keep_row.any():
+        raise InvalidInput("--axes", found="every experiment offset along others", expected="them")
+    return evidence.rows(np.flatnonzero(keep_row)), int((~keep_row).sum())
+
+
+def _claim(asked: Asked, gathered: Gathered, evidence: Evidence) -> Claim:
+    threshold = asked.threshold
+    if threshold is None:
+        threshold = usual_threshold(evidence, asked.measure)
+    floor = gathered.floor_mm
+    if asked.measure == "absolute" and floor is not None and threshold < floor:
+        raise InvalidInput(
+            "--threshold-mm",
+            found=f"{threshold:.3g}, below what the measurement alone makes",
+            expected=f"{floor:.3g} at least ({gathered.floor_from})",
+            hint="no simulator can be held to less than the noise",
+        )
+    return Claim(
+        threshold=threshold,
+        measure=asked.measure,
+        level=asked.level,
+        confidence=asked.confidence,
+    )
+
+
+def _refuse_empty_nominal(domain: DomainMap) -> None:
+    cells = domain.cells
+    if (domain.counts[:, cells.nominal] == 0).all():
+        filled = np.flatnonzero(domain.counts.sum(axis=0))
+        names = "; ".join(cells.text(int(c)) for c in filled[:MOST_EXAMPLES])
+        raise InvalidInput(
+            "--nominal",
+            found=f"no experiment at {cells.text(cells.nominal)}",
+            expected=f"a cell with evidence, like {names}",
+        )
+
+
+# --- what is said -------------------------------------------------------------------------------

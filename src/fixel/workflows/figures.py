@@ -1,0 +1,59 @@
+"""Pictures of results as files: each as PNG, as PDF, and as the numbers behind it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from fixel.drawing.chart import AbstractChart, Table, draw_chart
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+
+ENDINGS: Final = ("png", "pdf", "csv")
+LONGEST: Final = 80  # characters of a banner that fit across the picture of one column
+
+
+class Picture(NamedTuple):
+    """A chart, and where it goes."""
+
+    name: str  # of its files, without ending
+    chart: AbstractChart
+    banner: str = ""  # across the top, for experiments that no camera has seen
+    caption: str = ""  # a sentence that says what to see
+
+
+def banner_of(banners: Sequence[str]) -> str:
+    """One banner for several experiments, from that of each; those of real ones are empty."""
+    some = [banner for banner in banners if banner]
+    if len(some) in (0, len(banners)):
+        joined = " and ".join(dict.fromkeys(some))
+        return joined if len(joined) <= LONGEST else f"SIMULATED: all {len(some)} experiments"
+    return f"{len(some)} of {len(banners)} experiments SIMULATED"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for pictures; what takes hours does so before it starts."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        reason = (problem.strerror or str(problem)).lower()
+        raise InvalidInput(str(folder), found=reason, expected="a folder for pictures") from None
+
+
+def write_picture(folder: Path, picture: Picture) -> list[Path]:
+    """The files of a picture; those of the same names are replaced."""
+    paths = [folder / f"{picture.name}.{ending}" for ending in ENDINGS]
+    with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
+        draw_chart(picture.chart, png, pdf, banner=picture.banner)
+    with written_whole(paths[2]) as temporary:
+        _write_table(temporary, picture.chart.table())
+    return paths
+
+
+def _write_table(path: Path, table: Table) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table.columns)
+        writer.writerows(table.rows)

@@ -1,0 +1,1 @@
+"""Filter a recorded run, and report what it finds."""

@@ -1,0 +1,1 @@
+"""Work on a project: import, export, filter, compare, maintain."""

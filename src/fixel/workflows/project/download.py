@@ -1,0 +1,91 @@
+"""Public datasets: what there is, under which licence, and fetching a file of one."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+from fixel.datasets import IMPORTERS
+from fixel.errors import InvalidInput, StoreRefused
+
+
+class Fetched(NamedTuple):
+    """A file that has been fetched."""
+
+    file: Path
+    sha256: str
+    n_byte: int
+
+
+def datasets() -> list[dict[str, str]]:
+    """Name, title, licence and citation of every dataset that can be imported."""
+    return [
+        {
+            "name": importer.name,
+            "title": importer.title,
+            "licence": importer.licence,
+            "citation": importer.citation,
+        }
+        for importer in IMPORTERS.values()
+        if importer.citation
+    ]
+
+
+def fetch(url: str, folder: Path, sha256: str | None = None) -> Fetched:
+    """Fetch a file into a folder: complete, with the checksum asked for, or not at all.
+
+    Parameters
+    ----------
+    sha256 : str, optional
+        What its checksum must be; without one, whatever comes is kept.
+
+    Raises
+    ------
+    InvalidInput
+        Not an address of a file, or not a checksum.
+    StoreRefused
+        It could not be fetched, or is another file than the one asked for.
+    """
+    try:
+        import pooch
+    except ImportError:
+        raise StoreRefused(
+            "fetching needs the package pooch", hint="run: pip install 'fixel[download]'"
+        ) from None
+    name = _name(url)
+    if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
+        raise InvalidInput("--sha256", found=sha256, expected="64 hexadecimal digits")
+    pooch.get_logger().setLevel("ERROR")  # its warnings are ours to give
+    wanted = None if sha256 is None else f"sha256:{sha256.lower()}"
+    try:
+        path = Path(pooch.retrieve(url, wanted, fname=name, path=folder))
+    except ValueError as problem:
+        raise StoreRefused(
+            f"{url} is another file than the one asked for: {_one_line(problem)}",
+            hint="check the address and the checksum; nothing was kept",
+        ) from None
+    except Exception as problem:  # whatever the network library under pooch raises
+        if (answer := getattr(problem, "response", None)) is not None:
+            answer.close()  # pooch leaves the connection of a refusal open
+        raise StoreRefused(
+            f"{url} could not be fetched: {_one_line(problem)}", hint="check address and network"
+        ) from None
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Fetched(path, digest, path.stat().st_size)
+
+
+def _name(url: str) -> str:
+    """File name at the end of an address."""
+    parts = urlsplit(url)
+    name = Path(parts.path).name
+    if parts.scheme not in ("http", "https", "ftp") or not name or name.startswith("."):
+        raise InvalidInput("URL", found=url, expected="http(s)://HOST/.../FILE")
+    return name
+
+
+def _one_line(problem: Any) -> str:
+    return " ".join(str(problem).split())[:300]

@@ -1,0 +1,211 @@
+"""A project's experiments, written for others: a bundle, Parquet tables, or a LeRobot dataset."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.database.bundle import export_bundle, import_bundle
+from fixel.database.bundle_file import LIMITS, BundleFile
+from fixel.database.project import Project
+from fixel.database.query import Query, Summary
+from fixel.database.store import Store
+from fixel.datasets import IMPORTERS
+from fixel.datasets.table import CsvTable
+from fixel.drawing.picture import refuse_ending
+from fixel.errors import InvalidInput, NotStored
+from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
+from fixel.formats.lerobot import write_lerobot
+from fixel.io.atomic import refuse_unwritable
+from fixel.model import Experiment
+
+Progress = Callable[[int, int], None]
+FORMATS: Final = ("bundle", "parquet", "lerobot")
+RATES: Final = (1, 1000)  # [Hz]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportAnswer:
+    """What `export` wrote.
+
+    Attributes
+    ----------
+    target : Path
+    format : str
+        ``bundle``, ``parquet`` or ``lerobot``.
+    counts : dict of str to int
+        ``experiments``, of them ``flagged`` and ``simulated``, and what else there is.
+    left_out : dict of str to int
+        What was not exported, for a reason.
+    bytes : int
+    seconds : float
+    """
+
+    target: Path
+    format: str
+    counts: dict[str, int]
+    left_out: dict[str, int] = field(default_factory=dict)
+    bytes: int
+    seconds: float
+
+    def summary(self) -> dict[str, Any]:
+        """The same as plain values."""
+        return {
+            "target": str(self.target),
+            "format": self.format,
+            "counts": self.counts,
+            "left_out": self.left_out,
+            "bytes": self.bytes,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def import_zip(
+    project: Project, path: Path, progress: Progress | None = None, *, dry_run: bool = False
+) -> dict[str, int]:
+    """Add the records of a bundle to a project; how many of each kind were new.
+
+    With `dry_run`, how many there are; nothing is added.
+    """
+    if dry_run:
+        with BundleFile(path, LIMITS) as bundle:
+            return dict(bundle.manifest.counts)
+    with project.store() as store:
+        return import_bundle(path, store, progress=progress)
+
+
+def export(
+    folder: Path,
+    target: Path,
+    *,
+    format: str = "bundle",
+    dataset: str | None = None,
+    fps: int | None = None,
+    progress: Progress | None = None,
+) -> ExportAnswer:
+    """Export a project.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the project.
+    target : Path
+        A ``.zip`` for a bundle, else a new or empty folder.
+    format : str
+        One of `FORMATS`.
+    dataset : str, optional
+        Only its experiments.
+    fps : int, optional
+        Of a LeRobot dataset; the median rate of the experiments where left out.
+    progress : callable, optional
+        Told how many experiments of how many are done.
+
+    Raises
+    ------
+    InvalidInput
+        A target that cannot be written.
+    NotStored
+        No experiments.
+    StoreRefused
+        A project that cannot be opened or read.
+    """
+    _refuse(target, format, fps)
+    started = time.perf_counter()
+    project = Project.open(folder)
+    with project.store() as store:
+        everything = store.experiments(Query(dataset=dataset, flagged=True)).summaries
+        if not everything:
+            what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
+            raise NotStored(what, hint="see what there is with: fixel list")
+        counts, left_out = {"experiments": len(everything)}, {}
+        if format == "bundle":
+            written = export_bundle(store, target, dataset=dataset, progress=progress)
+            counts, left_out = written.counts, written.left_out
+        else:
+            name = dataset or project.settings.name
+            counts["frames"] = _tables(store, everything, target, format, fps, name, progress)
+            counts["flagged"] = store.experiments(Query(dataset=dataset), limit=0).left_out
+        simulated = Query(dataset=dataset, flagged=True, real=False, replaced=format == "bundle")
+        counts["simulated"] = store.experiments(simulated, limit=0).total
+    return ExportAnswer(
+        target=target,
+        format=format,
+        counts=counts,
+        left_out={what: n for what, n in left_out.items() if n},
+        bytes=_size(target),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _tables(
+    store: Store,
+    summaries: list[Summary],
+    target: Path,
+    format: str,
+    fps: int | None,
+    name: str,
+    progress: Progress | None,
+) -> int:
+    records = _read(store, summaries, progress)
+    with folder_whole(target) as unfinished:
+        if format == "parquet":
+            return write_frames(records, unfinished)
+        rate = fps or median_rate(summaries)
+        return write_lerobot(records, unfinished, fps=rate, name=name, rights=_rights())
+
+
+def _read(
+    store: Store, summaries: list[Summary], progress: Progress | None
+) -> Iterator[Experiment]:
+    for done, summary in enumerate(summaries, start=1):
+        yield store.experiment(summary.id)
+        if progress is not None:
+            progress(done, len(summaries))
+
+
+def median_rate(summaries: list[Summary]) -> int:
+    """Frames a second that most experiments come close to [Hz]."""
+    rates = [(s.n_frame - 1) / s.duration_s for s in summaries if s.duration_s > 0.0]
+    middle = round(float(np.median(rates))) if rates else RATES[0]
+    return min(max(middle, RATES[0]), RATES[1])
+
+
+def _rights() -> dict[str, tuple[str, str]]:
+    """Licence and citation of each known dataset, by the name its experiments have."""
+    return {
+        name: (importer.licence, importer.citation)
+        for name, importer in IMPORTERS.items()
+        if not isinstance(importer, CsvTable)  # its data is the user's own
+    }
+
+
+def _refuse(target: Path, format: str, fps: int | None) -> None:
+    """Refuse what cannot be, before any work."""
+    if format not in FORMATS:
+        raise InvalidInput("format", found=format, expected="one of " + ", ".join(FORMATS))
+    if fps is not None and (format != "lerobot" or not RATES[0] <= fps <= RATES[1]):
+        raise InvalidInput(
+            "fps", found=fps, expected=f"{RATES[0]} to {RATES[1]} Hz, of a LeRobot dataset"
+        )
+    if format == "bundle":
+        refuse_ending(target, (".zip",), "bundle")
+        refuse_unwritable(target)
+    else:
+        refuse_folder(target)
+
+
+def _size(target: Path) -> int:
+    files = [target] if target.is_file() else [p for p in target.rglob("*") if p.is_file()]
+    return sum(path.stat().st_size for path in files)
+
+
+def json_text(answer: ExportAnswer) -> str:
+    """One JSON object on one line."""
+    return json.dumps(answer.summary(), allow_nan=False)

@@ -1,0 +1,274 @@
+"""A laboratory's day: make a project, import experiments, run the simulated testbed, look at the
+list."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, NamedTuple, cast
+
+from fixel.database.project import Project
+from fixel.database.query import Bound, Query, Relation
+from fixel.database.store import Listing, Store
+from fixel.datasets import ImportPlan, importer_for
+from fixel.datasets.own_scene import template_text
+from fixel.datasets.table import DATASET as TABLE
+from fixel.errors import InvalidInput
+from fixel.model import Experiment
+from fixel.workflows.project.suggestions import refuse_mistyped
+
+_RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
+
+Progress = Callable[[int, int], None]
+
+
+class Imported(NamedTuple):
+    """What an import did."""
+
+    new: int
+    known: int  # there already, and left alone
+    faulty: int  # of the new, that listings leave out unless asked
+    wall_time_s: float
+
+
+def new_project(folder: Path, database: str | None = None) -> Project:
+    """Make a project folder."""
+    return Project.create(folder, database)
+
+
+def import_plan(
+    source: Path,
+    importer: str | None = None,
+    options: Iterable[str] = (),
+    scene: Path | None = None,
+) -> ImportPlan:
+    """Plan of the import of a file or folder; `options` are `NAME=VALUE`, `scene` is for a table.
+
+    Raises
+    ------
+    InvalidInput
+        Data, an option or a scene that cannot be.
+    """
+    found = importer_for(source, importer)
+    given = _options(options)
+    if scene is not None:
+        if "scene" not in found.options:
+            raise InvalidInput(
+                "--scene", found=f"a source read as {found.name}", expected="a CSV table"
+            )
+        given["scene"] = str(scene)
+    return found.read(source, **given)
+
+
+def write_template(plan: ImportPlan, folder: Path) -> Path | None:
+    """Write the template of a scene for a table that was imported without one.
+
+    It is written beside the table, or into `folder` where that is not possible; a file of that name
+    is left as it is.
+
+    Returns
+    -------
+    Path or None
+        None where the experiments have a scene, or are no table.
+    """
+    if plan.importer != TABLE:
+        return None
+    (experiment,) = plan.experiments()
+    if experiment.scene is not None:
+        return None
+    name = f"{experiment.name.replace('/', '-')}.scene.yaml"
+    text = template_text(experiment, plan.source.name)
+    for place in (plan.source.parent, folder):
+        file = place / name
+        try:
+            with file.open("x", encoding="utf-8") as stream:
+                stream.write(text)
+        except FileExistsError:
+            return file
+        except OSError:
+            continue
+        return file
+    return None
+
+
+def import_experiments(
+    project: Project, plan: ImportPlan, progress: Progress | None = None
+) -> Imported:
+    """Store the experiments of a plan, each whole or not at all."""
+    with project.store() as store:
+        return _add(store, plan.experiments(), plan.n_experiments, progress)
+
+
+class ImportedTable(NamedTuple):
+    """How the text of a table was read."""
+
+    understood: tuple[str, ...]
+    template: str | None  # of a scene, where there is none
+    new: bool
+    known: bool
+
+
+def import_texts(
+    store: Store,
+    name: str,
+    table: str,
+    scene: str | None,
+    *,
+    angle_unit: str | None = None,
+    dry_run: bool = False,
+) -> ImportedTable:
+    """Store the experiment in the text of a CSV table.
+
+    Parameters
+    ----------
+    store : Store
+    name : str
+        Of the table's file; the experiment is named for it.
+    table : str
+    scene : str, optional
+        Scene file, as YAML.
+    angle_unit : str, optional
+        `rad` or `deg`, whatever the header has.
+    dry_run : bool
+        Read only.
+
+    Raises
+    ------
+    InvalidInput
+        A table or a scene that cannot be.
+    """
+    with TemporaryDirectory(prefix="fixel-import-") as folder:
+        source = Path(folder) / name
+        source.write_text(table, encoding="utf-8", newline="")
+        file = None if scene is None else Path(folder) / "scene.yaml"
+        if file is not None and scene is not None:
+            file.write_text(scene, encoding="utf-8", newline="")
+        options = () if angle_unit is None else (f"angle_unit={angle_unit}",)
+        plan = import_plan(source, TABLE, options, file)
+        (experiment,) = plan.experiments()
+        template = None if experiment.scene is not None else template_text(experiment, name)
+        done = Imported(0, 0, 0, 0.0) if dry_run else _add(store, [experiment], 1, None)
+    return ImportedTable(plan.understood, template, bool(done.new), bool(done.known))
+
+
+def run_testbed(
+    project: Project,
+    plan: Path | None,
+    *,
+    seed: int = 1,
+    limit: int | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Imported:
+    """Perform a sampling plan on the simulated testbed, and store what it measures."""
+    from fixel.formats.plan_file import load_plan
+    from fixel.sampling import thesis_plan
+    from fixel.testbed.simulated import SimulatedTestbed
+
+    planned = (thesis_plan() if plan is None else load_plan(plan)).experiments[:limit]
+    experiments = SimulatedTestbed(seed=seed).run(planned, threads=threads)
+    with project.store() as store:
+        return _add(store, experiments, len(planned), progress)
+
+
+def list_experiments(project: Project, query: Query, limit: int | None = None) -> Listing:
+    """One page of a project's experiments."""
+    with project.store() as store:
+        found = store.experiments(query, limit=limit)
+        if not found.total and not found.left_out:
+            refuse_mistyped(store, query)
+        return found
+
+
+def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
+    """How many experiments each dataset has, and how many carry each flag."""
+    with project.store() as store:
+        return store.datasets(), store.flags()
+
+
+def query_of(
+    *,
+    dataset: str | None = None,
+    name: str | None = None,
+    real: bool | None = None,
+    where: Iterable[str] = (),
+    flag: str | None = None,
+    flagged: bool = False,
+    deleted: bool = False,
+) -> Query:
+    """A query from what was typed; `where` are `CONDITION=VALUE`, or with another relation."""
+    bounds = [_bound(text) for text in where]
+    return Query(
+        dataset=dataset,
+        name=name,
+        real=real,
+        conditions={one.name: one.value for one in bounds if one.relation == "="},
+        bounds=tuple(one for one in bounds if one.relation != "="),
+        flag=flag,
+        flagged=flagged,
+        deleted=deleted,
+    )
+
+
+def typed() -> str:
+    """The command line that is running, as one could type it again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def _add(
+    store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
+) -> Imported:
+    """Store experiments, with the command that was typed as where they come from."""
+    begun = time.monotonic()
+    command = typed()
+    new = known = faulty = 0
+    for made in experiments:
+        experiment = replace(made, provenance=replace(made.provenance, command=command))
+        if store.add_experiment(experiment).new:
+            new += 1
+            faulty += any(flag.fault for flag in experiment.flags)
+        else:
+            known += 1
+        if progress is not None:
+            progress(new + known, total)
+    return Imported(new, known, faulty, time.monotonic() - begun)
+
+
+def _options(options: Iterable[str]) -> dict[str, object]:
+    return dict(map(_pair, options))
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
+    return name, value
+
+
+def _bound(text: str) -> Bound:
+    found = _RELATION.fullmatch(text)
+    if found is None:
+        raise InvalidInput(
+            "--where",
+            found=repr(text),
+            expected="CONDITION=VALUE, or !=, <, <=, >, >= in place of =",
+            hint="put it in quotes: the shell takes < and > for itself",
+        )
+    name, relation, typed = found.groups()
+    value = _number_or_text(typed.strip())
+    if isinstance(value, str) and relation not in ("=", "!="):
+        raise InvalidInput(f"--where {name}", found=repr(typed), expected="a number")
+    return Bound(name.strip(), cast(Relation, relation), value)
+
+
+def _number_or_text(value: str) -> str | float:
+    try:
+        return float(value)
+    except ValueError:
+        return value

@@ -1,0 +1,393 @@
+"""A project's database, brought up to date, copied and looked through."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import shlex
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+import sqlalchemy as sa
+
+from fixel.database import arrays, schema, tables
+from fixel.database.engine import open_engine, reading
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import InvalidInput, StoreRefused
+from fixel.io.atomic import written_whole
+from fixel.workflows.project.stored_content import (
+    RESTORE,
+    Trouble,
+    content_troubles,
+    schema_troubles,
+)
+
+OWNERS: Final = {
+    "experiment": tables.experiment,
+    "simulation": tables.simulation,
+    "calibration": tables.calibration,
+    "filter_run": tables.filter_run,
+}
+# Of these records nothing is left without the motion of the object.
+MOVING: Final = ("experiment", "simulation", "filter_run")
+RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
+SEE: Final = "see what is wrong with: fixel db check"
+
+
+class Upgraded(NamedTuple):
+    """Versions of the schema."""
+
+    before: str | None  # none for a database that was empty
+    after: str | None
+
+
+class Backup(NamedTuple):
+    """What was copied, and what was not."""
+
+    file: Path
+    size: int  # [bytes]
+    sha256: str
+    media: Path  # must be copied too
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checked:
+    """What a check found.
+
+    Attributes
+    ----------
+    engine : str
+        `sqlite` or `postgresql`.
+    version : str, optional
+        Of the schema; none where it could not be read.
+    counts : dict from table to number of rows
+        Deleted ones too.
+    media_files, unused_files : int
+        Files in the media folder, and those of them that no row names; another project may.
+    troubles : tuple of Trouble
+    """
+
+    engine: str
+    version: str | None
+    counts: dict[str, int]
+    media_files: int
+    unused_files: int
+    troubles: tuple[Trouble, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything, as plain values."""
+        return {
+            "ok": not self.troubles,
+            "engine": self.engine,
+            "version": self.version,
+            "counts": self.counts,
+            "media_files": self.media_files,
+            "unused_files": self.unused_files,
+            "troubles": [trouble._asdict() for trouble in self.troubles],
+        }
+
+
+# --- upgrade ------------------------------------------------------------------------------------
+
+
+def upgrade(folder: Path) -> Upgraded:
+    """Bring the tables of a project to this program's version, or leave them as they were."""
+    project = Project.open(folder)
+    with Store(project.url, project.media) as store:
+        return Upgraded(*store.upgrade())
+
+
+# --- backup -------------------------------------------------------------------------------------
+
+
+def backup(folder: Path, file: Path) -> Backup:
+    """Copy a project's SQLite database while others may go on using it.
+
+    Raises
+    ------
+    InvalidInput
+        The file cannot be written, or is the database itself.
+    StoreRefused
+        The database lies on a server, is not there or is damaged.
+    """
+    project = Project.open(folder)
+    database = _database_file(project, file)
+    if file.exists() and file.samefile(database):
+        raise InvalidInput(str(file), found="the database itself", expected="another file")
+    with written_whole(file) as path:
+        _copy(database, path)
+        with open(path, "rb+") as stream:
+            os.fsync(stream.fileno())
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Backup(file, file.stat().st_size, digest, project.media)
+
+
+def _database_file(project: Project, target: Path | None = None) -> Path:
+    """The SQLite file of a project, or a refusal that names the server's own tool."""
+    url = sa.make_url(project.url)
+    if url.get_backend_name() != "sqlite":
+        raise StoreRefused(
+            f"{url.render_as_string(hide_password=True)} lies on a server, which makes its own"
+            " backups",
+            hint=f"run: {_dump_command(url, target or Path('backup.dump'))}",
+        )
+    file = Path(url.database or "")
+    if not file.is_file():
+        raise StoreRefused(
+            f"there is no database {file}",
+            hint=f"{RESTORE}; or begin an empty one with: {project.upgrade_command}",
+        )
+    return file
+
+
+def _dump_command(url: sa.URL, target: Path) -> str:
+    # Without the password, which other users of the machine would see; pg_dump asks for it.
+    plain = sa.URL.create(
+        "postgresql", url.username, None, url.host, url.port, url.database, url.query
+    )
+    return shlex.join(["pg_dump", "--format=custom", f"--file={target}", str(plain)])
+
+
+def _copy(database: Path, path: Path) -> None:
+    """One consistent state of a database, pages and journal together, as a single file."""
+    try:
+        with (
+            contextlib.closing(sqlite3.connect(_read_only(database), uri=True)) as source,
+            contextlib.closing(sqlite3.connect(path)) as target,
+        ):
+            source.backup(target)
+            said = [str(row[0]) for row in target.execute("PRAGMA integrity_check")]
+    except sqlite3.Error as problem:
+        full = "is full" in str(problem)
+        raise StoreRefused(
+            f"{database} cannot be copied: {problem}",
+            hint="make room, then repeat the command" if full else SEE,
+        ) from None
+    if said != ["ok"]:
+        raise StoreRefused(f"{database} is damaged: {said[0]}", hint=SEE)
+
+
+def _read_only(file: Path) -> str:
+    return f"{file.resolve().as_uri()}?mode=ro"
+
+
+# --- check --------------------------------------------------------------------------------------
+
+
+def check(folder: Path) -> Checked:
+    """Read everything a project holds, and say what is wrong with it; changes nothing."""
+    project = Project.open(folder)
+    if sa.make_url(project.url).get_backend_name() == "sqlite":
+        _database_file(project)
+    engine = open_engine(project.url)
+    try:
+        return _checked(engine, project)
+    finally:
+        engine.dispose()
+
+
+def _checked(engine: sa.Engine, project: Project) -> Checked:
+    media = project.media
+    troubles: list[Trouble] = []
+    version: str | None = None
+    counts: dict[str, int] = {}
+    try:
+        with reading(engine) as connection:
+            troubles += _damage(connection)
+            schema.refuse_old(connection, project.upgrade_command)
+            version = schema.version_of(connection)
+            lacking = list(schema_troubles(connection))
+            troubles += lacking
+            if any("missing" in one.sentence and one.hint == RESTORE for one in lacking):
+                raise StoreRefused("what it holds cannot be read without them", RESTORE)
+            counts = _counts(connection)
+            troubles += _broken_references(connection)
+            troubles += _bad_series(connection, media)
+            troubles += _without_motion(connection)
+            troubles += _missing_videos(connection, media)
+            told = {trouble.where.partition(",")[0] for trouble in troubles}
+            troubles += (
+                one for one in content_troubles(connection, media) if one.where not in told
+            )
+            used, videos = _used(connection)
+    except StoreRefused as refused:
+        # A damaged file may be read up to some point only; say what was found until there.
+        troubles.append(Trouble("database", refused.reason, _helpful(refused.hint)))
+        used, videos = set(), set()
+    files, bad = _media_files(media, read_already=used)
+    return Checked(
+        engine=engine.dialect.name,
+        version=version,
+        counts=counts,
+        media_files=len(files),
+        unused_files=len(files - used - videos),
+        troubles=(*troubles, *bad),
+    )
+
+
+def _helpful(hint: str | None) -> str:
+    # Here the advice to run a check is of no use any more.
+    return RESTORE if hint is None or "db check" in hint else hint
+
+
+def _damage(connection: sa.Connection) -> Iterator[Trouble]:
+    """What SQLite finds in its own pages; a server looks after its own."""
+    if connection.dialect.name != "sqlite":
+        return
+    for said in connection.exec_driver_sql("PRAGMA integrity_check").scalars():
+        if said != "ok":
+            yield Trouble("database", str(said), RESTORE)
+
+
+def _counts(connection: sa.Connection) -> dict[str, int]:
+    return {
+        name: int(connection.scalar(sa.select(sa.func.count()).select_from(table)) or 0)
+        for name, table in tables.METADATA.tables.items()
+    }
+
+
+def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
+    """Rows that name a row that is not there."""
+    for table in tables.METADATA.tables.values():
+        for key in table.foreign_keys:
+            target = key.column.table.alias("target")
+            column = key.parent
+            lost = (
+                sa.select(sa.func.count())
+                .select_from(table)
+                .where(column.is_not(None))
+                .where(~sa.exists().where(target.c[key.column.name] == column))
+            )
+            n = connection.scalar(lost)
+            if n:
+                sentence = f"{n} {_rows(n)} of {table.name} without their {column.name}"
+                yield Trouble(table.name, sentence, RESTORE)
+
+
+def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
+    """Series that cannot be read, or whose record is gone."""
+    table = tables.series
+    # One by one, since together they may be larger than memory.
+    for number in connection.scalars(sa.select(table.c.id).order_by(table.c.id)).all():
+        try:
+            row = connection.execute(sa.select(table).where(table.c.id == number)).one()
+        except (ValueError, TypeError, sa.exc.NoResultFound) as problem:
+            # What should be JSON or text is not, or an index leads to no row.
+            yield Trouble(f"series {number}", f"cannot be read: {problem}", RESTORE)
+            continue
+        where = f"{row.owner} {row.owner_id}, series {row.name!r}"
+        complaint = _owner_gone(connection, row) or _unreadable(row, media)
+        if complaint is not None:
+            yield Trouble(where, *complaint)
+
+
+def _owner_gone(connection: sa.Connection, row: sa.Row[Any]) -> tuple[str, str] | None:
+    owner = OWNERS.get(row.owner)
+    if owner is not None and connection.scalar(
+        sa.select(owner.c.id).where(owner.c.id == row.owner_id)
+    ):
+        return None
+    return "its record is gone", RESTORE
+
+
+def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
+    try:
+        data = arrays.fetch(row.media_sha256, media) if row.data is None else row.data
+    except StoreRefused as refused:
+        return refused.reason, refused.hint or RESTORE_MEDIA
+    expected = 8 * row.n_row * len(row.columns)
+    if len(data) != expected:
+        return f"has {len(data)} bytes in place of {expected}", RESTORE
+    return None
+
+
+def _without_motion(connection: sa.Connection) -> Iterator[Trouble]:
+    """Records without the path of their object, or with one of another length."""
+    series = tables.series
+    for name in MOVING:
+        owner = OWNERS[name]
+        path = sa.exists().where(
+            series.c.owner == name, series.c.owner_id == owner.c.id, series.c.name == "object"
+        )
+        if name == "experiment":
+            path = path.where(series.c.n_row == owner.c.n_frame)
+        for number in connection.scalars(sa.select(owner.c.id).where(~path)):
+            yield Trouble(f"{name} {number}", "the path of its object is not whole", RESTORE)
+
+
+def _missing_videos(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
+    table = tables.experiment
+    named = sa.select(table.c.id, table.c.video_sha256).where(table.c.video_sha256 != "")
+    for number, digest in connection.execute(named):
+        path = arrays.media_path(digest, media)
+        if not path.is_file():
+            yield Trouble(f"experiment {number}", f"its video {path} is missing", RESTORE_MEDIA)
+
+
+def _used(connection: sa.Connection) -> tuple[set[str], set[str]]:
+    """Checksums of the files that rows name: of series, of videos."""
+    series, video = tables.series.c.media_sha256, tables.experiment.c.video_sha256
+    found = connection.scalars(sa.select(series).where(series.is_not(None)))
+    return set(found), set(connection.scalars(sa.select(video).where(video != "")))
+
+
+def _media_files(media: Path, read_already: set[str]) -> tuple[set[str], list[Trouble]]:
+    """Checksums that name the files of a media folder, and what is wrong with some."""
+    files: set[str] = set()
+    bad: list[Trouble] = []
+    for path in sorted(media.glob("??/*")):
+        # Others are left behind by a process that died while it wrote; nobody reads those.
+        if not re.fullmatch(r"[0-9a-f]{64}", path.name):
+            continue
+        files.add(path.name)
+        sentence = None if path.name in read_already else _file_trouble(path)
+        if sentence is not None:
+            bad.append(Trouble(f"file {path}", sentence, RESTORE_MEDIA))
+    return files, bad
+
+
+def _file_trouble(path: Path) -> str | None:
+    try:
+        with open(path, "rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as problem:
+        return f"cannot be read: {(problem.strerror or str(problem)).lower()}"
+    return None if digest == path.name else "has changed: its checksum is not its name"
+
+
+def _rows(n: int) -> str:
+    return "row" if n == 1 else "rows"
+
+
+def diagram(file: Path) -> list[str]:
+    """Draw the tables of a project's database and what refers to what; returns their names.
+
+    It is this program's schema, whatever a project's is: `upgrade` brings that up to it.
+    """
+    from fixel.database.tables import METADATA
+    from fixel.drawing.relations import Entity, draw_relations
+    from fixel.io.atomic import refuse_unwritable, written_whole
+
+    refuse_unwritable(file)
+    entities = [
+        Entity(
+            table.name,
+            [column.name for column in table.columns],
+            {
+                column.name: key.column.table.name
+                for column in table.columns
+                for key in column.foreign_keys
+            },
+        )
+        for table in METADATA.tables.values()
+    ]
+    with written_whole(file) as unfinished:
+        draw_relations(entities, unfinished)
+    return [entity.name for entity in entities]

@@ -1,0 +1,109 @@
+"""What was perhaps meant by a filter that nothing matches."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from fixel.database.browsing import NUMBERS, SQUARES, TEXTS, View
+from fixel.database.query import Bound, Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.workflows.project.filters import NAMES, view_of
+
+MOST_NAMED = 12  # values in a refusal
+
+
+class Unknown(NamedTuple):
+    """A name or a value that no experiment has."""
+
+    what: str  # as typed: "--where shape"
+    typed: str
+    known: tuple[str, ...]
+
+    @property
+    def meant(self) -> str | None:
+        """The known one that resembles it most."""
+        close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
+        return next((k for k in self.known if k.lower() == close[0]), None) if close else None
+
+    def refusal(self) -> InvalidInput:
+        """The complaint about it."""
+        more = f", ... ({len(self.known)} in all)" if len(self.known) > MOST_NAMED else ""
+        return InvalidInput(
+            self.what,
+            found=repr(self.typed),
+            expected="one of " + ", ".join(self.known[:MOST_NAMED]) + more
+            if self.known
+            else "nothing: no experiment has one",
+            hint=f"did you mean {self.meant!r}?" if self.meant else None,
+        )
+
+
+def refuse_mistyped(store: Store, query: Query) -> None:
+    """Refuse a query with a dataset, a flag, a condition or a value that no experiment has.
+
+    Raises
+    ------
+    InvalidInput
+        The first of them, with the known one that resembles it most.
+    """
+    for unknown in _unknown_in(store, query):
+        raise unknown.refusal()
+
+
+def meant_filter(store: Store, filter: str) -> str | None:
+    """Return a filter with unknown names and values replaced by what resembles them.
+
+    Returns
+    -------
+    str or None
+        None where nothing is unknown, or nothing resembles it.
+    """
+    view = view_of(filter)
+    changed = filter
+    for unknown in _unknown_in_view(store, view):
+        if unknown.meant is None:
+            return None
+        changed = changed.replace(unknown.typed, unknown.meant, 1)
+    return changed if changed != filter else None
+
+
+def _unknown_in(store: Store, query: Query) -> Iterator[Unknown]:
+    if query.dataset is not None:
+        yield from _not_among("--dataset", query.dataset, store.datasets())
+    if query.flag is not None:
+        yield from _not_among("--flag", query.flag, store.flags())
+    equal = (Bound(name, "=", value) for name, value in query.conditions.items())
+    yield from _unknown_conditions(store, (*equal, *query.bounds), "--where ")
+
+
+def _unknown_in_view(store: Store, view: View) -> Iterator[Unknown]:
+    for name in view.flags:
+        yield from _not_among("flag", name, store.flags())
+    texts = [text for known in store.conditions().values() for text in known.texts]
+    for word in view.words:
+        yield from _not_among("filter", word, (*texts, *store.datasets(), *store.flags()))
+    columns = {*TEXTS, *NUMBERS, *SQUARES}
+    for bound in view.bounds:
+        if bound.name == "dataset":
+            yield from _not_among("dataset", str(bound.value), store.datasets())
+    others = [bound for bound in view.bounds if bound.name not in columns]
+    yield from _unknown_conditions(store, others, "", NAMES)
+
+
+def _unknown_conditions(
+    store: Store, bounds: Iterable[Bound], where: str, more: Iterable[str] = ()
+) -> Iterator[Unknown]:
+    known = store.conditions()
+    for bound in bounds:
+        if bound.name not in known:
+            yield Unknown(where.strip() or "filter", bound.name, (*known, *more))
+        elif isinstance(bound.value, str) and bound.relation == "=":
+            yield from _not_among(f"{where}{bound.name}", bound.value, known[bound.name].texts)
+
+
+def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[Unknown]:
+    if typed not in (names := tuple(known)):
+        yield Unknown(what, typed, names)

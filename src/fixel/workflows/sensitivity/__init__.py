@@ -1,0 +1,1 @@
+"""Sensitivity of a push to its start: compute and report."""

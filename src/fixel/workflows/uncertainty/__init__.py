@@ -1,0 +1,1 @@
+"""Posterior of the parameters, and what follows for predictions."""

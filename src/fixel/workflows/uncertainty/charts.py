@@ -1,0 +1,137 @@
+"""The pictures of an uncertainty: samples, bands, final poses, coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from fixel.drawing.chart import readable
+from fixel.drawing.coverage import CoverageChart, CoveragePanel
+from fixel.drawing.uncertainty import (
+    Axis,
+    BandsChart,
+    CornerChart,
+    FinalPoseChart,
+    FinalRegion,
+    PathBand,
+)
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Disk
+from fixel.uncertainty.bands import LEVELS
+from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
+from fixel.uncertainty.discrepancy import LABEL
+from fixel.workflows.figures import Picture, banner_of
+from fixel.workflows.uncertainty.run import Predicted, Uncertainty
+
+MOST_PICTURED: Final = 3  # experiments
+# From so many held-out experiments on a curve says something.
+LEAST_FOR_CURVE: Final = 5
+
+
+def pictures_of(found: Uncertainty) -> Iterator[Picture]:
+    posterior = found.posterior
+    mode = np.zeros(len(posterior.samples), np.int64)
+    for k, part in enumerate(posterior.modes):
+        mode[part.members] = k
+    axes = [
+        Axis(shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
+             logarithmic=label == LABEL)
+        for k, label in enumerate(posterior.labels)
+    ]  # fmt: skip
+    weights = [part.weight for part in posterior.modes]
+    corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
+                         title=f"What {what_of(found)} leaves open")  # fmt: skip
+    yield Picture("corner", corner, _banner(found.predicted),
+                  f"Samples of the posterior. The prior was uniform: {_priors(axes)}.")  # fmt: skip
+    chosen = [*found.predicted[:1], *found.held_out][:MOST_PICTURED]
+    for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
+        one = next(p for p in chosen if p.id == predicted)
+        yield from _of_experiment(one, number)
+    both = curves_of(found)
+    if both is not None:
+        yield _curve_picture(found, both)
+
+
+def _priors(axes: Sequence[Axis]) -> str:
+    """Ranges of priors, which are mostly much wider than what is drawn."""
+    parts = []
+    for axis in axes:
+        unit = readable(axis.unit)
+        ends = f"{unit.text(axis.low)} to {unit.text(axis.high)} {unit.name}".rstrip()
+        parts.append(f"{axis.label} {ends}{' (of its logarithm)' * axis.logarithmic}")
+    return ", ".join(parts)
+
+
+def shown(label: str) -> str:
+    return "model error" if label == LABEL else label
+
+
+def _of_experiment(one: Predicted, number: int) -> Iterator[Picture]:
+    prediction, banner = one.prediction, _banner((one,))
+    what = f"{one.experiment.key}, held out" if one.held_out else one.experiment.key
+    measured = one.target.pose.copy()
+    # Angles on the same turn as the simulated ones.
+    off = prediction.best[:, 2] - measured[:, 2]
+    measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
+    bands = [PathBand(*band) for band in prediction.bands(LEVELS)]
+    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best, bands=bands,
+                      title=what)  # fmt: skip
+    yield Picture(f"bands-{number}", path, banner,
+                  f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
+    regions = []
+    for level in LEVELS:
+        bounds = prediction.bounds(level)
+        ellipse = bounds.position
+        regions.append(
+            FinalRegion(level, ellipse.centre, ellipse.radii, ellipse.angle, bounds.angle)
+        )
+    final = FinalPoseChart(
+        outline=_outline(one),
+        start=one.target.case.scene.bodies[0].pose,
+        measured=measured[-1],
+        draws=prediction.draws[:, -1],
+        regions=regions,
+        title=what,
+    )
+    yield Picture(f"final-{number}", final, banner,
+                  f"Final pose of {what} with bounds of 50 and 90 %.")  # fmt: skip
+
+
+def _outline(one: Predicted) -> FloatArray:
+    shape = one.target.case.scene.bodies[0].shape
+    if isinstance(shape, Disk):
+        turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+        return shape.radius * np.column_stack((np.cos(turn), np.sin(turn)))
+    return np.asarray(shape.outline)
+
+
+def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
+    panels = [
+        CoveragePanel(f"final {name}", c.levels, c.held, c.low, c.high,
+                      np.zeros((0, len(c.levels))), c.outcomes)
+        for name, c in zip(("position", "angle"), both, strict=True)
+    ]  # fmt: skip
+    chart = CoverageChart(panels, "What bounds hold of held-out experiments")
+    return Picture("coverage", chart, _banner(found.held_out),
+                   "Share of held-out final poses within bounds of each level.")  # fmt: skip
+
+
+def _banner(predicted: tuple[Predicted, ...]) -> str:
+    every = [one.experiment for one in predicted]
+    return banner_of(["" if one.real else f"SIMULATED by {one.simulated_by}" for one in every])
+
+
+def what_of(found: Uncertainty) -> str:
+    own = [one.experiment.key for one in found.predicted if not one.held_out]
+    return own[0] if len(own) == 1 else f"{len(own)} experiments"
+
+
+def curves_of(found: Uncertainty) -> tuple[CoverageCurve, CoverageCurve] | None:
+    """Of held-out final positions and angles; none for a few."""
+    held = found.held_out
+    if len(held) < LEAST_FOR_CURVE:
+        return None
+    levels = np.array([one.levels for one in held])
+    return coverage_curve(levels[:, 0]), coverage_curve(levels[:, 1])

@@ -1,0 +1,319 @@
+"""What experiments leave open of parameters, and what follows for paths and final poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.calibration.assess import Frames, repeated
+from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.noise import Noise, noise_from_residuals
+from fixel.calibration.objective import Comparer
+from fixel.calibration.study import box_of
+from fixel.calibration.target import Target, target_of
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Experiment
+from fixel.model.records import CalibrationRecord
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.simulation.motion import MOTION_MODELS
+from fixel.uncertainty.bands import Prediction, predict
+from fixel.uncertainty.discrepancy import ModelError
+from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
+from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
+from fixel.uncertainty.posterior import NestedSampling, Posterior, Progress
+from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
+from fixel.workflows.calibration.stored import Calibrated, calibrated, newest, searched_space
+
+# For the rough fit that tells the noise, before there is one.
+FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
+FIRST_STARTS: Final = 4
+DRAWS: Final = 400
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UncertaintyRequest:
+    """What is asked.
+
+    Parameters
+    ----------
+    experiments : tuple of str
+        Ids or names; those of the calibration where left out.
+    held_out : tuple of str
+        Experiments to be predicted only.
+    calibration : int, optional
+        Id of a stored one: its parameters, its motion model, its evaluations.
+    fit : tuple of str
+        `NAME[=LOW:HIGH[:START]]`, as for `fixel calibrate`.
+    motion : str, optional
+        Of the calibration, else `dynamic`, where left out.
+    noise : (float, float), optional
+        Standard deviations of the camera [m, rad]; found out where left out.
+    model_error : bool
+        Whether the model's own error is a term.
+    samples, seed : int
+    """
+
+    experiments: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
+    calibration: int | None = None
+    fit: tuple[str, ...] = ()
+    motion: str | None = None
+    noise: tuple[float, float] | None = None
+    model_error: bool = True
+    samples: int = 1000
+    seed: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
+    """An experiment and draws of how it goes.
+
+    Attributes
+    ----------
+    id : int
+    experiment : Experiment
+    target : Target
+    held_out : bool
+    prediction : Prediction
+    levels : (float, float)
+        Of the smallest bounds that hold the measured last pose: position, angle.
+    """
+
+    id: int
+    experiment: Experiment
+    target: Target
+    held_out: bool
+    prediction: Prediction
+    levels: tuple[float, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """The answer.
+
+    Attributes
+    ----------
+    request : UncertaintyRequest
+    space : ParameterSpace
+    noise : Noise
+    posterior : Posterior
+    predicted : tuple of Predicted
+        Of the experiments it was found from, then of those held out.
+    near : NearOptimal, optional
+        Of the calibration's stored evaluations, and the names of their columns.
+    near_names : tuple of str
+    motion : str
+    calibration : Calibrated, optional
+    compared : Calibrated, optional
+        The same, or the newest one that the first experiment is a member of: what the posterior
+        should not contradict silently.
+    """
+
+    request: UncertaintyRequest
+    space: ParameterSpace
+    noise: Noise
+    posterior: Posterior
+    predicted: tuple[Predicted, ...]
+    motion: str
+    near: NearOptimal | None = None
+    near_names: tuple[str, ...] = ()
+    calibration: Calibrated | None = None
+    compared: Calibrated | None = None
+
+    @property
+    def held_out(self) -> tuple[Predicted, ...]:
+        """Those that were predicted only."""
+        return tuple(one for one in self.predicted if one.held_out)
+
+
+def find_uncertainty(
+    project: Project,
+    request: UncertaintyRequest,
+    progress: Callable[[Progress], None] | None = None,
+) -> Uncertainty:
+    """Sample the posterior of experiments of a project, and predict with it.
+
+    Raises
+    ------
+    InvalidInput
+        Experiments that cannot be compared, parameters that no experiment could inform, held-out
+        experiments that are among the others, or dynesty missing.
+    NotStored
+        No such experiment or calibration.
+    """
+    with project.store() as store:
+        one = None if request.calibration is None else calibrated(store, request.calibration)
+        ids = _ids(store, request, one)
+        held = list(dict.fromkeys(store.find(key) for key in request.held_out))
+        if set(ids) & set(held):
+            raise InvalidInput(
+                "--held-out",
+                found="an experiment that the posterior is found from",
+                expected="others",
+            )
+        experiments = [store.experiment(number) for number in (*ids, *held)]
+        known = newest(store, ids[0]) if one is None else None
+        compared = one if known is None else calibrated(store, known)
+    targets = [target_of(experiment) for experiment in experiments]
+    unknowns = _unknowns(project, request, one, targets[: len(ids)])
+    motion = _motion(request, one)
+    space = ParameterSpace(unknowns=tuple(unknowns))
+    comparer = Comparer(targets, space, motion=_motion_model(motion))
+    members = list(range(len(ids)))
+    noise, point = _noise(comparer, members, request)
+    error = ModelError() if request.model_error else None
+    likelihood = LogLikelihood(comparer, members, noise, error)
+    sampling = NestedSampling(samples=request.samples)
+    posterior = sampling.sample(likelihood, likelihood.prior, request.seed, progress)
+    predicted = tuple(
+        _predicted(number, experiments[k], comparer, k, likelihood, posterior, k >= len(ids))
+        for k, number in enumerate((*ids, *held))
+    )
+    near, names = _near(one, comparer, members, point)
+    return Uncertainty(
+        request=replace(request, experiments=tuple(e.key for e in experiments[: len(ids)])),
+        space=space,
+        noise=noise,
+        posterior=posterior,
+        predicted=predicted,
+        motion=motion,
+        near=near,
+        near_names=names,
+        calibration=one,
+        compared=compared,
+    )
+
+
+def _ids(store: Store, request: UncertaintyRequest, one: Calibrated | None) -> list[int]:
+    if request.experiments:
+        return list(dict.fromkeys(store.find(key) for key in request.experiments))
+    if one is not None:
+        return sorted(one.members)
+    listed = store.experiments(Query(), limit=2).summaries
+    if len(listed) == 1:
+        return [listed[0].id]
+    raise InvalidInput(
+        "experiments",
+        found="none named",
+        expected="one at least, or a calibration whose experiments are taken",
+        hint="see what there is: fixel list",
+    )
+
+
+def _unknowns(
+    project: Project,
+    request: UncertaintyRequest,
+    one: Calibrated | None,
+    targets: Sequence[Target],
+) -> list[Unknown]:
+    """Those asked for, those of the calibration in the box it searched, or the usual ones."""
+    scenes = [target.case.scene for target in targets]
+    if request.fit:
+        return fitted(request.fit, scenes)
+    if one is None:
+        return default_unknowns(scenes)
+    space = searched_space(project, one, scenes)
+    return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
+
+
+def _motion(request: UncertaintyRequest, one: Calibrated | None) -> str:
+    if request.motion is not None:
+        return request.motion
+    return "dynamic" if one is None else one.motion.name
+
+
+def _motion_model(name: str) -> Any:
+    found = next((model for model in MOTION_MODELS if model.name == name), None)
+    if found is None:
+        expected = "one of " + ", ".join(model.name for model in MOTION_MODELS)
+        raise InvalidInput("--motion", found=repr(name), expected=expected)
+    return found()
+
+
+def _noise(
+    comparer: Comparer, members: list[int], request: UncertaintyRequest
+) -> tuple[Noise, FloatArray]:
+    """The noise, and the point of a rough fit."""
+    own = np.asarray(members, np.int64)
+    residuals = Frames(comparer, own).residuals(FIRST_NOISE)
+    search = LeastSquares(loss="soft_l1", width=3.0, starts=FIRST_STARTS, most_iterations=20)
+    point = fit(search.start(box_of(comparer.space), request.seed), residuals).point
+    if request.noise is not None:
+        return Noise(position_m=request.noise[0], angle_rad=request.noise[1]), point
+    if request.model_error:
+        return camera_noise(comparer, members, point), point
+    known = repeated(comparer, own)
+    return known or _left(comparer, own, point), point
+
+
+def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
+    """All that the fit leaves, taken for noise."""
+    series = comparer.residuals_at(members, point)
+    if not series:
+        raise InvalidInput(
+            "noise",
+            found="no experiment that could be simulated",
+            expected="one to find the noise from",
+            hint="state the noise: --noise-mm and --noise-mrad",
+        )
+    return noise_from_residuals(series, len(point))
+
+
+def _predicted(
+    number: int,
+    experiment: Experiment,
+    comparer: Comparer,
+    member: int,
+    likelihood: LogLikelihood,
+    posterior: Posterior,
+    held_out: bool,
+) -> Predicted:
+    target = comparer.targets[member]
+    prediction = predict(
+        comparer,
+        member,
+        posterior,
+        likelihood.prior,
+        likelihood.noise,
+        draws=DRAWS,
+        seed=posterior.seed,
+    )
+    return Predicted(
+        id=number,
+        experiment=experiment,
+        target=target,
+        held_out=held_out,
+        prediction=prediction,
+        levels=prediction.levels_of(target.pose[-1]),
+    )
+
+
+def _near(
+    one: Calibrated | None, comparer: Comparer, members: list[int], point: FloatArray
+) -> tuple[NearOptimal | None, tuple[str, ...]]:
+    """Nearly optimal sets among the evaluations a calibration kept."""
+    record: CalibrationRecord | None = None if one is None else one.record
+    if record is None or record.evaluations is None or not len(record.evaluations.error):
+        return None, ()
+    kept = record.evaluations
+    if kept.unit != "mm2" or not np.isfinite(kept.error).any():
+        return None, ()
+    series = comparer.residuals_at(members, point)
+    if not series:
+        return None, ()
+    from fixel.calibration.noise import correlation_time
+
+    count = 3.0 * sum(map(len, series)) / correlation_time(series)
+    least = float(kept.error[np.isfinite(kept.error)].min())
+    rise = rise_of(least, count, len(kept.names))
+    return near_optimal(np.array(kept.values), np.array(kept.error), rise), kept.names

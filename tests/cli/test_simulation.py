@@ -1,0 +1,151 @@
+"""`fixel simulate`, as another program would call it: standard output, error, exit code."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fixel.cli import main
+from fixel.formats import SceneFile, save_scene
+from fixel.testing import scenes
+
+KEYS = {
+    "status",
+    "duration",
+    "steps",
+    "max_residual",
+    "wall_time_s",
+    "final",
+    "pushers",
+    "touching",
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "grasp.yaml"
+    save_scene(SceneFile(scene=scenes.grasp("seated")), path)
+    return path
+
+
+def call(capsys, *arguments: object) -> tuple[int, str, str]:
+    code = 0
+    try:
+        main.run([str(a) for a in arguments])
+    except SystemExit as end:
+        code = int(end.code or 0)
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_json_has_the_keys_of_the_contract(scene, capsys):
+    code, out, err = call(capsys, "simulate", scene, "--json")
+    answer = json.loads(out)
+
+    assert code == 0
+    assert err == ""
+    assert set(answer) >= KEYS
+    assert answer["status"] == "converged"
+    assert "stopped_at" not in answer
+    assert answer["pushers"]["actuator"] == {
+        "travel": pytest.approx(answer["final"]["actuator"][0]),
+        "force": pytest.approx(34.3),
+        "stalled": True,
+    }
+    assert ["object", "actuator"] in answer["touching"]
+    assert len(out.splitlines()) == 1
+
+
+def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
+    path = tmp_path / "jam.csv"
+
+    code, out, _ = call(
+        capsys, "simulate", scene, "--json", "--trajectory", path,
+        "--set", "pushers.0.drive.force_limit=null",
+    )  # fmt: skip
+    answer = json.loads(out)
+
+    assert code == 3
+    assert answer["status"] == "jammed"
+    assert 0.0 < answer["stopped_at"] < 11.0
+    assert answer["duration"] == answer["stopped_at"]
+    assert len(answer["final"]["object"]) == 3
+    assert path.read_text().startswith('"time_s"')
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--set", "bodies.0.mas=1"], "did you mean 'mass'"),
+        (["--set", "bodies.0.mass=-1"], "expected a number greater than 0"),
+        (["--plot", "a.bmp"], "expected a picture file"),
+        (["--trajectory", "nowhere/a.csv"], "no folder nowhere"),
+        (["--solver", "lemke"], "support_directions"),
+        (["--step", "-1"], "expected a positive time"),
+        (["--step", "0.1", "--tolerance", "1"], "leave one out"),
+        (["--motion", "magic"], "magic"),
+    ],
+)
+def test_bad_input_exits_2_with_the_reason_and_no_traceback(scene, arguments, reason, capsys):
+    code, out, err = call(capsys, "simulate", scene, "--json", *arguments)
+
+    assert code == 2
+    assert reason in json.loads(out)["error"]["sentence"]
+    assert "Traceback" not in err
+
+
+def test_no_such_scene_exits_2(tmp_path, capsys):
+    code, _, err = call(capsys, "simulate", tmp_path / "none.yaml")
+
+    assert code == 2
+    assert "does not exist" in err
+
+
+def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):
+    picture = tmp_path / "a.png"
+
+    code, out, _ = call(capsys, "simulate", scene, "--plot", picture)
+
+    assert code == 0
+    assert "grasp.yaml: converged, simulated 11 s" in out
+    assert "stalled" in out
+    assert "object - actuator" in out
+    assert f"wrote {picture}" in out
+    assert out.rstrip().splitlines()[-1].startswith(f"Next: fixel simulate {scene} --animate")
+    assert max(len(line) for line in out.splitlines() if "Next" not in line) <= 110
+
+
+def test_people_are_told_what_to_do_about_a_jam(scene, capsys):
+    code, out, _ = call(capsys, "simulate", scene, "--set", "pushers.0.drive.force_limit=null")
+
+    assert code == 3
+    assert "jammed, stopped at" in out
+    assert "Give the pusher a force_limit" in out
+    assert out.rstrip().endswith("--set pushers.actuator.drive.force_limit=34.3")
+
+
+def test_a_fixed_step_and_a_tolerance(scene, capsys):
+    fixed = json.loads(call(capsys, "simulate", scene, "--json", "--step", "0.01")[1])
+    fine = json.loads(call(capsys, "simulate", scene, "--json", "--tolerance", "0.001")[1])
+
+    assert fixed["steps"] == 1100
+    assert fine["method"]["stepper.tolerance"] == pytest.approx(1e-6)
+
+
+def test_the_same_command_gives_the_same_answer(scene, capsys):
+    first, second = (json.loads(call(capsys, "simulate", scene, "--json")[1]) for _ in range(2))
+
+    assert {**first, "wall_time_s": 0} == {**second, "wall_time_s": 0}
+
+
+def test_ctrl_c_leaves_no_file_and_exits_130(scene, tmp_path, capsys, monkeypatch):
+    def interrupted(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fixel.workflows.simulation.animate_simulation", interrupted)
+
+    code, _, err = call(capsys, "simulate", scene, "--animate", tmp_path / "a.mp4")
+
+    assert code == 130
+    assert "stopped" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["grasp.yaml"]

@@ -1,0 +1,49 @@
+"""Round tips beside outlines: gaps, and the shortest way out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.datasets.contact import corrected_path, moved_to_contact
+from fixel.model import Disk, Polygon, Shape
+
+SQUARE = Polygon(np.array([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]]))
+TURNED = np.array([[0.5, 0.2, math.pi / 2]])
+
+
+@pytest.mark.parametrize(
+    ("shape", "local", "gap", "way"),
+    [
+        (SQUARE, (0.040, 0.0), 0.005, (0.0, 0.0)),
+        (SQUARE, (0.034, 0.0), -0.001, (0.001, 0.0)),
+        (SQUARE, (0.033, 0.033), 0.003 * math.sqrt(2) - 0.005, (0.000536, 0.000536)),
+        (SQUARE, (0.0, -0.028), -0.007, (0.0, -0.007)),
+        (Disk(0.03), (0.0, 0.034), -0.001, (0.0, 0.001)),
+        (Disk(0.03), (0.0, 0.036), 0.001, (0.0, 0.0)),
+    ],
+)
+def test_tips_leave_along_the_normal(
+    shape: Shape, local: tuple[float, float], gap: float, way: tuple[float, float]
+) -> None:
+    """The object is turned a quarter: its x is the y of the world, its y the -x."""
+    tip = np.array([[0.5 - local[1], 0.2 + local[0]]])
+
+    found, offset = moved_to_contact(shape, 0.005, TURNED, tip)
+
+    assert found == pytest.approx([gap])
+    assert offset[0] == pytest.approx([-way[1], way[0]], abs=1e-6)
+    after, _ = moved_to_contact(shape, 0.005, TURNED, tip + offset)
+    assert after[0] >= 0.0
+
+
+def test_a_correction_fades() -> None:
+    path = np.column_stack((np.arange(5.0), np.zeros((5, 3))))
+    offset = np.array([1.0, -2.0])
+
+    assert corrected_path(path, offset)[:, 1] == pytest.approx([1.0, 0.75, 0.5, 0.25, 0.0])
+    assert corrected_path(path, offset, 2.0)[:, 2] == pytest.approx([-2.0, -1.0, 0.0, 0.0, 0.0])
+    assert corrected_path(path[:1], offset)[0, 1:3].tolist() == [1.0, -2.0]
+    assert not path[:, 1:].any()

@@ -1,0 +1,128 @@
+"""Files that were cut, changed or made to hurt: a clear refusal, or experiments; nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.datasets import push_files, recordings
+
+from fixel.datasets import IMPORTERS
+from fixel.datasets.raw import base
+from fixel.errors import FixelError, InvalidInput
+
+
+def _pushes(folder: Path) -> Path:
+    return push_files.mit_push(folder, push_files.push(0), push_files.push(1))
+
+
+def _table(folder: Path) -> Path:
+    folder.mkdir()
+    text = "time_s,x_mm,y_mm,theta_deg,pusher_x_mm,pusher_y_mm,fx_n,touch_bool,note\n" + "".join(
+        f"{0.1 * k},{10 * k},0,{k},{10 * k - 40},0,1.5,{k % 2},felt\n" for k in range(12)
+    )
+    return recordings.table_file(folder / "own.csv", text)
+
+
+MAKERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
+    "trials": ("rpi-2dgad", recordings.rpi_2dgad),
+    "pushes": ("mit-push", _pushes),
+    "records": ("mit-push", recordings.mit_records),
+    "runs": ("mit-pusher-slider", recordings.mit_pusher_slider),
+    "tripod": ("cmu-tripod", recordings.cmu_tripod),
+    "fingers": ("cmu-two-point", recordings.cmu_two_point),
+    "own": ("csv", _table),
+}
+
+HOSTILE = [
+    b"", b"nan", b"-1", b"1e308", b"1e17", b"inf", b"0", b"null", b'"', b",", b"\n", b"\x00", b"{}",
+    b"[]", b"\xff\xfe", b"true", b"9" * 400, b"[[[[", b"99999999999999999999", b"1e-320",
+]  # fmt: skip
+
+MUTATIONS = 60
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_mutated_files_are_imported_or_refused(kind: str, tmp_path: Path) -> None:
+    name, make = MAKERS[kind]
+    whole = make(tmp_path / "whole")
+    root = whole if whole.is_dir() else whole.parent
+    dice = random.Random(kind)
+    for _ in range(MUTATIONS):
+        copy = tmp_path / "copy"
+        shutil.copytree(root, copy)
+        _mutate(dice.choice(sorted(path for path in copy.rglob("*") if path.is_file())), dice)
+        # Any other exception, and any warning, fails the test.
+        with contextlib.suppress(FixelError):
+            list(IMPORTERS[name].read(copy / whole.relative_to(root)).experiments())
+        shutil.rmtree(copy)
+
+
+def _mutate(path: Path, dice: random.Random) -> None:
+    """Change one thing: cut the file, or put something else in place of a value or a byte."""
+    packed = path.read_bytes()
+    inside = path.suffix == ".gz" and dice.random() < 0.8
+    content = gzip.decompress(packed) if inside else packed
+    at = dice.randrange(len(content))
+    choice = dice.random()
+    if choice < 0.2:
+        content = content[:at]
+    elif choice < 0.4:
+        content = content[:at] + bytes([dice.randrange(256)]) + content[at + 1 :]
+    else:
+        end = next((k for k in range(at, len(content)) if content[k] in b",\n]}"), len(content))
+        content = content[:at] + dice.choice(HOSTILE) + content[end:]
+    path.write_bytes(gzip.compress(content) if inside else content)
+
+
+def test_what_unpacks_to_too_much_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(base, "LARGEST_FILE", 2_000_000)
+    path = tmp_path / "bomb.csv.gz"
+    path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000))
+
+    with pytest.raises(InvalidInput, match="at most 2 million characters"):
+        IMPORTERS["csv"].read(path)
+
+
+def test_more_cells_than_the_memory_holds_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(base, "MOST_CELLS", 1_000_000)
+    path = tmp_path / "bomb.csv.gz"
+    path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000))
+
+    with pytest.raises(InvalidInput, match="at most 1 million cells"):
+        IMPORTERS["csv"].read(path)
+
+
+def test_a_line_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "line.csv.gz"
+    path.write_bytes(gzip.compress(b"x," * 1_000_000))
+
+    with pytest.raises(InvalidInput, match="a line of 1000000 characters"):
+        IMPORTERS["csv"].read(path)
+
+
+def test_a_damaged_archive_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "own.csv.gz"
+    packed = bytearray(gzip.compress(b"t_s,x_m,y_m\n0,0,0\n" * 100))
+    packed[12:20] = b"\xff" * 8
+    path.write_bytes(bytes(packed))
+
+    with pytest.raises(InvalidInput, match="a readable CSV file"):
+        IMPORTERS["csv"].read(path)
+
+
+def test_json_nested_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / f"{recordings.RECORD}.json"
+    path.write_text('{"object_pose": ' + "[" * 100_000)
+
+    with pytest.raises(InvalidInput):
+        list(IMPORTERS["mit-push"].read(path).experiments())

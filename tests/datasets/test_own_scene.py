@@ -1,0 +1,129 @@
+"""Scenes for your own tables, and units judged by the motion; pushes in closed form."""
+
+import math
+
+import numpy as np
+import pytest
+from tests.closed_form import SIDE, push, table_text
+from tests.datasets.recordings import table_file
+
+from fixel.datasets import IMPORTERS
+from fixel.datasets.own_scene import template_text
+from fixel.errors import InvalidInput
+
+CSV = IMPORTERS["csv"]
+HALF = SIDE / 2
+DEGREE = math.degrees(1.0)
+SQUARE = (
+    f"{{polygon: [[-{HALF}, -{HALF}], [{HALF}, -{HALF}], [{HALF}, {HALF}], [-{HALF}, {HALF}]]}}"
+)
+
+
+def table(tmp_path, *, header=None, turn=DEGREE, scale=1e3, **how):
+    """A table of a push, its columns scaled by factors of the test's own."""
+    time, pose, tip = push(0.15, 0.02, **how)
+    rows = np.column_stack((time, scale * pose[:, :2], turn * pose[:, 2], scale * tip))
+    text = (header or "time_s,x_mm,y_mm,theta_deg,tip_x_mm,tip_y_mm") + "\n"
+    text += "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
+    return table_file(tmp_path / "run.csv", text)
+
+
+def filled(tmp_path, source, **replaced):
+    """The template of a table's scene with its placeholders filled in."""
+    (experiment,) = CSV.read(source).experiments()
+    text = template_text(experiment, source.name)
+    shapes = replaced.get("shapes", (SQUARE, "{disk: 0.005}"))
+    for shape in shapes:
+        text = text.replace("shape: FILL_IN", f"shape: {shape}", 1)
+    text = text.replace("mass: FILL_IN", "mass: 0.5")
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_filled_template_makes_a_scene_from_table_and_file(tmp_path):
+    source = table(tmp_path, angle=0.3)
+    scene = filled(tmp_path, source)
+
+    (experiment,) = CSV.read(source, scene=str(scene)).experiments()
+
+    time, pose, tip = push(0.15, 0.02, angle=0.3)
+    assert experiment.scene.bodies[0].pose == pytest.approx(pose[0], abs=1e-8)
+    path = experiment.scene.pushers[0].drive.waypoints
+    assert path[:, 1:3] == pytest.approx(tip, abs=1e-8)
+    assert experiment.scene.duration == pytest.approx(time[-1])
+    assert "no-scene" not in {flag.name for flag in experiment.flags}
+
+
+def test_placeholders_that_are_left_are_named_all_together(tmp_path):
+    source = table(tmp_path)
+    scene = filled(tmp_path, source, shapes=())
+
+    with pytest.raises(InvalidInput) as refused:
+        CSV.read(source, scene=str(scene))
+
+    assert refused.value.where == "bodies[0].shape"
+    assert "FILL_IN" in str(refused.value)
+    assert "disk" in refused.value.expected
+    assert "pushers[0].shape" in refused.value.hint
+
+
+@pytest.mark.parametrize(
+    ("header", "turn", "scale", "complaint"),
+    [
+        # Degrees, radians and metres that the header calls something else.
+        ("time_s,x_mm,y_mm,theta_rad,tip_x_mm,tip_y_mm", DEGREE, 1e3, "angle_unit=deg"),
+        (None, 1.0, 1e3, "angle_unit=rad"),
+        ("time_s,x_m,y_m,theta_deg,tip_x_m,tip_y_m", DEGREE, 1e3, "a motion of 33 m"),
+    ],
+)
+def test_units_in_which_nothing_moves_so_are_refused(tmp_path, header, turn, scale, complaint):
+    right = table(tmp_path)
+    scene = filled(tmp_path, right)
+    wrong = table(tmp_path, header=header, turn=turn, scale=scale)
+
+    with pytest.raises(InvalidInput, match=complaint):
+        CSV.read(wrong, scene=str(scene))
+
+
+def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
+    """Without a pusher or a scene: 1.43 degrees in 0.1 s, times 100 under the wrong header."""
+    rows = "".join(f"{0.1 * k:g},{k},0,{2.5 * k:g}\n" for k in range(20))
+    source = table_file(tmp_path / "run.csv", "time_s,x_mm,y_mm,theta_rad\n" + rows)
+
+    with pytest.raises(InvalidInput, match=r"turns 143 degrees in 0\.1 s.*angle_unit=deg"):
+        CSV.read(source)
+
+    (experiment,) = CSV.read(source, angle_unit="deg").experiments()
+    assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(2.5 * 19))
+
+
+def test_right_units_of_many_pushes_are_accepted(tmp_path):
+    for mu in (0.02, 0.15, 0.6):
+        for offset in (-0.035, 0.002, 0.03):
+            for unit, turn in (("deg", math.degrees(1.0)), ("rad", 1.0)):
+                time, pose, tip = push(mu, offset, duration=3.0, rate=20.0)
+                rows = np.column_stack((time, pose[:, :2], turn * pose[:, 2], tip))
+                text = f"time_s,x_m,y_m,theta_{unit},tip_x_m,tip_y_m\n"
+                text += "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
+                CSV.read(table_file(tmp_path / "run.csv", text))
+
+
+def test_a_pusher_that_cannot_be_there_is_refused(tmp_path):
+    scene = filled(tmp_path, table(tmp_path))
+    time, pose, tip = push(0.15, 0.02)
+    for shift, complaint in ((-0.02, "20 mm inside the object at the start"), (2.0, "stays 1")):
+        moved = pose + np.array([shift, 0.0, 0.0])
+        source = table_file(tmp_path / "run.csv", table_text(time, moved, tip))
+        with pytest.raises(InvalidInput, match=complaint):
+            CSV.read(source, scene=str(scene))
+
+
+def test_a_scene_belongs_to_a_table_and_holds_its_object(tmp_path):
+    source = table(tmp_path)
+    scene = filled(tmp_path, source)
+    with pytest.raises(InvalidInput, match="the object 'crate'"):
+        CSV.read(source, scene=str(scene), object_name="crate")
+    scene.write_text(scene.read_text().partition("pushers:")[0])
+    with pytest.raises(InvalidInput, match="0 of them"):
+        CSV.read(source, scene=str(scene))

@@ -1,0 +1,159 @@
+"""Your own tables: roles, units, guesses and refusals."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.datasets.recordings import table_file
+
+from fixel.datasets import IMPORTERS, ImportPlan
+from fixel.errors import InvalidInput
+from fixel.model import Experiment
+
+CSV = IMPORTERS["csv"]
+
+
+def plan_of(tmp_path: Path, text: str, **options: object) -> ImportPlan:
+    return CSV.read(table_file(tmp_path / "run 7.csv", text), **options)
+
+
+def experiment_of(tmp_path: Path, text: str, **options: object) -> Experiment:
+    (experiment,) = plan_of(tmp_path, text, **options).experiments()
+    return experiment
+
+
+def test_units_come_from_the_header(tmp_path: Path) -> None:
+    experiment = experiment_of(
+        tmp_path,
+        "time_ms,x_mm,y_cm,theta_deg,pusher_x_um,pusher_y_m,force_x_n,touch_bool,gap_mm,surface\n"
+        "100,10,2,90,5000,1,3.5,true,2,felt\n"
+        "200,11,2,91,5000,1,,0,3,felt\n",
+    )
+
+    assert experiment.key == "csv/run 7"
+    assert experiment.trajectory.time == pytest.approx([0.0, 0.1])
+    assert experiment.trajectory.pose[0] == pytest.approx([0.01, 0.02, math.pi / 2])
+    assert experiment.pusher is not None
+    assert experiment.pusher.pose[0] == pytest.approx([0.005, 1.0, 0.0])
+    force, readings, tactile = experiment.channels
+    assert (force.columns, tactile.columns) == (("force_x_n",), ("touch_bool",))
+    assert np.isnan(force.values[1, 0])
+    assert tactile.values.tolist() == [[1.0], [0.0]]
+    assert readings.columns == ("gap_m",)
+    assert readings.values[:, 0] == pytest.approx([0.002, 0.003])
+    assert experiment.conditions == {"surface": "felt"}
+    assert experiment.flags == ()
+    assert experiment.real
+
+
+def test_headers_of_spreadsheets(tmp_path: Path) -> None:
+    experiment = experiment_of(tmp_path, "\ufeffTime [s],X (mm), Y/mm,Angle (deg)\n0,1,2,180\n")
+
+    assert experiment.trajectory.pose[0] == pytest.approx([0.001, 0.002, math.pi])
+
+
+def test_guesses_are_stated_and_flagged(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, "t,x,y,theta\n0,120,3,178\n33,121,3,-179\n66,122,3,-176\n")
+
+    guesses = [sentence for sentence in plan.understood if sentence.startswith("Guess")]
+    assert guesses == [
+        "Guess: t has no unit and typical steps of 33: taken as ms.",
+        "Guess: x has no unit and values up to 122: taken as mm.",
+        "Guess: y has no unit and others of its kind are in mm: taken as mm.",
+        "Guess: theta has no unit and values up to 179: taken as degrees.",
+    ]
+    (experiment,) = plan.experiments()
+    assert [flag.name for flag in experiment.flags] == ["guessed-units"]
+    assert experiment.trajectory.time == pytest.approx([0.0, 0.033, 0.066])
+    assert np.degrees(experiment.trajectory.pose[:, 2]) == pytest.approx([178, 181, 184])
+
+
+def test_small_values_are_metres_and_radians(tmp_path: Path) -> None:
+    experiment = experiment_of(tmp_path, "t,x,y,theta\n0,0.1,0.2,3.0\n0.1,0.1,0.2,3.1\n")
+
+    assert experiment.trajectory.pose[0].tolist() == [0.1, 0.2, 3.0]
+
+
+def test_units_nobody_knows_are_named(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, "time_s,x_inch,y_inch\n0,1,2\n1,2,2\n")
+
+    assert any("x_inch has the unknown unit 'inch'" in line for line in plan.understood)
+    assert any("No angle of the object" in line for line in plan.understood)
+
+
+def test_options_go_before_guesses(tmp_path: Path) -> None:
+    text = "t,x,y,theta\n0,100,3,7\n5,101,3,8\n"
+    experiment = experiment_of(
+        tmp_path, text, time_unit="s", length_unit="cm", angle_unit="rad", object_name="brick",
+        name="first", simulated_by="somebody's code",
+    )  # fmt: skip
+
+    assert experiment.trajectory.time[1] == 5.0
+    assert experiment.trajectory.pose[0] == pytest.approx([1.0, 0.03, 7.0])
+    assert (experiment.object_name, experiment.name) == ("brick", "first")
+    assert not experiment.real
+    assert experiment.flags == ()
+
+
+def test_blank_poses_are_left_out_and_flagged(tmp_path: Path) -> None:
+    experiment = experiment_of(tmp_path, "t_s,x_m,y_m,theta_rad\n0,0,0,0\n1,,0,0\n2,1,0,0\n")
+
+    assert experiment.trajectory.time.tolist() == [0.0, 2.0]
+    (flag,) = experiment.flags
+    assert (flag.name, flag.detail) == (
+        "missing-poses", "1 of 3 rows lack the pose of the object",
+    )  # fmt: skip
+
+
+def test_times_since_1970_keep_their_digits(tmp_path: Path) -> None:
+    rows = "".join(f"{1_700_000_000_000_000 + 4000 * k},0,0,0\n" for k in range(3))
+    experiment = experiment_of(tmp_path, "time_us,x_m,y_m,theta_rad\n" + rows)
+
+    assert experiment.trajectory.time == pytest.approx([0.0, 0.004, 0.008], abs=1e-12)
+
+
+def test_a_compressed_table(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(b"t_s,x_m,y_m,theta_rad\n0,1,0,0\n"))
+
+    (experiment,) = CSV.read(path).experiments()
+
+    assert experiment.name == "run"
+    assert experiment.provenance.source == "run.csv.gz"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("t_s,x_m,y_m\n0,0,0\n0,0,0\n", "row 2: found t = 0 s after 0 s"),
+        ("t_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 3: found t = 1 s after 2 s"),
+        ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m: found 'nan'"),
+        ("t_s,x_m,y_m\n0,1e30,0\n", "column x_m: found 1e"),
+        ("t_s,x_m,y_m\n,0,0\n", "column t_s: found ''"),
+        ("t_s,x_m\n0,0\n", "a column for y; name columns"),
+        ("t_s,x_m,y_m,pusher_x_m\n0,0,0,0\n", "a column for pusher_y"),
+        ("t_s,x_m,x_mm,y_m\n0,0,0,0\n", "found 'x_m' and 'x_mm'"),
+        ("t_s,x_m,x_m,y_m\n0,0,0,0\n", "header: found 'x_m' twice"),
+        ("t_s,x_deg,y_m\n0,0,0\n", "column x_deg: found a unit of angle"),
+        ("t_s;x_m;y_m\n0;0;0\n", "semicolons"),
+        ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool: found '2'"),
+        ("t_s,x_m,y_m\n0,,\n", "no pose of the object"),
+        ("t_s,x_m,y_m\n0,0\n", "2 cells, expected 3"),
+        ("t_s,x_m,y_m\n", "1 lines"),
+        ("", "0 lines"),
+    ],
+)
+def test_wrong_tables_are_refused(text: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=complaint):
+        plan_of(tmp_path, text)
+
+
+def test_wrong_options_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"length_unit: found 'ell', expected one of m, mm"):
+        plan_of(tmp_path, "t_s,x,y\n0,0,0\n", length_unit="ell")
+    with pytest.raises(InvalidInput, match="option name"):
+        plan_of(tmp_path, "t_s,x_m,y_m\n0,0,0\n", name=3)

@@ -1,0 +1,170 @@
+"""Bounds where a side or a speed is new: a made-up laboratory in which every side is biased."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fixel.domain.contacts import Contacts, PushedContacts, contacts_of
+from fixel.domain.features import Configurations
+from fixel.domain.promise import Promise, promised
+from fixel.errors import InvalidInput
+from fixel.kernels.arrays import FloatArray
+from fixel.model import Polygon
+
+SIDES = 4
+EACH = 16  # pushes of a side
+
+
+class Laboratory:
+    """Parts with four sides; a side that the calibration has not seen is biased.
+
+    Features are where a push is along its side and how long it is, not which side it is on.
+    """
+
+    def __init__(self, parts: int, bias: float, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.bias = bias * self.rng.standard_normal((parts, SIDES))
+        self.parts = parts
+
+    def push(self, part: int, side: int, seen: bool) -> tuple[FloatArray, FloatArray, Contacts]:
+        """Features, errors and contacts of the pushes of one side."""
+        features = self.rng.uniform(-0.4, 0.4, (EACH, 2))
+        noise = self.rng.standard_normal(EACH) * np.exp(features[:, 0])
+        errors = np.abs(noise + (0.0 if seen else self.bias[part, side]))
+        return features, errors, contacts_on(side, features[:, 0])
+
+    def pushes(
+        self, cells: list[tuple[int, int]], seen: bool
+    ) -> tuple[FloatArray, FloatArray, Contacts, list[int], list[tuple[int, int]]]:
+        found = [self.push(part, side, seen) for part, side in cells]
+        labels = [cell for cell in cells for _ in range(EACH)]
+        return (
+            np.concatenate([own[0] for own in found]),
+            np.concatenate([own[1] for own in found]),
+            Contacts.joined([own[2] for own in found]),
+            [part for part, _ in labels],
+            labels,
+        )
+
+
+def contacts_on(side: int, along: FloatArray, speed: float = 0.01) -> Contacts:
+    angle = np.full(len(along), 0.5 * math.pi * side)
+    c, s = np.cos(angle), np.sin(angle)
+    return Contacts(angle, np.column_stack((c - s * along, s + c * along)),
+                    np.full(len(along), speed))  # fmt: skip
+
+
+def coverage(bias: float, repeats: int = 12) -> dict[str, FloatArray]:
+    """Shares of the pushes of new sides, and of known ones, within 90 % bounds; mean bounds."""
+    rows = []
+    for seed in range(repeats):
+        lab = Laboratory(10, bias, seed)
+        known = [(part, side) for part in range(10) for side in range(3)]
+        left_out = lab.pushes(known, seen=False)
+        beyond = Promise.fit(*left_out[:2], left_out[3], units=left_out[4], model="neighbours")
+        x, e, contacts, parts, _ = lab.pushes(known, seen=True)
+        blind = Promise.fit(x, e, parts, model="neighbours")
+        promise = blind.for_contacts(contacts, parts, beyond)
+        x, e, contacts, parts, _ = lab.pushes([(part, 3) for part in range(10)], seen=False)
+        bound = promise.bounds(x, parts, contacts)
+        old = blind.bounds(x, parts)
+        x, off, contacts, parts, _ = lab.pushes(known, seen=True)
+        same = promise.bounds(x, parts, contacts)
+        assert np.array_equal(same, blind.bounds(x, parts))
+        rows.append((np.mean(e <= bound), np.mean(e <= old), np.mean(off <= same),
+                     bound.mean(), old.mean()))  # fmt: skip
+    names = ("new", "blind", "known", "new_mean", "blind_mean")
+    return dict(zip(names, np.mean(rows, axis=0), strict=True))
+
+
+def test_bounds_hold_on_a_new_side_where_every_side_is_biased() -> None:
+    found = coverage(bias=2.0)
+    assert found["blind"] < 0.75
+    assert found["new"] >= 0.88
+    assert found["known"] == pytest.approx(0.905, abs=0.025)
+
+
+def test_without_a_bias_bounds_on_a_new_side_are_hardly_wider() -> None:
+    found = coverage(bias=0.0)
+    assert 0.88 <= found["new"] <= 0.97
+    assert found["new_mean"] < 1.25 * found["blind_mean"]
+
+
+def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
+    lab = Laboratory(1, 2.0, 0)
+    x, e, contacts, _, _ = lab.pushes([(0, side) for side in range(3)], seen=True)
+    ways = (contacts_on(1, np.zeros(1)), contacts_on(3, np.zeros(1)),
+            contacts_on(1, np.zeros(1), 0.02), contacts_on(3, np.zeros(1), 0.02),
+            contacts_on(1, np.full(1, 1.5)))  # fmt: skip
+    answer = promised(x, e, np.zeros((5, 2)), contacts=(contacts, Contacts.joined(ways)))
+    assert np.isfinite(answer.bound).tolist() == [True, False, False, False, False]
+    assert answer.near.tolist() == [True, False, False, False, False]
+    assert answer.colours(1e6).tolist() == ["trusted"] + 4 * ["no data"]
+    why = ("", "90 degrees from all pushed", "speed never pushed: 20 mm/s, nearest 10",
+           "side never pushed", "place never pushed")  # fmt: skip
+    assert all(part in reason for part, reason in zip(why, answer.reasons, strict=True))
+    assert answer.reasons[0] == ""
+    assert "speed never pushed" in answer.reasons[3]
+
+
+def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sides() -> None:
+    lab = Laboratory(10, 1.0, 0)
+    known = [(part, side) for part in range(10) for side in range(3)]
+    x, e, contacts, parts, units = lab.pushes(known, seen=True)
+    beyond = Promise.fit(x, e, parts, units=units, model="neighbours")
+    promise = Promise.fit(x, e, parts, model="neighbours").for_contacts(contacts, parts, beyond)
+    asked = Contacts.joined(
+        [
+            contacts_on(side, np.zeros(1), v)
+            for side, v in ((3, 0.01), (1, 0.02), (3, 0.02), (1, 0.01))
+        ]
+    )
+    labels = [0, 0, 0, 99]
+    assert np.isfinite(promise.bounds(np.zeros((4, 2)), labels, asked)).tolist() == [
+        True, True, False, False,
+    ]  # fmt: skip
+    assert [bool(text) for text in promise.reasons(np.zeros((4, 2)), labels, asked)] == [
+        False, False, True, True,
+    ]  # fmt: skip
+
+
+def test_a_finite_bound_takes_nine_left_out_sides() -> None:
+    lab = Laboratory(4, 0.0, 0)
+    for sides, good in ((8, False), (9, True)):
+        cells = [(k % 4, k // 4) for k in range(sides)]
+        x, e, _, parts, units = lab.pushes(cells, seen=True)
+        if good:
+            assert np.isfinite(Promise.fit(x, e, parts, units=units).bounds(x[:1])).all()
+        else:
+            with pytest.raises(InvalidInput, match="8 sides or speeds left out, expected 9"):
+                Promise.fit(x, e, parts, units=units)
+
+
+def test_contacts_are_asked_for_and_refused() -> None:
+    lab = Laboratory(1, 0.0, 0)
+    x, e, contacts, parts, _ = lab.pushes([(0, 0), (0, 1)], seen=True)
+    plain = Promise.fit(x, e, parts, model="neighbours")
+    with pytest.raises(InvalidInput, match="contacts"):
+        plain.for_contacts(contacts, parts).bounds(x, parts)
+    with pytest.raises(InvalidInput, match="contacts"):
+        plain.bounds(x, parts, contacts)
+    with pytest.raises(InvalidInput, match="without units"):
+        plain.for_contacts(contacts, parts, plain)
+    with pytest.raises(InvalidInput, match="positive speeds"):
+        PushedContacts(contacts._replace(speed=np.zeros(len(e))), parts)
+
+
+def test_contacts_of_a_turned_square() -> None:
+    """The finger stands 3 mm off the middle of each side, whichever way the square lies."""
+    half, radius = 0.05, 0.005
+    square = Polygon(half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]))
+    turn = np.array([0.0, 0.4, -2.0, 3.0])
+    side = 0.5 * np.pi * np.array([0, 1, 2, -1])
+    out = half + radius + 0.003
+    tip = 0.3 + out * np.column_stack((np.cos(turn + side), np.sin(turn + side)))
+    start = np.column_stack((np.full((4, 2), 0.3), turn))
+    found = contacts_of(Configurations(square, radius, start, tip, tip), np.full(4, 0.02))
+    assert np.cos(found.normal - side) == pytest.approx(1.0)
+    point = math.sqrt(math.pi) / 2.0 * np.column_stack((np.cos(side), np.sin(side)))
+    assert found.place == pytest.approx(point, abs=1e-9)

@@ -1,0 +1,122 @@
+"""Promises for the cells of a map."""
+
+import numpy as np
+import pytest
+
+from fixel.domain.cells import cells_of
+from fixel.domain.domain import Claim, domain_map
+from fixel.domain.evidence import Evidence
+from fixel.domain.promised_cells import promised_cells
+
+
+def _evidence(n, groups=("",), seed=0):
+    """Errors that grow along an axis from 1 to 3 mm, by a tenth more or less."""
+    random = np.random.default_rng(seed)
+    place = np.tile(np.arange(5), n * len(groups))
+    error = (1.0 + 0.5 * place) * np.exp(0.1 * random.normal(size=len(place)))
+    return Evidence(
+        keys=tuple(f"e{k}" for k in range(len(place))),
+        ids=tuple(range(len(place))),
+        coordinates={"offset_y_m": tuple((1e-3 * place).tolist())},
+        error_mm2=error**2,
+        group=tuple(np.repeat(groups, 5 * n).tolist()),
+    )
+
+
+def _cells(evidence):
+    return cells_of(evidence, ["offset_y_m"], {}, {})
+
+
+def test_bounds_follow_the_errors_and_hold():
+    evidence = _evidence(40)
+    cells = _cells(evidence)
+    (bound,) = promised_cells(evidence, cells, 0.9)
+    assert bound[0] < 0.6 * bound[-1]
+    new = _evidence(400, seed=1)
+    inside = np.sqrt(new.error_mm2) <= bound[cells.find(new)]
+    assert 0.86 < inside.mean() < 0.96
+
+
+def test_each_map_has_bounds_of_its_own():
+    evidence = _evidence(30, ("a", "b"))
+    bounds = promised_cells(evidence, _cells(evidence), 0.9)
+    assert bounds.shape == (2, 5)
+    assert np.isfinite(bounds).all()
+
+
+@pytest.mark.parametrize(("level", "n", "some"), [(0.9, 2, True), (0.95, 2, False)])
+def test_too_few_experiments_promise_nothing(level, n, some):
+    evidence = _evidence(n)
+    assert (promised_cells(evidence, _cells(evidence), level) is not None) == some
+
+
+def test_experiments_without_evidence_say_nothing():
+    evidence = _evidence(40)
+    error = np.array(evidence.error_mm2)
+    error[evidence.column("offset_y_m").index(0.0)] = np.nan
+    kept = Evidence(
+        keys=evidence.keys,
+        ids=evidence.ids,
+        coordinates=evidence.coordinates,
+        error_mm2=error,
+    )
+    assert np.isfinite(promised_cells(kept, _cells(kept), 0.9)).all()
+
+
+@pytest.mark.parametrize("repetitions", [1, 3])
+def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitions):
+    """Each cell has an error of its own, which repetitions meet again and neighbours do not."""
+    held = []
+    for seed in range(30):
+        random = np.random.default_rng(seed)
+        places = np.arange(41)
+        own = np.exp(0.5 * random.normal(size=41))
+        tried = np.sort(random.permutation(41)[:25])
+        at = np.repeat(tried, repetitions)
+        error = own[at] * np.exp(0.05 * random.normal(size=len(at)))
+        evidence = Evidence(
+            keys=tuple(f"e{k}" for k in range(len(at))),
+            ids=tuple(range(len(at))),
+            coordinates={"offset_y_m": tuple((1e-3 * at).tolist())},
+            error_mm2=error**2,
+        )
+        cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 1e-3})
+        (bound,) = promised_cells(evidence, cells, 0.9, seed)
+        number = {round(1e3 * c): k for k, c in enumerate(cells.axes[0].centres)}
+        new = [p for p in places if p not in set(tried.tolist()) and p in number]
+        promised = bound[[number[p] for p in new]]
+        assert np.isfinite(promised).any()
+        held.append((own[new] <= promised)[np.isfinite(promised)])
+    assert np.concatenate(held).mean() == pytest.approx(0.91, abs=0.04)
+
+
+def test_of_few_cells_repeated_nothing_follows_for_another():
+    evidence = _evidence(2)  # five cells: too few to say anything of a sixth
+    cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 0.5e-3})
+    (bound,) = promised_cells(evidence, cells, 0.9)
+    tried = np.unique(cells.find(evidence))
+    assert np.isfinite(bound[tried]).all()
+    assert np.isinf(np.delete(bound, tried)).all()
+
+
+def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
+    rng = np.random.default_rng(0)
+    angles = np.radians(np.arange(-165.0, 180.0, 30.0))
+    at = np.concatenate((angles, angles[:9]))
+    evidence = Evidence(
+        keys=tuple(f"e{k}" for k in range(len(at))),
+        ids=tuple(range(len(at))),
+        coordinates={"contact_angle_rad": tuple(at.tolist())},
+        error_mm2=rng.uniform(0.5, 1.0, len(at)),
+        group=("a",) * 12 + ("b",) * 9,
+    )
+    cells = cells_of(evidence, ["contact_angle_rad"])
+    bounds = promised_cells(evidence, cells, 0.9)
+    assert bounds is not None
+    assert np.isfinite(bounds[0]).all()
+    assert np.isfinite(bounds[1]).tolist() == 9 * [True] + 3 * [False]
+    domain = domain_map(evidence, cells, "absolute", 0, bounds)
+    claim = Claim(threshold=5.0, measure="absolute", level=0.9, confidence=0.9)
+    verdict = domain.verdicts(claim)[1][11]
+    assert verdict.colour == "no data"
+    assert verdict.reason == "never tried: contact_angle_rad 165 deg"

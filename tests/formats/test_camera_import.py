@@ -1,0 +1,298 @@
+"""Cameras of other programs: read as they mean them, checked by OpenCV's own projection."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fixel.errors import InvalidInput
+from fixel.formats.camera_file import load_camera, save_camera
+from fixel.formats.camera_import import import_camera
+from fixel.formats.camera_matrix import matrix_of
+from fixel.formats.camera_opencv import save_opencv, save_ros
+from fixel.kernels.arrays import FloatArray
+from fixel.vision.camera import Camera
+from fixel.vision.lens import Lens
+from fixel.vision.measured_camera import MeasuredCamera
+
+CALIB_RESULTS = """
+% Intrinsic and Extrinsic Camera Parameters
+%-- Focal length:
+fc = [ 944.700000000000045 ; 952.700000000000045 ];
+%-- Principal point:
+cc = [ 644.7 ; 371.2 ];
+%-- Skew coefficient:
+alpha_c = 0.002;
+%-- Distortion coefficients:
+kc = [ 0.01 ; -0.0536 ; 0.001 ; -0.0005 ; 0.02 ];
+fc_error = [ 3.0 ; 3.3 ];
+cc_error = [ 4.5 ; 3.9 ];
+alpha_c_error = 0.000000000000000;
+kc_error = [ 0.012 ; 0.03 ; 0.0015 ; 0.0018 ; 0.0 ];
+nx = 1280;
+ny = 720;
+n_ima = 12;		% Number of calibration images
+est_fc = [ 1 ; 1 ];
+omc_1 = [ 2.1 ; 2.2 ; 0.1 ];
+Tc_ext = [ -100.0 ; 50.0 ; 516.0 ];
+omc_ext = [ 0.02 ; -0.03 ; 0.4 ];
+"""
+
+KALIBR = """
+cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.27, 0.067, 0.0008, 0.0001]
+  distortion_model: radtan
+  intrinsics: [461.6, 460.1, 362.6, 246.0]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+cam1:
+  camera_model: pinhole
+  distortion_coeffs: [-0.01, 0.004, -0.0018, 0.0001]
+  distortion_model: equidistant
+  intrinsics: [461.6, 460.1, 362.6, 246.0]
+  resolution: [752, 480]
+"""
+
+ROS = """
+image_width: 640
+image_height: 480
+camera_name: narrow_stereo
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [438.7, 0.0, 305.5, 0.0, 437.3, 243.7, 0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.361, 0.159, 0.0012, 0.0007, 0.0]
+"""
+
+
+def seen_by_opencv(lens: Lens, points: FloatArray) -> FloatArray:
+    """Pixels of points in the camera's axes (n, 3), by OpenCV."""
+    model: Any = cv2.fisheye if lens.fisheye else cv2
+    none = np.zeros(3)
+    found = (
+        model.projectPoints(points[:, None], none, none, matrix_of(lens), lens.distortion)
+        if lens.fisheye
+        else cv2.projectPoints(points, none, none, matrix_of(lens), lens.distortion)
+    )
+    return np.asarray(found[0]).reshape(-1, 2)
+
+
+def points_in_view(lens: Lens, n: int = 200) -> FloatArray:
+    random = np.random.default_rng(1)
+    flat = lens.direction(random.uniform((0, 0), np.array(lens.image_size) - 1.0, (n, 2)))
+    return np.column_stack([flat, np.ones(n)]) * random.uniform(0.3, 2.0, (n, 1))
+
+
+def test_matlab_file_is_read_as_the_toolbox_means_it(tmp_path: Path) -> None:
+    (tmp_path / "Calib_Results.m").write_text(CALIB_RESULTS)
+    found = import_camera(tmp_path / "Calib_Results.m")
+    lens = found.camera.lens
+    assert found.format == "matlab"
+    assert lens.image_size == (1280, 720)
+    # The equations of the toolbox's own documentation, written out once more.
+    x, y = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 50))
+    k1, k2, p1, p2, k3 = 0.01, -0.0536, 0.001, -0.0005, 0.02
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    xd = radial * x + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    yd = radial * y + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    expected = np.stack([944.7 * (xd + 0.002 * yd) + 644.7, 952.7 * yd + 371.2], axis=-1)
+    np.testing.assert_allclose(lens.pixel(np.stack([x, y], axis=-1)), expected, atol=1e-9)
+    assert found.camera.deviations["fx"] == pytest.approx(1.0)
+    assert "skew" not in found.camera.names
+
+
+def test_matlab_plane_that_looks_away_is_turned(tmp_path: Path) -> None:
+    path = tmp_path / "Calib_Results.m"
+    path.write_text(CALIB_RESULTS)
+    found = import_camera(path)
+    camera = found.camera.placed()
+    assert camera.position[2] > 0.4
+    assert any("turned round" in remark for remark in found.remarks)
+    # A point of the file's plane, by OpenCV; in ours its y has the other sign.
+    rotation, _ = cv2.Rodrigues(np.array([0.02, -0.03, 0.4]))
+    seen = rotation @ [0.1, 0.05, 0.0] + [-0.1, 0.05, 0.516]
+    expected = camera.lens.pixel(seen[:2] / seen[2])
+    np.testing.assert_allclose(camera.project_at([0.1, -0.05], 0.0), expected, atol=1e-9)
+
+
+def test_mat_file_says_the_same_as_the_m_file(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    (tmp_path / "a.m").write_text(CALIB_RESULTS)
+    rotation, _ = cv2.Rodrigues(np.array([0.02, -0.03, 0.4]))
+    savemat(
+        tmp_path / "a.mat",
+        {
+            "fc": [[944.7], [952.7]],
+            "cc": [[644.7], [371.2]],
+            "alpha_c": 0.002,
+            "kc": [[0.01], [-0.0536], [0.001], [-0.0005], [0.02]],
+            "nx": 1280,
+            "ny": 720,
+            "Rc_ext": rotation,
+            "Tc_ext": [[-100.0], [50.0], [516.0]],
+            "comment": "hello",
+        },
+    )
+    one, other = (import_camera(tmp_path / name).camera for name in ("a.m", "a.mat"))
+    assert one.lens == other.lens
+    np.testing.assert_allclose(one.placed().rotation, other.placed().rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("which", ["cam0", "cam1"])
+def test_kalibr_cameras_project_as_opencv_does(which: str, tmp_path: Path) -> None:
+    (tmp_path / "camchain.yaml").write_text(KALIBR)
+    lens = import_camera(tmp_path / "camchain.yaml", which=which).camera.lens
+    assert lens.fisheye == (which == "cam1")
+    points = points_in_view(lens)
+    ours = lens.pixel(points[:, :2] / points[:, 2:])
+    np.testing.assert_allclose(ours, seen_by_opencv(lens, points), atol=1e-8)
+
+
+def test_ros_camera_projects_as_opencv_does(tmp_path: Path) -> None:
+    (tmp_path / "ost.yaml").write_text(ROS)
+    lens = import_camera(tmp_path / "ost.yaml").camera.lens
+    points = points_in_view(lens)
+    ours = lens.pixel(points[:, :2] / points[:, 2:])
+    np.testing.assert_allclose(ours, seen_by_opencv(lens, points), atol=1e-8)
+
+
+LENSES = [
+    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),  # type: ignore[arg-type]
+         distortion=(-0.2, 0.05, 0.001, -0.002, 0.01)),  # type: ignore[arg-type]
+    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),  # type: ignore[arg-type]
+         distortion=(0.2, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.01)),  # type: ignore[arg-type]
+    Lens(image_size=(640, 480), focal=(300.0, 301.0), centre=(321.0, 238.0), fisheye=True,  # type: ignore[arg-type]
+         distortion=(-0.02, 0.005, 0.001, -0.002)),  # type: ignore[arg-type]
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("name", ["a.yml", "a.xml", "a.json", "ros.yaml"])
+def test_exported_lenses_come_back(lens: Lens, name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    (save_ros if name == "ros.yaml" else save_opencv)(lens, path)
+    assert import_camera(path).camera.lens == lens
+
+
+@given(
+    numbers=st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=4),
+    shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 3)),
+)
+@settings(max_examples=20, deadline=None)
+def test_camera_files_read_back(
+    numbers: list[float],
+    shift: tuple[float, float, float],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    lens = Lens(image_size=(64, 48), focal=(50, 51), centre=(31, 22), distortion=numbers)  # type: ignore[arg-type]
+    placed = Camera.looking_down(
+        lens, shift[2], above=shift[:2], turned=shift[0], tilted=(0.1, 0.2)
+    )
+    measured = MeasuredCamera(
+        lens=lens,
+        camera=placed,
+        names=("fx", "k1", "tz"),
+        covariance=np.diag([1.0, 1e-4, 1e-8]),
+        noise=0.1,
+        seen=np.arange(8).reshape(2, 4),
+        source="a test",
+    )
+    path = tmp_path_factory.mktemp("camera") / "camera.yaml"
+    save_camera(measured, path)
+    again = load_camera(path)
+    assert again.lens == lens
+    assert (again.names, again.noise, again.source) == (measured.names, 0.1, "a test")
+    np.testing.assert_array_equal(again.seen, measured.seen)
+    np.testing.assert_allclose(again.placed().translation, placed.translation, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("a.m", CALIB_RESULTS.replace("nx = 1280;", ""), "nx"),
+        ("a.m", CALIB_RESULTS.replace("fc = [ 944", "fc = [ -944"), "above 0"),
+        (
+            "a.m",
+            CALIB_RESULTS.replace("516.0", "0.5160").replace("100.0 ; 50.0", "0.1 ; 0.05"),
+            "unit",
+        ),
+        ("a.m", CALIB_RESULTS.replace("nx = 1280", "nx = 320"), "another resolution"),
+        ("a.m", "fc = inv(K);", "fc"),
+        ("a.m", "\x00\xff", "fc"),
+        ("a.mat", "not a mat file", "MATLAB"),
+        ("a.mat", "MATLAB 7.3 MAT-file" + " " * 105 + "\x00\x02IM", "MATLAB"),
+        ("a.yaml", KALIBR, "--which"),
+        ("a.yaml", KALIBR.replace("pinhole", "omni"), "--which"),
+        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("pinhole", "omni"), "pinhole"),
+        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("radtan", "fov"), "radtan"),
+        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("[461.6, ", "["), "4 numbers"),
+        ("a.yaml", ROS.replace("plumb_bob", "fov"), "plumb_bob"),
+        ("a.yaml", ROS.replace("0.0007, 0.0", "0.0007, 0.0, 0.1"), "at most 5"),
+        ("a.yaml", ROS.replace("438.7", "0.0"), "calibrated"),
+        ("a.yaml", ROS.replace("438.7, 0.0", "438.7, 1.0"), "skew"),
+        ("a.yaml", ROS + "binning_x: 2\n", "together"),
+        ("a.yaml", ROS + "roi: {x_offset: 12, width: 320}\n", "cropped"),
+        ("a.yaml", ROS.replace("640", "many"), "image_width"),
+        ("a.yaml", "hello: world", "no known format"),
+        ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
+        (
+            "a.xml",
+            '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>',
+            "camera matrix",
+        ),
+        ("a.json", json.dumps({"x": "opencv-matrix"}), "camera matrix"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(name: str, text: str, word: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InvalidInput) as refused:
+        import_camera(path)
+    assert word in str(refused.value)
+
+
+def test_sizes_are_checked(tmp_path: Path) -> None:
+    path = tmp_path / "ost.yaml"
+    path.write_text(ROS)
+    with pytest.raises(InvalidInput, match="turned by 90"):
+        import_camera(path, size=(480, 640))
+    lens = import_camera(path).camera.lens
+    with pytest.raises(InvalidInput, match="rescale"):
+        lens.for_pictures_of((320, 240))
+    half = lens.for_pictures_of((320, 240), rescale=True)
+    # The same direction is seen at the same place of the picture: pixel edges, not middles, scale.
+    np.testing.assert_allclose(half.pixel([0.1, 0.2]) + 0.5, (lens.pixel([0.1, 0.2]) + 0.5) / 2)
+    with pytest.raises(InvalidInput, match="cropped"):
+        lens.for_pictures_of((640, 360), rescale=True)
+
+
+def test_opencv_file_without_a_size_needs_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("K", np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
+    storage.write("D", np.zeros((1, 5)))
+    storage.release()
+    with pytest.raises(InvalidInput, match="--size"):
+        import_camera(path)
+    assert import_camera(path, size=(640, 480)).camera.lens.image_size == (640, 480)
+
+
+def test_skew_is_not_lost_in_an_export(tmp_path: Path) -> None:
+    lens = Lens(image_size=(64, 48), focal=(50, 50), centre=(32, 24), skew=0.01)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="skew"):
+        save_opencv(lens, tmp_path / "a.yml")

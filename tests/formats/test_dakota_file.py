@@ -1,0 +1,180 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fixel.calibration import PatternSearch
+from fixel.errors import InvalidInput
+from fixel.formats.dakota_file import DakotaFile, dakota_from_text, load_dakota
+
+# Appendix C.7 of the thesis (RPI), with what the printed page lost put back: underscores,
+# minus signs, and the gaps in the bounds.
+THESIS = """
+# DAKOTA INPUT FILE - dakota_NGopt_PatternSearch.in
+# This input file does optimization search on the dvc planar grasping simulation
+# to calibrate simulation parameters
+
+strategy,
+    single_method
+    tabular_graphics_data
+
+method,
+    coliny_pattern_search
+    max_iterations = 10000
+    max_function_evaluations = 20000
+    solution_accuracy = 1e-6
+    initial_delta = 0.5
+    threshold_delta = 1e-6
+    pattern_basis coordinate
+    exploratory_moves basic_pattern
+    contraction_factor = 0.9
+
+model,
+    single
+
+variables,
+    continuous_design = 4
+    initial_point 0.2 0.2 25 0.25
+    lower_bounds 0 0 0 0
+    upper_bounds 1 1 60 1
+    descriptors 'fC' 'pCFC' 'sPRD' 'sFC'
+
+interface,
+    fork
+    analysis_driver = 'simulator_script'
+    parameters_file = 'params.in'
+    results_file = 'results.out'
+    file_tag
+#   file_save
+
+responses,
+    num_objective_functions = 1
+    no_gradients
+    no_hessians
+"""
+
+
+def test_the_thesis_file_is_our_default_search():
+    optimiser, space, _ = dakota_from_text(THESIS)
+    assert optimiser == PatternSearch()
+    assert space.labels == ("mu_fixel", "mu_pusher", "tripod_radius", "mu_support")
+    assert space.nominal == pytest.approx([0.2, 0.2, 0.025, 0.25])
+    assert space.low == pytest.approx([0.0] * 4)
+    assert space.high == pytest.approx([1.0, 1.0, 0.06, 1.0])
+    # First steps of 0.05 for each friction and 3 mm for the radius.
+    assert optimiser.initial_delta * space.scale == pytest.approx([0.05, 0.05, 0.003, 0.05])
+
+
+def test_skipped_blocks_and_defaults_are_noted():
+    notes = "\n".join(dakota_from_text(THESIS).notes)
+    for block in ("strategy", "interface", "responses"):
+        assert f"the block {block} was skipped" in notes
+    assert "expand_after_success 5" in notes
+    assert "initial_delta" not in notes
+
+
+def test_newer_and_older_spellings():
+    text = THESIS.replace("threshold_delta", "variable_tolerance")
+    text = text.replace("solution_accuracy", "solution_target").replace("strategy", "environment")
+    for word in ("initial_point", "lower_bounds", "upper_bounds", "descriptors"):
+        text = text.replace(f"    {word}", f"    cdv_{word}")
+    text = text.replace("'", '"').replace("0 0 0 0", "4 * 0").replace("1 1 60", "2*1 6.E+1,")
+    assert dakota_from_text(text)[:2] == dakota_from_text(THESIS)[:2]
+
+
+def test_quotes_copied_from_a_page():
+    text = THESIS.replace("'results.out'", "'results.out’").replace("'fC'", "‘fC’")
+    assert dakota_from_text(text).space == dakota_from_text(THESIS).space
+
+
+def test_our_own_names_are_in_our_units():
+    text = THESIS.replace("'sPRD'", "'tripod_radius'").replace(" 25 ", " 0.025 ")
+    text = text.replace("1 1 60 1", "1 1 0.06 1")
+    assert dakota_from_text(text).space == dakota_from_text(THESIS).space
+
+
+def test_no_expansion():
+    text = THESIS.replace("initial_delta", "no_expansion\n    initial_delta")
+    assert dakota_from_text(text).optimiser == PatternSearch(expand_after=None)
+
+
+def test_what_is_left_out_is_as_dakota_has_it():
+    text = "method coliny_pattern_search\n" + THESIS[THESIS.index("variables") :]
+    optimiser, _, notes = dakota_from_text(text)
+    assert optimiser == PatternSearch(
+        initial_delta=1.0,
+        threshold_delta=1e-5,
+        contraction_factor=0.5,
+        solution_accuracy=None,
+        max_iterations=100,
+        max_function_evaluations=1000,
+    )
+    assert "initial_delta 1" in notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("initial_delta =", "inital_delta =", r"line 15: found inital_delta, .*did you mean initi"),
+        ("coliny_pattern_search", "coliny_ea", r"line 11: found coliny_ea, expected one of coliny"),
+        ("method,", "methods,", r"dakota: found no method block"),
+        ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean strategy"),
+        ("basic_pattern", "adaptive_pattern", r"line 18: found adaptive_pattern, expected expl"),
+        ("coordinate", "simplex", r"line 17: found simplex, expected pattern_basis to be coord"),
+        ("0.9", "", r"line 21: found model, expected a number after contraction_factor"),
+        ("0.9", "0.9 0.8", r"expected a number after contraction_factor"),
+        ("0.9", "1.9", r"line 11\.PatternSearch\.contraction_factor: found 1\.9"),
+        ("= 10000", "= 10.5", r"line 12: .*a whole number after max_iterations"),
+        ("= 10000", "= 1\n  max_iterations = 2", r"line 13: .*each keyword once"),
+        ("single\n\nvar", "surrogate global\n\nvar", r"line 22: found surrogate"),
+        ("continuous_design = 4", "continuous_design = 3", r"line 26: found 4 after initial_point"),
+        ("'sFC'", "'sFC2'", r"line 29: found 'sFC2', .*did you mean 'sFC'"),
+        ("'sFC'", "'fC'", r"found mu_fixel twice"),
+        ("1 1 60 1", "1 0 60 1", r"line 25\.mu_pusher: found bounds 0 to 0"),
+        ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.nominal: .*move the start"),
+        ("    upper_bounds 1 1 60 1\n", "", r"line 24: found variables without upper_bounds"),
+        ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, expected a finite number"),
+        ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, expected a finite number"),
+        ("0 0 0 0", "0.5*0", r"a count before"),
+        ("responses,", "method, coliny_pattern_search responses,", r"one method block"),
+    ],
+)
+def test_refusals_name_the_line(old, new, message):
+    assert old in THESIS
+    with pytest.raises(InvalidInput, match=message):
+        dakota_from_text(THESIS.replace(old, new, 1))
+
+
+@pytest.mark.parametrize("text", ["", "method coliny_pattern_search", "variables", "# nothing"])
+def test_parts_of_a_file(text):
+    with pytest.raises(InvalidInput):
+        dakota_from_text(text)
+
+
+@given(st.data())
+def test_any_text_is_read_or_refused(data):
+    words = st.sampled_from([*THESIS.split(), "*", "'", "-1e999", "9*", "é", "\n"])
+    text = " ".join(data.draw(st.lists(words, max_size=30)))
+    cut = data.draw(st.integers(0, len(THESIS)))
+    try:
+        found = dakota_from_text(THESIS[:cut] + text + THESIS[cut:])
+    except InvalidInput:
+        return
+    assert isinstance(found, DakotaFile)
+    assert np.isfinite(found.space.scale).all()
+    assert math.isfinite(found.optimiser.initial_delta)
+
+
+def test_files(tmp_path):
+    path = tmp_path / "search.in"
+    path.write_text(THESIS, encoding="utf-8")
+    assert load_dakota(path) == dakota_from_text(THESIS)
+    with pytest.raises(InvalidInput, match="no such file"):
+        load_dakota(tmp_path / "missing.in")
+    path.write_bytes(b"\xff\xfe method")
+    with pytest.raises(InvalidInput, match="expected a text file"):
+        load_dakota(path)
+    with pytest.raises(InvalidInput):
+        load_dakota(tmp_path)

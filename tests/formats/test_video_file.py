@@ -1,0 +1,148 @@
+"""Video files: exact times, and a reason for what cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.formats.video_file import VideoWriter, open_video
+from fixel.vision.frame import Frame
+
+SIZE = (64, 48)
+
+
+def picture(index: int) -> np.ndarray:
+    """A gradient with colours that change slowly from frame to frame."""
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
+    return np.stack([40 + 2 * x, 200 - 2 * y, 60 + x + y + index], axis=-1).astype(np.uint8)
+
+
+def write(path: Path, times, codec: str = "h264") -> Path:
+    with VideoWriter(path, SIZE, codec) as writer:
+        for index, time in enumerate(times):
+            writer.write(Frame(time, picture(index)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("codec", "ending", "close"), [("h264", ".mp4", 12), ("ffv1", ".mkv", 0), ("mjpeg", ".mkv", 8)]
+)
+def test_frames_come_back_at_their_times(tmp_path, codec, ending, close):
+    times = np.arange(12) / 30.0
+    video = open_video(write(tmp_path / f"film{ending}", times, codec))
+    frames = list(video.frames())
+    assert video.size == SIZE
+    assert [f.time for f in frames] == pytest.approx(times, abs=1e-9 if ending == ".mp4" else 6e-4)
+    for index, frame in enumerate(frames):
+        assert np.abs(frame.picture.astype(int) - picture(index)).max() <= close
+    assert video.remarks == []
+
+
+def test_windows_have_the_colours_of_the_whole(tmp_path):
+    for codec in ("h264", "mjpeg"):
+        video = open_video(write(tmp_path / f"{codec}.mkv", [0.0, 0.1, 0.2], codec))
+        for frame in video.frames():
+            window = frame.colour(slice(5, 30), slice(7, 41)).astype(int)
+            assert np.abs(window - frame.picture[5:30, 7:41]).max() <= 4
+
+
+def test_brightness_is_that_of_the_picture():
+    frame = Frame(0.0, np.full((4, 6, 3), 77, np.uint8))
+    assert frame.luma.tolist() == [[77] * 6] * 4
+    assert frame.size == (6, 4)
+
+
+def test_variable_rate_is_read_exactly_and_said(tmp_path):
+    times = [0.0, 0.033, 0.066, 0.1, 0.4, 0.433, 0.466]
+    video = open_video(write(tmp_path / "film.mp4", times))
+    assert [f.time for f in video.frames()] == pytest.approx(times, abs=1e-9)
+    assert "variable frame rate: 1 of 6" in video.remarks[0]
+    video = open_video(write(tmp_path / "half.mp4", [0.0, 0.1, 0.3, 0.4, 0.6]))
+    assert len(list(video.frames())) == 5
+    assert "variable frame rate: 2 of 4 steps differ from the usual 100.00 ms" in video.remarks[0]
+
+
+@pytest.mark.parametrize("codec", ["h264", "ffv1", "mjpeg"])
+def test_truncated_matroska_is_read_to_its_last_whole_frame(tmp_path, codec):
+    times = np.arange(60) / 30.0
+    path = write(tmp_path / "film.mkv", times, codec)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(0.6 * len(whole))])
+    video = open_video(path)
+    frames = list(video.frames())
+    assert 5 < len(frames) < 60
+    assert np.abs(frames[-1].picture.astype(int) - picture(len(frames) - 1)).max() <= 12
+    assert video.remarks[0].startswith("truncated: it ends after frame")
+
+
+def test_mp4_without_its_index_is_refused(tmp_path):
+    path = write(tmp_path / "film.mp4", np.arange(30) / 30.0)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InvalidInput, match="no index"):
+        open_video(path)
+
+
+@pytest.mark.parametrize(("stamp", "found"), [(33, "the time of the frame before"), (5, "back")])
+def test_time_that_does_not_grow_is_refused(tmp_path, stamp, found):
+    path = write(tmp_path / "film.mkv", [0.0, 0.033, 0.066, 0.1], "ffv1")
+    track = b"\x81"
+    block = track + (66).to_bytes(2)
+    assert path.read_bytes().count(block) == 1
+    path.write_bytes(path.read_bytes().replace(block, track + stamp.to_bytes(2)))
+    with pytest.raises(InvalidInput, match=found):
+        list(open_video(path).frames())
+
+
+def test_raw_streams_have_no_times(tmp_path):
+    path = tmp_path / "film.h264"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        for index in range(5):
+            frame = av.VideoFrame.from_ndarray(picture(index), format="bgr24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    with pytest.raises(InvalidInput, match="time stamp"):
+        list(open_video(path).frames())
+
+
+def test_what_is_no_video_is_refused(tmp_path):
+    for name, content, reason in (
+        ("text.mkv", b"not a film at all", "not a video"),
+        ("empty.mkv", b"", "an empty file"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InvalidInput, match=reason):
+            open_video(tmp_path / name)
+    with pytest.raises(InvalidInput, match="no such file"):
+        open_video(tmp_path / "nothing.mkv")
+    sound = tmp_path / "sound.wav"
+    with av.open(str(sound), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), layout="mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+    with pytest.raises(InvalidInput, match="no pictures"):
+        open_video(sound)
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path):
+    def fails():
+        with VideoWriter(tmp_path / "film.mp4", SIZE) as writer:
+            writer.write(Frame(0.0, picture(0)))
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fails()
+    with pytest.raises(InvalidInput, match="in order of time"):
+        write(tmp_path / "film.mp4", [0.1, 0.1])
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InvalidInput, match="even"):
+        VideoWriter(tmp_path / "film.mp4", (63, 48))
+    with pytest.raises(InvalidInput, match="codec"):
+        VideoWriter(tmp_path / "film.mp4", SIZE, "vp9")

@@ -1,0 +1,75 @@
+"""Scenes made on a page."""
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.formats.scene_file import scene_file_from_dict
+from fixel.simulation import simulate
+from fixel.web.views import scene_editor
+
+
+def test_every_example_is_read_and_told_in_a_sentence():
+    names = [name for name, _ in scene_editor.examples()]
+    assert "grasp" in names
+    assert (
+        dict(scene_editor.examples())["grasp"] == "A flat head pushes a square against three fixels"
+    )
+    for name in names:
+        assert scene_editor.example(name)["bodies"]
+
+
+def test_what_is_written_reads_as_the_same_scene():
+    scene = scene_editor.example("peg_slip")
+    text = scene_editor.write_scene(scene)
+    assert scene_editor.read_scene(text) == scene
+    assert text.startswith("fixel: 1")
+
+
+def test_a_simulation_is_that_of_the_engine():
+    scene = scene_editor.example("grasp")
+    shown = scene_editor.simulated(scene)
+    alone = simulate(scene_file_from_dict(scene).scene)
+    assert shown.summary["status"] == "converged"
+    final = shown.story.motions[0].pose["object"][-1]
+    assert final == pytest.approx(alone.final["object"], abs=1e-12)
+    assert shown.summary["final"]["object"] == pytest.approx(final.tolist())
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"duration": 1e5}, "duration"),
+        ({"step": 1e-6}, "step"),
+        ({"motion": "magic"}, "motion"),
+        ({"bodies": []}, "bodies"),
+        ({"surprise": 1}, "surprise"),
+    ],
+)
+def test_what_a_page_cannot_bear_is_refused_where_it_stands(change, where):
+    with pytest.raises(InvalidInput) as refusal:
+        scene_editor.check_scene(scene_editor.example("grasp") | change)
+    assert refusal.value.where == where
+
+
+def test_many_corners_points_and_waypoints_are_refused():
+    angle = np.linspace(0.0, 2.0 * np.pi, scene_editor.MOST_CORNERS + 2)[:-1]
+    scene = scene_editor.example("grasp")
+    scene["bodies"][0]["shape"] = {
+        "polygon": (0.05 * np.column_stack((np.cos(angle), np.sin(angle)))).tolist()
+    }
+    scene["fixels"], scene["pushers"] = [], []
+    with pytest.raises(InvalidInput, match="corners in all"):
+        scene_editor.check_scene(scene)
+    scene = scene_editor.example("grasp")
+    scene["bodies"][0]["support"] = {"uniform": {"friction": 0.2, "n_points": 5000}}
+    with pytest.raises(InvalidInput, match="support points in all"):
+        scene_editor.check_scene(scene)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "fixel: [", "a: &b 1\nc: *b", "!!python/object:os.system {}", "x" * 600_000]
+)
+def test_files_that_are_no_scenes_are_refused(text):
+    with pytest.raises(InvalidInput):
+        scene_editor.read_scene(text)

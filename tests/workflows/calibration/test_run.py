@@ -1,0 +1,488 @@
+"""Calibrations of stored experiments: the whole way, interrupted, refused, and stored."""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.errors import InvalidInput
+from fixel.jobs.work import Stopped
+from fixel.model import Trajectory, UniformPressure
+from fixel.model.records import Estimate
+from fixel.sampling.thesis import thesis_plan
+from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.calibration import job, run
+from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.detail import listed
+from fixel.workflows.calibration.files import read_targets, target_files
+from fixel.workflows.calibration.parameter_options import default_unknowns, fitted, held, read_space
+from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
+from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers
+from fixel.workflows.calibration.stored import calibrated, searched_space
+from fixel.workflows.jobs import run_here, status_of
+from fixel.workflows.project.filters import view_of
+
+PLANNED = thesis_plan().experiments
+QUICK = Choice(name="pattern-search", options={"threshold_delta": 0.05})
+
+
+@pytest.fixture(scope="module")
+def experiments():
+    return list(SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]))
+
+
+@pytest.fixture
+def project(tmp_path, experiments):
+    made = Project.create(tmp_path / "lab")
+    with made.store() as store:
+        for experiment in experiments:
+            store.add_experiment(experiment)
+    return made
+
+
+@pytest.fixture
+def chosen(project):
+    with project.store() as store:
+        return run.choose(store, (), Query())
+
+
+def _request(chosen, **changes):
+    scenes = [target.case.scene for target in chosen.targets]
+    names = ["mu_pusher", "tripod_radius_mm=10:60:30"]
+    unknowns = [entry_of(u) for u in fitted(names, scenes)]
+    return Request(**({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes))
+
+
+def _done(project, chosen, request):
+    folder = run.prepare(project, chosen, request)
+    run.run(folder)
+    return run.collect(project, folder, "test", {})
+
+
+def test_each_experiment_by_itself(project, chosen):
+    done = _done(project, chosen, _request(chosen, mode="each"))
+    assert done.outcome.keys == tuple(target.key for target in chosen.targets)
+    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
+    for one in done.outcome.alone:
+        assert one.errors[0] < done.outcome.nominal[one.members[0]]
+        assert one.trace.errors.min() == one.errors[0]
+    with project.store() as store:
+        record = store.calibration(done.ids[0])
+    assert record.members[0].error_mm2 == done.outcome.found[0].errors[0]
+    assert record.evaluations.names == ("mu_pusher", "tripod_radius")
+    assert record.parameters["tripod_radius"] == done.outcome.found[0].point[1]
+    assert json.loads(json.dumps(done.summary()))["found"][0]["evaluations"] > 20
+
+
+def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
+    done = _done(project, chosen, _request(chosen, mode="campaign"))
+    ways = [one.how for one in done.outcome.together]
+    assert ways == ["weighted mean", "weighted mean of a subset", "direct minimisation"]
+    totals = [one.errors.sum() for one in done.outcome.together]
+    assert totals[1] <= totals[0]
+    assert totals[2] <= totals[1]
+    assert totals[2] < done.outcome.nominal.sum()
+
+
+def test_the_box_that_was_searched_is_found_again(project, chosen):
+    request = _request(chosen, mode="joint")
+    done = _done(project, chosen, request)
+    with project.store() as store:
+        one = calibrated(store, done.ids[-1])
+    space = searched_space(project, one, [])
+    assert space.labels == request.space.labels
+    np.testing.assert_array_equal(space.low, request.space.low)
+    np.testing.assert_array_equal(space.high, request.space.high)
+    np.testing.assert_array_equal(space.nominal, done.outcome.found[-1].point)
+
+
+def test_the_box_that_was_searched_outlives_its_job(project, chosen):
+    request = _request(chosen, mode="joint")
+    scenes = [target.case.scene for target in chosen.targets]
+    kept = [entry_of(u) for u in held(["mu_support=0.4"])]
+    centre = [entry_of(u) for u in fitted(["friction_centre_x_mm=-2:3"], scenes)]
+    request = request.model_copy(update={"unknowns": [*request.unknowns, *kept, *centre]})
+    done = _done(project, chosen, request)
+    with project.store() as store:
+        one = calibrated(store, done.ids[-1])
+    shutil.rmtree(done.folder)
+    space = searched_space(project, one, scenes)
+    assert space.labels == ("mu_pusher", "tripod_radius", "friction_centre_x")
+    np.testing.assert_allclose(space.low, [0.0, 0.01, -2e-3])
+    np.testing.assert_allclose(space.high, [1.0, 0.06, 3e-3])
+    np.testing.assert_array_equal(space.nominal, done.outcome.found[-1].point)
+    assert [u.nominal for u in space.unknowns if u.frozen] == [0.4]
+
+    # Stored by an earlier version, without the box: its own parameters within their usual bounds.
+    method = {k: v for k, v in one.record.method.items() if k != "unknowns"}
+    earlier = replace(one, record=replace(one.record, method=method))
+    space = searched_space(project, earlier, scenes)
+    assert {u.name for u in space.unknowns} == {u.name for u in request.space.unknowns}
+    assert space.values(space.nominal) == {**one.record.parameters}
+    shared = Estimate(label="mu_pusher[shape=square]", unit="-", value=0.2)
+    parted = replace(earlier, record=replace(earlier.record, estimates=(shared,)))
+    with pytest.raises(InvalidInput, match="job folder that is gone"):
+        searched_space(project, parted, scenes)
+
+
+def test_verdicts_and_what_they_stand_on(project, chosen):
+    few = replace(chosen, ids=chosen.ids[:1], targets=chosen.targets[:1])
+    request = _request(few, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    one = _done(project, few, request).outcome.alone[0]
+    words = {e.label: e.verdict for e in one.estimates}
+    assert set(words) == {"mu_pusher", "tripod_radius"}
+    assert all(words.values())
+    assert [curve.label for curve in one.profiles] == ["mu_pusher", "tripod_radius"]
+    for curve in one.profiles:
+        assert (np.diff(curve.values) > 0.0).all()
+        assert curve.deviances.min() >= 0.0
+    assert "as stated" in one.noise
+
+
+def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, monkeypatch):
+    request = _request(chosen, mode="campaign")
+    folder = run.prepare(project, chosen, request)
+    seen = []
+
+    def stop_soon(progress):
+        seen.append(progress.done)
+        if progress.done >= 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises((KeyboardInterrupt, Stopped)):
+        run.run(folder, progress=stop_soon)
+    assert run.prepare(project, chosen, request) == folder
+    run.run(folder)
+    resumed = run.collect(project, folder, "test", {})
+    again = run.collect(project, folder, "test", {})
+    assert again.ids == resumed.ids
+
+    other = Project.create(project.folder.parent / "other")
+    elsewhere = run.prepare(other, chosen, request)
+    run.run(elsewhere)
+    undisturbed = outcome_of((elsewhere / "result").read_bytes())
+    for a, b in zip(resumed.outcome.found, undisturbed.found, strict=True):
+        assert (a.point == b.point).all()
+        assert (a.errors == b.errors).all()
+        assert (a.trace is None) == (b.trace is None)
+        if a.trace is not None:
+            assert (a.trace.points == b.trace.points).all()
+
+
+def test_verdicts_are_not_found_again_because_the_search_took_another_time(project, chosen):
+    """Run once more, a job that has all its answers asks for no other."""
+    few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])
+    request = _request(few, mode="joint", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    done = _done(project, few, request)
+    kept = status_of(done.folder).kept
+    assert run_here(done.folder).kept == kept
+    (one,) = done.outcome.together
+    assert one.estimates
+    assert one.seconds > 0.0
+
+
+def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chosen):
+    """Every answer that verdicts stand on is in the journal: none is computed a second time."""
+    few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])
+    request = _request(few, mode="joint", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    done = _done(project, few, request)
+    other = Project.create(project.folder.parent / "other")
+    folder = run.prepare(other, few, request)
+    rounds = []
+
+    def stop_later(progress):
+        """Stop at every sixth word of the verdict stage."""
+        if progress.note.startswith("verdicts"):
+            rounds.append(progress.done)
+            if progress.rate and len(rounds) % 6 == 0:
+                raise KeyboardInterrupt
+
+    sessions, kept = 0, [0]
+    while status_of(folder).state != "done":
+        sessions += 1
+        try:
+            run.run(folder, progress=stop_later)
+        except KeyboardInterrupt:
+            kept.append(status_of(folder).kept)
+            assert kept[-1] > kept[-2]  # each session gets further
+    assert sessions > 1
+    assert status_of(folder).kept == status_of(done.folder).kept
+    for a, b in zip(
+        outcome_of((folder / "result").read_bytes()).found, done.outcome.found, strict=True
+    ):
+        assert a.estimates == b.estimates
+        for mine, theirs in zip(a.profiles, b.profiles, strict=True):
+            assert (mine.values == theirs.values).all()
+            assert (mine.deviances == theirs.deviances).all()
+
+
+def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypatch):
+    """The journal has whole chunks of experiments, verdicts included; none is computed again."""
+    monkeypatch.setattr(job, "MEMBERS_A_CHUNK", 2)
+    request = _request(chosen, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
+    folder = run.prepare(project, chosen, request)
+    command = f"""
+from pathlib import Path
+from fixel.workflows.calibration import run, work
+work.MEMBERS_A_CHUNK = 2
+run.run(Path({str(folder)!r}))
+"""
+    with subprocess.Popen([sys.executable, "-c", command]) as running:
+        while status_of(folder).kept < 2:  # the nominal values, and the first two experiments
+            assert running.poll() is None
+            time.sleep(0.01)
+        running.kill()
+    computed = []
+    real = job.calibrate_alone
+    monkeypatch.setattr(
+        job,
+        "calibrate_alone",
+        lambda inputs, payload: computed.append(payload) or real(inputs, payload),
+    )
+    run.run(folder)
+    assert len(computed) == 1
+    done = run.collect(project, folder, "test", {})
+    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
+    assert all(one.estimates for one in done.outcome.alone)
+
+
+def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
+    """A root mean square is kept as its square, and shown in mm."""
+    request = _request(chosen, mode="joint", error=Choice(name="root-mean-square"))
+    done = _done(project, chosen, request)
+    (one,) = done.outcome.together
+    with project.store() as store:
+        record = store.calibration(done.ids[0])
+        (shown,) = (row for row in listed(store) if row.id == done.ids[0])
+        best = store.browse(view_of(limit=4)).rows
+    squares = [float(error) ** 2 for error in one.errors]
+    assert [member.error_mm2 for member in record.members] == squares
+    assert record.mean_error_mm2 == pytest.approx(np.mean(squares))
+    assert record.errors == pytest.approx(one.errors.tolist())
+    assert shown.unit == "mm"
+    assert shown.after == pytest.approx(one.errors.mean())
+    # The table of experiments shows roots of what is stored.
+    assert sorted(row.after_mm2 for row in best) == pytest.approx(sorted(squares))
+
+
+def _many(chosen, speeds=3, each=20):
+    """Targets that differ in a condition and in a number of their own."""
+    targets = [
+        chosen.targets[0]._replace(
+            key=f"lab/{speed}-{k}", conditions={"speed": speed, "run": float(100 * speed + k)}
+        )
+        for speed in range(speeds)
+        for k in range(each * (speed + 1))
+    ]
+    return run.Chosen(ids=list(range(len(targets))), targets=targets, left_out={})
+
+
+def test_a_sample_keeps_the_share_of_every_condition_and_follows_its_seed(chosen):
+    many = _many(chosen)  # 20, 40 and 60 of three speeds
+    few = run.sampled(many, 12, seed=1)
+    counts = np.bincount([t.conditions["speed"] for t in few.targets])
+    assert counts.tolist() == [2, 4, 6]
+    assert few.ids == run.sampled(many, 12, seed=1).ids
+    assert few.ids != run.sampled(many, 12, seed=2).ids
+    assert [t.key for t in few.targets] == [many.targets[k].key for k in few.ids]
+    assert run.sampled(many, 500, seed=1) == many
+    # Each experiment is as likely as any other.
+    drawn = np.bincount(
+        np.concatenate([run.sampled(many, 30, seed).ids for seed in range(400)]), minlength=120
+    )
+    assert drawn.sum() == 30 * 400
+    assert np.abs(drawn - 100).max() < 45  # 5 standard deviations of a binomial count
+
+
+def test_experiments_that_stand_out_are_the_strange_ones():
+    """Independent of the rule: ordinary errors are log-normal, strange ones put in by hand."""
+    draw = np.random.default_rng(5)
+    false = found = 0
+    for _ in range(100):
+        errors = np.exp(draw.normal(0.0, 0.6, 60)) ** 2
+        false += len(outliers(errors, "mm^2"))
+        errors[[3, 40]] = (60.0**2, 90.0**2)
+        found += outliers(errors, "mm^2")[:2] == [40, 3]
+        assert outliers(np.sqrt(errors), "mm") == outliers(errors, "mm^2")
+    assert found == 100
+    assert false < 0.01 * 100 * 60
+    assert outliers(np.ones(5), "mm") == []
+    assert outliers(np.array([1.0] * 10 + [np.inf]), "mm") == []
+
+
+def test_least_squares_is_the_usual_search_for_sums_of_squares():
+    assert usual_optimiser("joint", "sum", "mean-square", 300, 4) == "least-squares"
+    assert usual_optimiser("joint", "mean", "robust", 300, 4) == "least-squares"
+    assert usual_optimiser("joint", "mean", "root-mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("joint", "largest", "mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("each", "sum", "mean-square", 300, 4) == "pattern-search"
+    assert usual_optimiser("joint", "sum", "end-pose", 6, 4) == "pattern-search"
+
+
+@pytest.mark.parametrize("optimiser", ["pattern-search", "least-squares"])
+def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project, chosen, optimiser):
+    request = _request(
+        chosen, mode="joint", optimiser=Choice(name=optimiser), budget=1e-6, verdicts=True
+    )
+    folder = run.prepare(project, chosen, request)
+
+    def stop_soon(progress):
+        if progress.note.startswith(("all together", "least squares")) and progress.rate:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run.run(folder, progress=stop_soon)
+    run.run(folder)
+    (one,) = run.collect(project, folder, "test", {}).outcome.together
+    assert one.trace.ended == "the budget is used up"
+    assert np.isfinite(one.errors).all()
+    assert "budget" in one.note
+    # Of the answers kept, none was asked for again, and none beside the first round of the search.
+    assert len(one.trace.errors) <= 10
+    kept = status_of(folder).kept
+    assert run_here(folder).kept == kept
+
+
+def test_a_budget_is_for_one_set_of_parameters(project, chosen):
+    with pytest.raises(InvalidInput, match="--budget: found --mode each"):
+        run.prepare(project, chosen, _request(chosen, mode="each", budget=10.0))
+
+
+def test_experiments_travel_bit_by_bit(chosen, tmp_path):
+    for name, data in target_files(chosen.targets).items():
+        (tmp_path / name).write_bytes(data)
+    for a, b in zip(read_targets(tmp_path), chosen.targets, strict=True):
+        assert a.key == b.key
+        assert a.case.scene == b.case.scene
+        assert (a.case.times == b.case.times).all()
+        assert (a.pose == b.pose).all()
+
+
+def test_an_outcome_travels_bit_by_bit(project, chosen):
+    outcome = _done(project, chosen, _request(chosen, mode="each", verdicts=True)).outcome
+    assert outcome_bytes(outcome_of(outcome_bytes(outcome))) == outcome_bytes(outcome)
+
+
+def test_start_and_bounds_are_the_scenes_own(chosen):
+    scenes = [target.case.scene for target in chosen.targets]
+    unknowns = {u.name: u for u in default_unknowns(scenes)}
+    assert set(unknowns) == {"mu_pusher", "mu_fixel", "mu_support", "tripod_radius"}
+    assert unknowns["tripod_radius"].nominal == scenes[0].bodies[0].support.radius
+    (radius,) = fitted(["tripod_radius_mm=10:60"], scenes)
+    assert (radius.low, radius.high) == pytest.approx((0.010, 0.060))
+    (angle,) = fitted(["start_theta_deg=-1:1:0"], scenes)
+    assert angle.high == pytest.approx(np.pi / 180)
+    (mu,) = held(["mu_fixel=0.3"])
+    assert (mu.frozen, mu.nominal) == (True, 0.3)
+
+
+def test_a_table_may_be_searched_under_even_pressure(chosen):
+    scene = chosen.targets[0].case.scene
+    body = replace(scene.bodies[0], support=UniformPressure(friction=0.3))
+    found = fitted(TABLE_NAMES, [replace(scene, bodies=(body,))])
+    assert [u.name for u in found] == list(TABLE_NAMES)
+    assert all(u.low == -u.high and u.nominal == 0.0 for u in found)
+
+
+def test_a_space_file(tmp_path):
+    file = tmp_path / "space.yaml"
+    file.write_text(
+        "mu_pusher: {low: 0, high: 1, start: 0.2}\n"
+        "tripod_radius_mm: {low: 10, high: 60, start: 40, prior: 5}\n"
+        "mu_fixel: {low: 0, high: 1, start: 0.2, frozen: true}\n"
+    )
+    space = read_space(file)
+    assert space.labels == ("mu_pusher", "tripod_radius")
+    assert space.free[1].prior == pytest.approx(5e-3)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("[1, 2]", "no parameters"),
+        ("mu_pusher: 3", "low, high, start"),
+        ("mu_pusher: {low: 0, high: 1}", "no start"),
+        ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
+        ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
+        ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
+    ],
+)
+def test_space_files_that_cannot_be(tmp_path, content, said):
+    file = tmp_path / "space.yaml"
+    file.write_text(content)
+    with pytest.raises(InvalidInput, match=said):
+        read_space(file)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"error": Choice(name="mean-sqare")}, "did you mean 'mean-square'"),
+        ({"optimiser": Choice(name="simplex")}, "expected one of pattern-search"),
+        ({"optimiser": Choice(name="pattern-search", options={"delta": 1})}, "the option delta"),
+        ({"motion": "static"}, "one of dynamic"),
+        ({"noise_position": 1e-4}, "both, or neither"),
+        ({"unknowns": []}, "no unknown"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused_before_work_starts(project, chosen, changes, said):
+    with pytest.raises(InvalidInput, match=said):
+        run.prepare(project, chosen, _request(chosen, **changes))
+    assert not (project.folder / "jobs").exists()
+
+
+def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
+    request = _request(
+        chosen,
+        error=Choice(name="end-pose", options={"angle_scale": 0.05}),
+        noise_position=1e-4,
+        noise_angle=2e-3,
+        motion="quasistatic",
+    )
+    words = command_of(Path("lab"), request, ["3"])
+    for said in ("--error end-pose", "--angle-scale-mm 50", "--noise-mm 0.1", "--noise-mrad 2",
+                 "--motion quasistatic"):  # fmt: skip
+        assert said in words
+
+
+def test_parameters_that_no_experiment_could_inform(chosen):
+    scenes = [target.case.scene for target in chosen.targets]
+    bare = [replace(scene, fixels=()) for scene in scenes]
+    with pytest.raises(InvalidInput, match="no fixel in any of the experiments"):
+        fitted(["mu_fixel"], bare)
+    with pytest.raises(InvalidInput, match="a body on Tripod"):
+        fitted(["support_1_x"], scenes)
+    with pytest.raises(InvalidInput, match="a body on Tripod"):
+        fitted(["table_bend_xy"], scenes)
+
+
+def test_experiments_that_cannot_be_compared(project, experiments):
+    scene_less = replace(experiments[0], name="lost", scene=None, contact_mode="")
+    one_frame = replace(
+        experiments[0],
+        name="one",
+        trajectory=Trajectory(time=[0.0], pose=experiments[0].trajectory.pose[:1]),
+        channels=(),
+        effective=None,
+        pusher=None,
+    )
+    with project.store() as store:
+        for experiment in (scene_less, one_frame):
+            store.add_experiment(experiment)
+        found = run.choose(store, (), Query())
+        assert len(found.targets) == 4
+        assert "no scene" in found.left_out["testbed/lost"]
+        assert "no measured pose" in found.left_out["testbed/one"]
+        with pytest.raises(InvalidInput, match="no scene"):
+            run.choose(store, ("lost",), Query())
+        with pytest.raises(InvalidInput, match="expected one of testbed"):
+            run.choose(store, (), Query(dataset="nowhere"))

@@ -1,0 +1,76 @@
+"""Stored calibrations as models to simulate with."""
+
+import pytest
+
+from fixel.calibration.objective import RootMeanSquare
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.sampling.thesis import thesis_plan
+from fixel.simulation import QuasiStatic
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.calibration.stored import calibrated, parted
+
+
+@pytest.fixture
+def store(tmp_path):
+    planned = thesis_plan().experiments[:2]
+    with Project.create(tmp_path / "lab").store() as store:
+        for experiment in SimulatedTestbed.ideal().run(planned):
+            store.add_experiment(experiment)
+        yield store
+
+
+def _record(members, **changes):
+    settings = {
+        "name": "c",
+        "parameters": Parameters(mu_pusher=0.2),
+        "members": tuple(Member(m, 1.0, 1.0) for m in members),
+        "provenance": Provenance(version="0"),
+    } | changes
+    return CalibrationRecord(**settings)
+
+
+def test_values_of_an_experiment_are_those_shared_and_its_own(store):
+    estimates = [
+        Estimate(label=f"mu_fixel[shape={shape}]", unit="-", value=value)
+        for shape, value in (("square", 0.3), ("pentagon", 0.4))
+    ]
+    number = store.add_calibration(_record([1, 2], estimates=estimates))
+    one = calibrated(store, number)
+    assert one.values({"shape": "square"}) == {"mu_pusher": 0.2, "mu_fixel": 0.3}
+    assert one.values({"shape": "disc"}) == {"mu_pusher": 0.2}
+    assert one.members == {1, 2}
+
+
+def test_the_method_is_that_of_the_calibration(store):
+    method = {"motion": "quasistatic", "error": "root-mean-square", "error.angle_scale": 0.5}
+    one = calibrated(store, store.add_calibration(_record([1], method=method)))
+    assert one.motion == QuasiStatic()
+    assert one.error == RootMeanSquare(angle_scale=0.5)
+
+
+def test_the_newest_for_several_experiments_counts(store):
+    joint = store.add_calibration(_record([1, 2], method={"how": "direct minimisation"}))
+    alone = store.add_calibration(_record([2], method={"how": "alone"}))
+    assert calibrated(store).id == joint
+    assert calibrated(store, experiment=2).id == joint
+    assert calibrated(store, alone).id == alone
+
+
+def test_means_that_a_growing_domain_made_count_only_by_their_id(store):
+    alone = store.add_calibration(_record([2], method={"how": "alone"}))
+    mean = store.add_calibration(_record([1, 2], method={"how": "domain growth"}))
+    assert calibrated(store).id == alone
+    assert calibrated(store, mean).id == mean
+
+
+def test_without_any_the_next_command_is_named(store):
+    with pytest.raises(InvalidInput, match="fixel calibrate"):
+        calibrated(store)
+
+
+def test_labels_come_apart():
+    assert parted("mu_pusher") == ("mu_pusher", {})
+    assert parted("mu[a=b, c=0.5]") == ("mu", {"a": "b", "c": "0.5"})

@@ -1,0 +1,75 @@
+"""Filtering an experiment of a project, and what is kept of it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.filtering.recordings import push
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput, NotStored
+from fixel.filtering.particle_filter import ParticleFilter
+from fixel.workflows.filtering.run import filter_experiment
+
+FEW = ParticleFilter(n_particles=40, priors={"mu_pusher": (0.2, 0.6)})
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    made = Project.create(tmp_path_factory.mktemp("projects") / "lab")
+    recorded = push(duration=3.0)
+    with made.store() as store:
+        store.add_experiment(recorded)
+        store.add_experiment(replace(recorded, name="bare", pusher=None))
+    return made
+
+
+def test_a_run_is_kept_with_its_settings(project):
+    answer = filter_experiment(
+        project, "push", FEW, occlusion=(1.0, 2.0), seed=7, command="fixel filter push"
+    )
+    with project.store() as store:
+        run = store.filter_run(answer.run_id)
+        settings = store.filter_parameters(run.filter_parameters_id)
+
+    found = answer.estimates
+    assert (run.experiment_id, run.uses_tactile, run.occlusion) == (1, True, (1.0, 2.0))
+    assert run.trajectory == found.trajectory
+    assert run.contact_mode == found.contact_mode
+    assert (run.provenance.command, run.provenance.seed) == ("fixel filter push", 7)
+    columns = dict(zip(run.estimate_names, run.estimates.T, strict=True))
+    np.testing.assert_array_equal(columns["mu_pusher"], found.mean[:, 1])
+    np.testing.assert_array_equal(columns["tripod_radius_q95"], found.quantiles[:, 3, 2])
+    assert settings.is_particle_filter
+    assert settings.values["n_particles"] == 40.0
+    assert (settings.values["mu_pusher_low"], settings.values["mu_pusher_high"]) == (0.2, 0.6)
+
+
+def test_errors_are_told_inside_and_outside_of_the_occlusion(project):
+    answer = filter_experiment(project, "push", FEW, occlusion=(1.0, 2.0), save=False)
+    position, angle, hidden = answer.estimates.errors(answer.experiment.trajectory)
+
+    assert answer.run_id is None
+    for inside in (True, False):
+        wanted = hidden == inside
+        expected = [np.sqrt(np.mean(e[wanted] ** 2)) for e in (position, angle)]
+        assert answer.rms(hidden=inside) == pytest.approx(expected)
+    summary = answer.summary()
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert summary["frames"] == len(answer.estimates.time)
+    assert summary["real_time_factor"] > 0.0
+
+
+def test_without_an_occlusion_there_is_no_error_inside(project):
+    answer = filter_experiment(project, "push", FEW, use_tactile=False, save=False)
+
+    assert answer.summary()["hidden"] is None
+    assert answer.summary()["uses_tactile"] is False
+
+
+def test_refusals_keep_nothing(project):
+    with pytest.raises(NotStored):
+        filter_experiment(project, "nothing", FEW)
+    with pytest.raises(InvalidInput, match="no measured path of the pusher"):
+        filter_experiment(project, "bare", FEW)

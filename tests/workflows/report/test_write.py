@@ -1,0 +1,256 @@
+"""The report: whole, offline, escaped, in a real browser; and what it warns of."""
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import fixel
+from fixel.database.project import Project
+from fixel.database.query import Query
+from fixel.drawing.calibration import SecondsChart
+from fixel.errors import InvalidInput
+from fixel.model.records import Estimate
+from fixel.sampling.thesis import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.analysis import Analysis, TextTable, keep
+from fixel.workflows.calibration import run
+from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.request import Choice, Request, entry_of
+from fixel.workflows.calibration.stored import Calibrated, calibrated
+from fixel.workflows.figures import Picture
+from fixel.workflows.report.bibliography import WORKS, bibtex, line, works
+from fixel.workflows.report.of_calibration import calibration_warnings
+from fixel.workflows.report.write import write_report
+
+PLANNED = thesis_plan().experiments
+EVIL = '<script>alert("x")</script>'
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A project with four experiments, one of a strange name, and a calibration of all of them."""
+    made = Project.create(tmp_path_factory.mktemp("report") / "lab")
+    experiments = list(SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]))
+    experiments[3] = replace(experiments[3], name=EVIL)
+    with made.store() as store:
+        for experiment in experiments:
+            store.add_experiment(experiment)
+        chosen = run.choose(store, (), Query())
+    scenes = [target.case.scene for target in chosen.targets]
+    request = Request(
+        mode="joint",
+        unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)],
+        optimiser=Choice(name="pattern-search", options={"threshold_delta": 0.2}),
+        verdicts=False,
+    )
+    folder = run.prepare(made, chosen, request)
+    run.run(folder)
+    run.collect(made, folder, "fixel calibrate --mode joint", {})
+    return made
+
+
+@pytest.fixture(scope="module")
+def report(project, tmp_path_factory):
+    return write_report(project, tmp_path_factory.mktemp("out") / "r", command="fixel report")
+
+
+def _kept(project, **changes):
+    with project.store() as store:
+        number = calibrated(store).id
+    chart = SecondsChart(keys=("a", "b"), seconds=np.array([0.1, 0.2]), evaluations=(1, 2))
+    analysis = Analysis(
+        kind="domain",
+        title="Map",
+        question={"tau_mm": 2.0},
+        headline=("Trusted at 2 mm in 3 of 4 cells.",),
+        warnings=("One cell has no data.",),
+        tables=(TextTable(title="Cells", head=("cell", "error [mm]"), rows=((EVIL, "1.0"),)),),
+        methods=("Cells were judged by cross-validation.",),
+        references=("vovk2005",),
+        calibrations=(number,),
+        command="fixel domain",
+    )
+    return keep(project, analysis.model_copy(update=changes), [Picture("map", chart, "", "A map.")])
+
+
+class _Page(HTMLParser):
+    """Every tag with what it points to, and all text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text, self.links = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [v for k, v in attrs if k in ("src", "href", "action", "srcset", "data")]
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_needs_nothing_but_itself(report):
+    text = report.page.read_text(encoding="utf-8")
+    page = _Page(text)
+    assert page.links
+    assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
+    assert "script" not in page.tags
+    assert "url(" not in text
+    assert len(text.encode()) == report.size < 10_000_000
+    anchors = set(re.findall(r'id="([^"]+)"', text))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= anchors
+
+
+def test_names_of_experiments_are_text_and_no_markup(project, report):
+    assert EVIL not in report.page.read_text(encoding="utf-8")
+    _kept(project)
+    again = write_report(project, report.page.parent.parent / "evil")
+    assert EVIL in "".join(_Page(again.page.read_text(encoding="utf-8")).text)
+
+
+def test_warnings_stand_first_and_name_the_next_command(report):
+    text = report.page.read_text(encoding="utf-8")
+    assert text.index('id="warnings"') < text.index('id="findings"')
+    words = " ".join(report.content.warnings)
+    assert "simulated" in words
+    for command in ("fixel domain", "fixel sensitivity", "fixel uncertainty"):
+        assert command in words
+    assert report.content.banner.startswith("SIMULATED")
+
+
+def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
+    _kept(project)
+    done = write_report(project, tmp_path / "r")
+    words = " ".join(done.content.warnings)
+    assert "One cell has no data." in words
+    assert "fixel domain" not in words
+    assert "Trusted at 2 mm in 3 of 4 cells." in done.content.findings
+    assert any(path.name == "domain_map.pdf" for path in done.figures)
+    assert "vovk2005" in done.bibliography.read_text(encoding="utf-8")
+    assert "Cells were judged by cross-validation." in done.page.read_text(encoding="utf-8")
+
+
+def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path):
+    _kept(project, question={"of": "another"}, calibrations=(999,), experiments=(998,), title="No")
+    titles = [s.title for s in write_report(project, tmp_path / "r").content.sections]
+    assert titles.count("Where the calibrated simulator can be trusted") <= 1
+
+
+def test_figures_are_there_as_pdf(report):
+    assert len(report.figures) >= 4
+    for path in report.figures:
+        assert path.read_bytes().startswith(b"%PDF")
+        assert path.with_suffix(".csv").is_file()
+
+
+def test_numbers_of_the_calibration_are_those_stored(project, report):
+    with project.store() as store:
+        errors = [member.error_mm2 for member in calibrated(store).record.members]
+    table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
+    assert table.rows[-1][0] == "calibrated"
+    assert float(table.rows[-1][1]) == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
+
+
+def test_a_plain_answer_for_json(report):
+    summary = json.loads(json.dumps(report.summary()))
+    assert summary["bytes"] == report.size
+
+
+def test_verdicts_become_warnings(project):
+    with project.store() as store:
+        one = calibrated(store)
+    verdicts = ("not identified", "at bound", "trades off with mu_pusher", "identified")
+    estimates = tuple(
+        Estimate(label=f"p{k}", unit="-", value=1.0, verdict=verdict)
+        for k, verdict in enumerate(verdicts)
+    )
+    words = calibration_warnings(Calibrated(1, replace(one.record, estimates=estimates)), {})
+    assert [any(word.startswith(f"p{k} ") for word in words) for k in range(4)] == [
+        True,
+        True,
+        True,
+        False,
+    ]
+
+
+def test_without_a_calibration_there_is_nothing_to_report(tmp_path):
+    with pytest.raises(InvalidInput, match="fixel calibrate"):
+        write_report(Project.create(tmp_path / "empty"), tmp_path / "r")
+
+
+def test_the_bibliography_is_bibtex():
+    text = bibtex(works([*WORKS, "nobody1900"]))
+    entries = re.findall(r"@\w+\{(\w+),", text)
+    assert entries == ["fixel", *WORKS]
+    assert text.count("{") == text.count("}")
+
+
+def test_every_work_that_is_cited_is_known():
+    """Keys in the sources look like a name and a year."""
+    folder = Path(fixel.__file__).parent / "workflows"
+    cited = {
+        key
+        for path in folder.rglob("*.py")
+        for key in re.findall(r'"([a-z]+(?:19|20)\d\d)"', path.read_text(encoding="utf-8"))
+    }
+    assert "speagle2020" in cited
+    assert cited <= set(WORKS)
+
+
+def _browser():
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))))
+
+
+@pytest.mark.skipif(
+    not any(map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+    reason="no Chromium here",
+)
+def test_a_real_browser_shows_and_prints_it(report, tmp_path):
+    shot, printed = tmp_path / "shot.png", tmp_path / "page.pdf"
+    for option in (f"--screenshot={shot}", f"--print-to-pdf={printed}"):
+        subprocess.run(
+            [
+                _browser(),
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--disable-background-networking",
+                "--disable-component-update",
+                "--no-first-run",
+                f"--user-data-dir={tmp_path / 'profile'}",
+                "--window-size=1000,1400",
+                option,
+                report.page.as_uri(),
+            ],
+            check=True,
+            capture_output=True,
+            timeout=120,
+        )
+    with Image.open(shot) as image:
+        pixels = np.asarray(image.convert("RGB"))
+    # The band over simulated data, and text below it.
+    band = (pixels == [213, 94, 0]).all(axis=2)
+    assert band[:60].mean() > 0.3
+    assert (pixels.max(axis=2) < 90).mean() > 0.005
+    assert printed.read_bytes().startswith(b"%PDF")
+    assert printed.stat().st_size > 50_000
+
+
+def test_the_two_sources_are_cited_with_their_titles():
+    """Titles and authors as on the title pages, where a description in brackets stood before."""
+    cited = works(["rpi2011", "asme2006"])
+    thesis, paper = line(cited["rpi2011"]), line(cited["asme2006"])
+    assert thesis.startswith("Macaluso, W. (2012). Exploring the domain of applicability")
+    assert paper.startswith("Cappelleri, D. J., Fink, J. et al. (2006). Modeling uncertainty")
+    assert "DETC2006-99687" in paper
+    assert not any("[" in work.title for work in WORKS.values())
+    assert "@mastersthesis{rpi2011," in bibtex(cited)

@@ -1,0 +1,156 @@
+"""Uncertainty of a stored experiment: what is found, kept and told, from Python and the shell."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.filtering.recordings import push
+from typer.testing import CliRunner
+
+from fixel.cli.main import app
+from fixel.database.project import Project
+from fixel.errors import InvalidInput, NotStored
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.workflows.analysis import kept
+from fixel.workflows.calibration.stored import Calibrated
+from fixel.workflows.uncertainty import report
+from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
+
+FIT = ("tripod_radius_mm=20:60",)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("projects") / "lab"
+    with Project.create(place).store() as store:
+        for number in range(2):
+            recorded = push(seed=number + 1, duration=2.0)
+            store.add_experiment(replace(recorded, name=f"push-{number + 1}"))
+    return place
+
+
+@pytest.fixture(scope="module")
+def answered(folder, tmp_path_factory):
+    pictures = tmp_path_factory.mktemp("pictures")
+    words = ["uncertainty", "push-1", "--held-out", "push-2", "--project", str(folder)]
+    words += ["--noise-mm", "0.05", "--noise-mrad", "2", "--motion", "quasistatic"]
+    words += ["--samples", "100", "--plot", str(pictures)]
+    for text in FIT:
+        words += ["--fit", text]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    return result.stdout, pictures
+
+
+def test_the_answer_for_people(answered):
+    out, pictures = answered
+    for words in (
+        "ends with 90 % probability in an ellipse of",
+        "The model's own error at the end of the way is",
+        "tripod_radius",
+        "held out",
+        "effective samples from",
+        "log evidence",
+    ):
+        assert words in out
+    last = out.splitlines()[-1]
+    assert last.startswith("Next: fixel compare testbed/push-1 --set tripod_radius=")
+    assert {path.name for path in pictures.glob("*.png")} == {
+        "corner.png", "bands-1.png", "final-1.png", "bands-2.png", "final-2.png",
+    }  # fmt: skip
+
+
+def test_it_is_kept_as_an_analysis(folder, answered):
+    assert answered
+    (one,) = kept(Project.open(folder), "uncertainty")
+    numbers = one.analysis.numbers
+    assert numbers["experiments"] == ["testbed/push-1"]
+    assert set(numbers["parameters"]) == {"tripod_radius", "model_error"}
+    assert one.arrays["samples"].shape == (1000, 2)
+    assert len(one.analysis.pictures) == 5
+    own = numbers["parameters"]["tripod_radius"]
+    assert own["prior"] == pytest.approx([0.02, 0.06])
+    assert own["low"] <= 0.04 <= own["high"]
+    # A camera of 0.05 mm over a right model: no millimetre of model error.
+    assert numbers["parameters"]["model_error"]["median"] < 1e-3
+    assert numbers["coverage"] is None
+    assert [final["held_out"] for final in numbers["final_pose"]] == [False, True]
+    json.dumps(numbers, allow_nan=False)
+
+
+def test_the_cameras_noise_is_found_out(folder):
+    wanted = UncertaintyRequest(experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50)
+    found = find_uncertainty(Project.open(folder), wanted)
+    assert found.noise.position_m == pytest.approx(5e-5, rel=0.4)
+    assert found.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
+    assert np.isfinite(found.posterior.samples).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"held_out": ("push-1",)}, "held-out"),
+        ({"motion": "magic"}, "--motion"),
+        ({"experiments": ()}, "none named"),
+    ],
+)
+def test_questions_that_make_no_sense_are_refused(folder, changes, words):
+    asked = UncertaintyRequest(**({"experiments": ("push-1",), "fit": FIT} | changes))
+    with pytest.raises(InvalidInput, match=words):
+        find_uncertainty(Project.open(folder), asked)
+
+
+def test_an_experiment_that_is_not_there(folder):
+    with pytest.raises(NotStored):
+        find_uncertainty(Project.open(folder), UncertaintyRequest(experiments=("nothing",)))
+
+
+def test_half_a_noise_is_refused(folder):
+    words = ["uncertainty", "push-1", "--noise-mm", "0.1", "--project", str(folder)]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, InvalidInput)
+    assert "--noise-mrad" in str(result.exception)
+
+
+def _beside(low, high, quantiles, of=1):
+    """Warnings of a posterior of mu_pusher beside a calibration of 21 experiments."""
+    estimate = Estimate(
+        label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
+    )
+    record = CalibrationRecord(
+        name="c",
+        method={"misfit": "model misfit: residuals of 2 mm\nmore", "misfit_ratio": 39.0},
+        parameters=Parameters(mu_pusher=0.2),
+        members=tuple(Member(k, 1.0, 1.0) for k in range(21)),
+        provenance=Provenance(version="1", command="fixel calibrate", seed=0),
+        estimates=(estimate,),
+    )
+    found = SimpleNamespace(
+        compared=Calibrated(7, record),
+        predicted=[SimpleNamespace(held_out=False)] * of,
+        posterior=SimpleNamespace(
+            labels=("mu_pusher",), units=("-",), quantiles=lambda: np.array(quantiles)[:, None]
+        ),
+    )
+    return list(report._beside_calibration(found))
+
+
+def test_a_posterior_repeats_the_misfit_of_the_calibration():
+    assert _beside(0.15, 0.36, (0.18, 0.2, 0.22)) == [
+        "Calibration 7: model misfit: residuals of 2 mm"
+    ]
+
+
+def test_a_posterior_does_not_contradict_the_calibration_silently():
+    _, apart = _beside(0.15, 0.36, (0.4, 0.42, 0.44))
+    assert apart.startswith("mu_pusher contradicts calibration 7: this posterior of 1 experiment")
+    assert apart.endswith("quote the calibration.")
+    _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
+    assert beside.startswith("mu_pusher disagrees with calibration 7")
+    assert "(0.15 to open)" in beside
+    assert beside.endswith("quote the wider interval.")
