@@ -16,8 +16,8 @@ from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.target import Target, targets_of
 from fixel.domain.cells import cells_of
 from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
-from fixel.domain.evidence import Evidence
-from fixel.io.result_cache import Finished
+from fixel.domain.evidence import HeldOutErrors
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
@@ -26,7 +26,7 @@ from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.domain.coordinates import coordinates_of
-from fixel.workflows.domain.held_out import Apart, Model, calibrated_on, held_out
+from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 
 # Not those on which the settings of the surface were chosen.
 LAYOUTS = ("collinear-wide", "collinear-minus45", "concave-tight", "asymmetric-b")
@@ -83,11 +83,11 @@ def judged(planned: Sequence[PlannedExperiment], repetitions: int, new: int, lev
     """Make experiments, map them, and make new ones in every cell."""
     targets = _made(planned, repetitions, "")
     space = ParameterSpace(unknowns=tuple(default_unknowns([targets[0].case.scene])))
-    model = Model(space=space, motion=Dynamic(), error=MeanSquare())
+    model = CalibrationModel(space=space, motion=Dynamic(), error=MeanSquare())
     apart = Apart(by=BY, folds=5 if len(planned) > 20 else 2)
-    errors = held_out(targets, model, apart, Finished(None)).error
+    errors = held_out(targets, model, apart, ResultCache(None)).error
     rows = [coordinates_of(target) for target in targets]
-    evidence = Evidence(
+    evidence = HeldOutErrors(
         keys=tuple(target.key for target in targets),
         ids=tuple(range(len(targets))),
         coordinates={name: tuple(row[name] for row in rows) for name in AXES},
@@ -121,7 +121,7 @@ def _quantiles(
     domain: DomainMap,
     planned: Sequence[PlannedExperiment],
     targets: Sequence[Target],
-    model: Model,
+    model: CalibrationModel,
     new: int,
     level: float,
 ) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.running import Frame, RunningFilter
+from fixel.filtering.running import FilterFrame, RunningFilter
 from fixel.model import Experiment, PlannedExperiment
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import Layout, grasp
@@ -59,6 +59,6 @@ def _frames(
         reading = tactile.values[np.searchsorted(tactile.time, track.time[k] - 1e-6)]
         seen = None if hidden else track.pose[k]
         begun = clock()
-        running.step(Frame(float(track.time[k]), pusher.pose[k], seen, reading))
+        running.step(FilterFrame(float(track.time[k]), pusher.pose[k], seen, reading))
         taken.append(1e3 * (clock() - begun))
     return taken

@@ -23,7 +23,7 @@ from benchmarks.report import RESULTS
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.vision.boards import Board, Picture, board_of
-from fixel.vision.calibrate_lens import View, calibrate_lens
+from fixel.vision.calibrate_lens import BoardView, calibrate_lens
 from fixel.vision.marks import Tag
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import plane_errors
@@ -172,9 +172,9 @@ def _judged(
     )
 
 
-def _views(camera: OtherCamera, print_: Print, rng: np.random.Generator) -> list[View]:
+def _views(camera: OtherCamera, print_: Print, rng: np.random.Generator) -> list[BoardView]:
     """Views of a board that is held in all parts of the picture."""
-    views: list[View] = []
+    views: list[BoardView] = []
     width, height = print_.board.size
     corners = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0.0]])
     size = np.array(camera.size)
@@ -198,5 +198,5 @@ def _views(camera: OtherCamera, print_: Print, rng: np.random.Generator) -> list
             found = print_.board.find(seen(camera, print_.picture, origin, rotation, shift, rng))
         except InvalidInput:
             continue
-        views.append(View(f"{number}", camera.size, found))
+        views.append(BoardView(f"{number}", camera.size, found))
     return views

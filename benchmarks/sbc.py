@@ -18,7 +18,7 @@ from fixel.model import Tripod
 from fixel.model.fields import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import QuasiStatic, StewartTrinkle
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 from fixel.testing.scenes import free_push, row
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.posterior import NestedSampling
@@ -95,4 +95,4 @@ def _push(number: int, y: float, angle: float) -> Target:
     scene = free_push(Tripod(radius=0.04, friction=0.3), friction=0.3)
     body = replace(scene.bodies[0], pose=row(0.062, y, angle))
     scene = replace(scene, bodies=(body,), duration=float(FRAMES[-1]))
-    return Target(f"sbc/{number}", {}, Case(scene, FRAMES), np.zeros((len(FRAMES), 3)))
+    return Target(f"sbc/{number}", {}, RolloutCase(scene, FRAMES), np.zeros((len(FRAMES), 3)))

@@ -15,7 +15,7 @@ from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp, micro_push
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking import PartTrack, Tracked, track
+from fixel.vision.tracking import FilmTracks, PartTrack, track
 from fixel.workflows.acquisition.film import Shooting, film
 from fixel.workflows.acquisition.track import open_film
 
@@ -112,7 +112,7 @@ def _errors(
     return figures
 
 
-def _unflagged(tracked: Tracked, truth: np.lib.npyio.NpzFile, limit: float) -> float:
+def _unflagged(tracked: FilmTracks, truth: np.lib.npyio.NpzFile, limit: float) -> float:
     """How many poses that are believed are off by more than a limit [m]."""
     return float(
         sum(

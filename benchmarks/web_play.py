@@ -18,7 +18,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.project import Desk, project_server
+from fixel.web.project import ProjectContext, project_server
 from fixel.web.views.live_comparison import CompareDesk
 
 MOVES = 60
@@ -63,7 +63,7 @@ def measured() -> dict[str, list[float]]:
         with project.store() as store:
             for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
                 store.add_experiment(experiment)
-        desk = Desk(project)
+        desk = ProjectContext(project)
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
         )
@@ -81,7 +81,7 @@ def measured() -> dict[str, list[float]]:
     return found
 
 
-def _without_browser(desk: Desk) -> list[float]:
+def _without_browser(desk: ProjectContext) -> list[float]:
     at_hand, spent = CompareDesk(desk.store), []
     for k in range(MOVES):
         begun = time.process_time()

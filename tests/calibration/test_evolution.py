@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from fixel.calibration import Box, CmaEs
+from fixel.calibration import CmaEs, SearchBox
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, run
 
@@ -19,7 +19,7 @@ def rastrigin(x) -> float:
 
 
 def test_finds_its_way_through_many_minima():
-    area = Box(np.zeros(2), np.ones(2), np.full(2, 0.1), np.full(2, 0.1))
+    area = SearchBox(np.zeros(2), np.ones(2), np.full(2, 0.1), np.full(2, 0.1))
     search = CmaEs(restarts=3).start(area, seed=1)
     run(search, rastrigin)
     assert search.best.point == pytest.approx([0.62, 0.62], abs=1e-4)

@@ -10,7 +10,7 @@ from fixel.calibration.assess import assess, conducted_here, fitting
 from fixel.calibration.honest import (
     INSTANTS,
     Honest,
-    MixedFit,
+    MixedStudyFit,
     ShiftModel,
     _Probes,
     mixed_study,
@@ -126,7 +126,7 @@ def test_one_experiment_gives_wider_intervals_than_seven():
 
 
 def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
-    mixed = MixedFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
+    mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
     apart = Honest.of(mixed, [np.array([0.26]), np.array([0.34])])
     assert apart.sd == pytest.approx(0.05)
     few = Honest.of(mixed._replace(effective=np.array([1.2])), [mixed.value])

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from tests.calibration.toys import DECAY_BOX, TRUTH, box, decay_residuals, each, linear, rough
 
-from fixel.calibration.cost import Cost, Prior
+from fixel.calibration.cost import Cost, NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit, roughness_of
 from fixel.errors import InvalidInput
 
@@ -74,7 +74,7 @@ def test_prior_is_a_ridge():
     residuals, matrix, _ = linear()
     mean, sd = np.array([0.5, 0.5, 0.5]), np.array([0.01, np.inf, 0.05])
     where = box([0] * 3, [1] * 3)
-    found = fit(LeastSquares().start(where, prior=Prior(mean=mean, sd=sd)), residuals)
+    found = fit(LeastSquares().start(where, prior=NormalPrior(mean=mean, sd=sd)), residuals)
     weight = np.diag(1.0 / sd**2)
     data = matrix.T @ -residuals(np.zeros((1, 3)))[0]
     expected = np.linalg.solve(matrix.T @ matrix + weight, data + weight @ mean)
@@ -85,7 +85,7 @@ def test_prior_is_a_ridge():
 
 
 def test_weighted_prior_keeps_its_weight_beside_dispersed_residuals():
-    prior = Prior(mean=np.zeros(1), sd=np.ones(1))
+    prior = NormalPrior(mean=np.zeros(1), sd=np.ones(1))
     assert prior.weighted(4.0).deviance([[1.0]]) / 4.0 == pytest.approx(prior.deviance([[1.0]]))
 
 
@@ -236,8 +236,8 @@ def test_refusals():
     with pytest.raises(InvalidInput, match=r"LeastSquares\.difference"):
         LeastSquares(difference=0.0)
     with pytest.raises(InvalidInput, match="prior"):
-        LeastSquares().start(DECAY_BOX, prior=Prior(mean=np.zeros(2), sd=np.ones(2)))
+        LeastSquares().start(DECAY_BOX, prior=NormalPrior(mean=np.zeros(2), sd=np.ones(2)))
     with pytest.raises(InvalidInput, match="prior"):
-        Prior(mean=np.zeros(2), sd=np.zeros(2))
+        NormalPrior(mean=np.zeros(2), sd=np.zeros(2))
     with pytest.raises(InvalidInput, match="residuals"):
         LeastSquares().start(DECAY_BOX).tell(np.zeros((1, 5)))

@@ -7,7 +7,7 @@ from fixel.calibration.misfit import misfit_of, noise_from_differences
 from fixel.calibration.noise import Noise
 from fixel.calibration.target import Target
 from fixel.model import Tripod
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 from fixel.testing.scenes import free_push
 
 SCENE = free_push(Tripod(radius=0.03, friction=0.3))
@@ -27,7 +27,7 @@ def _track(seed, *, noise=True, lost=0.1, smooth=False, frames=200):
         pose = np.column_stack([np.convolve(column, kernel, "same") for column in pose.T])[5:-5]
         t = t[5:-5]
     seen = draw.random(len(t)) >= lost
-    return Target("a/b", {}, Case(SCENE, t[seen]), pose[seen])
+    return Target("a/b", {}, RolloutCase(SCENE, t[seen]), pose[seen])
 
 
 @pytest.mark.parametrize("seed", range(5))

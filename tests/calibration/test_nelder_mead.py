@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from fixel.calibration import Box, MultiStart, NelderMead
+from fixel.calibration import MultiStart, NelderMead, SearchBox
 from fixel.calibration.nelder_mead import simplex_size, stepped_simplex
 from fixel.calibration.starts import feasible_points
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, crease, run
 
 
-def wide(n: int, start) -> Box:
+def wide(n: int, start) -> SearchBox:
     start = np.array(start, np.float64)
-    return Box(start - 1e3, start + 1e3, start, np.full(n, 0.5))
+    return SearchBox(start - 1e3, start + 1e3, start, np.full(n, 0.5))
 
 
 def rosenbrock(x) -> float:
@@ -55,7 +55,9 @@ def test_speculation_changes_no_decision(error):
 
 
 def test_first_simplex_steps_one_scale_away_from_bounds():
-    area = Box(np.zeros(3), np.array([1.0, 1.0, 0.5]), np.array([0.2, 0.95, 0.1]), np.full(3, 0.1))
+    area = SearchBox(
+        np.zeros(3), np.array([1.0, 1.0, 0.5]), np.array([0.2, 0.95, 0.1]), np.full(3, 0.1)
+    )
     vertices = stepped_simplex(area, 1.0)
     assert vertices - area.start == pytest.approx(
         np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.1, 0], [0, 0, 0.1]])
@@ -66,7 +68,7 @@ def test_first_simplex_steps_one_scale_away_from_bounds():
 
 
 def test_size_is_the_mean_distance_from_the_centre_in_scales():
-    area = Box(np.zeros(2), np.ones(2), np.full(2, 0.5), np.array([0.1, 0.01]))
+    area = SearchBox(np.zeros(2), np.ones(2), np.full(2, 0.5), np.array([0.1, 0.01]))
     # An equilateral triangle of radius 3 scales about its centre.
     angles = 2.0 * np.pi * np.arange(3) / 3
     corners = 3.0 * np.stack((np.cos(angles), np.sin(angles)), axis=1)
@@ -81,7 +83,7 @@ def test_ends_below_the_size_and_keeps_it():
 
 
 def test_points_out_of_bounds_fail_without_being_asked_for():
-    area = Box(np.zeros(1), np.ones(1), np.array([0.05]), np.array([0.1]))
+    area = SearchBox(np.zeros(1), np.ones(1), np.array([0.05]), np.array([0.1]))
     search = NelderMead(speculative=False).start(area)
     search.tell(np.array([1.0, 2.0]))
     # Reflection leads to -0.05; the next point is the contraction inside.

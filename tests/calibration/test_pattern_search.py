@@ -5,17 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from fixel.calibration import Box, FixedStepSearch, PatternSearch
+from fixel.calibration import FixedStepSearch, PatternSearch, SearchBox
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import run
 
 # The four unknowns of the thesis: fixel, pusher, tripod radius [m], surface.
 LOW, HIGH = np.zeros(4), np.array([1.0, 1.0, 0.06, 1.0])
-THESIS = Box(LOW, HIGH, np.array([0.2, 0.2, 0.025, 0.25]), 0.1 * HIGH)
+THESIS = SearchBox(LOW, HIGH, np.array([0.2, 0.2, 0.025, 0.25]), 0.1 * HIGH)
 
 
-def box(n: int = 2, start: float = 0.5) -> Box:
-    return Box(np.zeros(n), np.ones(n), np.full(n, start), np.full(n, 0.1))
+def box(n: int = 2, start: float = 0.5) -> SearchBox:
+    return SearchBox(np.zeros(n), np.ones(n), np.full(n, start), np.full(n, 0.1))
 
 
 def tell(search, *errors: float) -> None:

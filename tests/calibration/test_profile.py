@@ -14,7 +14,7 @@ from tests.calibration.toys import (
     rough,
 )
 
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import ProfileLikelihood, run_profiles
@@ -44,7 +44,7 @@ def test_linear_model_has_the_textbook_interval():
 def test_prior_narrows_a_linear_interval_exactly():
     residuals, matrix, _ = linear()
     sd = np.array([0.02, np.inf, np.inf])
-    prior = Prior(mean=np.array([0.3, 0.5, 0.5]), sd=sd)
+    prior = NormalPrior(mean=np.array([0.3, 0.5, 0.5]), sd=sd)
     _, found = calibrated(residuals, box([0] * 3, [1] * 3), prior=prior)
     half = np.sqrt(THRESHOLD * np.diag(np.linalg.inv(matrix.T @ matrix + np.diag(sd**-2.0))))
     np.testing.assert_allclose(np.ptp(intervals(found), axis=1), 2 * half, rtol=5e-3)

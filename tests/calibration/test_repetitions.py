@@ -6,7 +6,7 @@ import numpy as np
 
 from fixel.calibration.repetitions import repetitions, same_configuration
 from fixel.calibration.target import Target
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 
 TIMES = np.arange(1, 31) / 30.0
 
@@ -17,7 +17,7 @@ def _moving(number, kept, at="here", shift=0.0):
     angle = (3.0 + times + math.pi) % (2.0 * math.pi) - math.pi
     pose = np.column_stack((0.03 * times + shift, np.zeros(len(times)), angle))
     conditions = {"at": at, "repetition": float(number), "experiment": f"lab/{at}-{number}"}
-    return Target(f"lab/{at}-{number}", conditions, Case(None, times), pose)
+    return Target(f"lab/{at}-{number}", conditions, RolloutCase(None, times), pose)
 
 
 def test_frames_that_were_lost_do_not_shift_the_others():

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from fixel.calibration import Box, FixedStepSearch, PatternSearch
-from fixel.calibration.objective import Evaluated
+from fixel.calibration import FixedStepSearch, PatternSearch, SearchBox
+from fixel.calibration.objective import Evaluation
 from fixel.calibration.study import (
     best_stored,
     best_subset,
@@ -20,14 +20,14 @@ from fixel.calibration.study import (
 )
 from fixel.errors import InvalidInput
 
-BOX = Box(np.zeros(2), np.ones(2), np.full(2, 0.3), np.full(2, 0.1))
+BOX = SearchBox(np.zeros(2), np.ones(2), np.full(2, 0.3), np.full(2, 0.1))
 # What each of five experiments would like the parameters to be.
 LIKED = np.array([[0.2, 0.4], [0.3, 0.4], [0.25, 0.45], [0.9, 0.9], [0.28, 0.41]])
 
 
 def bowls(ask):
     distance = np.sum((ask.points - LIKED[ask.which]) ** 2, axis=1)
-    return Evaluated(distance, [""] * len(distance))
+    return Evaluation(distance, [""] * len(distance))
 
 
 def total(errors):
@@ -127,7 +127,7 @@ def test_a_member_that_cannot_be_simulated_spoils_the_point_with_its_reason():
     def failing(ask):
         good = ask.points[:, 0] < 0.35
         error = np.where(good, 1.0, math.inf)
-        return Evaluated(error, ["" if g else "jammed at 2 s" for g in good])
+        return Evaluation(error, ["" if g else "jammed at 2 s" for g in good])
 
     trace, _ = conducted(together(range(2), BOX, FixedStepSearch(), total), failing)
     failed = np.isinf(trace.errors)

@@ -12,7 +12,7 @@ from tests.calibration.toys import (
     space_of,
 )
 
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.profile import ProfileLikelihood, run_profiles
@@ -164,7 +164,7 @@ def test_not_excited_comes_first():
 
 
 def test_prior_alone_is_nothing_learnt():
-    prior = Prior(mean=np.array([0.5, 0.5]), sd=np.array([0.05, 0.05]))
+    prior = NormalPrior(mean=np.array([0.5, 0.5]), sd=np.array([0.05, 0.05]))
     where = box([0, 0], [1, 1])
     residuals = lambda p: np.c_[p[:, 0] - 0.52, 0.0 * p[:, 1]] / 0.03  # noqa: E731
     _, found = calibrated(residuals, where, prior=prior)

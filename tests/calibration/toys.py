@@ -4,7 +4,7 @@ import numpy as np
 
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Dispersion
-from fixel.calibration.optimiser import Box
+from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.profile import ProfileLikelihood, run_profiles
 from fixel.model.space import ParameterSpace, Unknown
 
@@ -14,10 +14,10 @@ NAMES = ("mu_pusher", "mu_fixel", "mu_support", "tripod_radius")
 THRESHOLD = Dispersion(value=1.0).threshold()
 
 
-def box(low, high, start=None) -> Box:
+def box(low, high, start=None) -> SearchBox:
     low, high = np.array(low, np.float64), np.array(high, np.float64)
     start = 0.5 * (low + high) if start is None else np.array(start, np.float64)
-    return Box(low, high, start, 0.1 * (high - low))
+    return SearchBox(low, high, start, 0.1 * (high - low))
 
 
 def each(f):

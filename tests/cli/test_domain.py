@@ -54,7 +54,7 @@ def test_another_threshold_needs_no_fit(capsys, project, monkeypatch):
     def refuse(*_):
         raise AssertionError("a fit")
 
-    monkeypatch.setattr(held_out._Fit, "__call__", refuse)
+    monkeypatch.setattr(held_out._FoldFit, "__call__", refuse)
     code, other, _ = fixel(capsys, "domain", "-p", project, *FIT, *options, "--threshold-mm", 9)
     assert code == 0
     first, second = (json.loads(text)["numbers"]["cells"] for text in (out, other))

@@ -16,7 +16,7 @@ from fixel.cli import jobs
 from fixel.cli.jobs import job_bar
 from fixel.errors import InvalidInput
 from fixel.jobs.site import load_site
-from fixel.jobs.work import Progress
+from fixel.jobs.work import JobProgress
 
 OPTIONS = {"rounds": 2, "chunks": 4}
 
@@ -161,7 +161,7 @@ def _progress(**changes):
         "done": 18, "total": 18, "failed": 0, "rate": 0.5, "left_s": None, "note": "search",
         "workers": 1,
     }  # fmt: skip
-    return Progress(**(usual | changes))
+    return JobProgress(**(usual | changes))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from fixel.cli.main import run
 from fixel.formats.rig_file import save_rig
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed import frame_source
-from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Frame
 
 RIG = small_rig()
@@ -69,7 +69,7 @@ class Endless(FrameSource):
         for k in itertools.count():
             if self.closed.wait(0.01):
                 return
-            yield Arrived(0.01 * k, pixels=picture(0.11))
+            yield CameraPicture(0.01 * k, pixels=picture(0.11))
 
     def close(self):
         self.closed.set()
@@ -193,7 +193,7 @@ def test_the_place_of_a_stored_experiment(bench, capsys, tmp_path):
 def test_a_camera_that_fails_says_so(bench, capsys, monkeypatch):
     class Failing(Endless):
         def frames(self):
-            yield Arrived(0.0, pixels=picture(0.11))
+            yield CameraPicture(0.0, pixels=picture(0.11))
             raise OSError("the plug was pulled")
 
     monkeypatch.setattr(frame_source, "source_of", lambda *_, **__: Failing())

@@ -25,7 +25,7 @@ from fixel.cli.record import duration
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_header import ROWS, VIDEO
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.testbed.recorder import Status
+from fixel.testbed.recorder import RecordingStatus
 
 FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]
 
@@ -237,7 +237,7 @@ def test_the_status_line(capsys: Any) -> None:
 
     line = _StatusLine()
 
-    line.show(Status(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
+    line.show(RecordingStatus(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
     line.end()
     shown = capsys.readouterr().err
     assert shown == ("\r   12.3 s  370 frames  2 lost  30.0 frames/s  fixels 010  61.0 GB free\n")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.database.browsing import Bound, View
+from fixel.database.browsing import Bound, ExperimentView
 from fixel.database.query import Query
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory, trajectory
@@ -58,7 +58,7 @@ def pushes(store):
 
 
 def test_errors_are_the_newest(pushes):
-    first, second, third = pushes.browse(View(limit=3)).rows
+    first, second, third = pushes.browse(ExperimentView(limit=3)).rows
     assert (first.before_mm2, first.after_mm2) == (4.0, 0.25)
     assert (second.before_mm2, second.after_mm2) == (None, 16.0)
     assert (third.before_mm2, third.after_mm2) == (None, None)
@@ -88,7 +88,7 @@ def test_words_stand_anywhere_in_either_case(pushes):
 
 
 def test_pages_and_counts(pushes):
-    leaf = pushes.browse(View(limit=2, offset=2, sort="moved_m", descending=True))
+    leaf = pushes.browse(ExperimentView(limit=2, offset=2, sort="moved_m", descending=True))
     assert ([row.id for row in leaf.rows], leaf.total, leaf.faulty) == ([3, 2], 5, 1)
     assert leaf.rows[0].flags == [("late", "by 0.2 s", True)]
     assert pushes.browse(view_of("is:clean", limit=1)).total == 4
@@ -133,7 +133,7 @@ def test_what_there_is_to_filter_by(pushes):
     assert found.conditions["surface"].texts == {"abs": 2, "plywood": 2}
     assert found.conditions["surface"].total == 5
     assert (found.conditions["speed_m_s"].low, found.conditions["speed_m_s"].high) == (0.01, 0.05)
-    seen = coverage(pushes, View(), "speed_m_s", "end_x_m")
+    seen = coverage(pushes, ExperimentView(), "speed_m_s", "end_x_m")
     assert seen.number.sum() == 5
     assert np.array_equal(seen.number, np.eye(5))
 
@@ -141,21 +141,21 @@ def test_what_there_is_to_filter_by(pushes):
 def test_coverage_counts_what_is_at_the_same_place(pushes):
     for k, (shape, layout) in enumerate([("square", "a"), ("square", "a"), (3.0, "b")]):
         pushes.add_experiment(experiment(10 + k, shape=shape, layout=layout, speed_m_s=0.05))
-    seen = coverage(pushes, View(), "speed_m_s", "speed_m_s")
+    seen = coverage(pushes, ExperimentView(), "speed_m_s", "speed_m_s")
     assert seen.number.diagonal().tolist() == [1, 1, 1, 1, 4]
     assert (seen.shapes, seen.layouts) == (("3", "square"), ("a", "b"))
     assert seen.table.tolist() == [[0, 1], [2, 0]]
     # Where it is a text, it is at no place.
-    assert coverage(pushes, View(), "surface", "speed_m_s").without == 7
+    assert coverage(pushes, ExperimentView(), "surface", "speed_m_s").without == 7
     assert ("abs", 1) in pushes.browse_tally(view_of("is:clean"), ("surface",))
 
 
 @pytest.mark.parametrize("name", ['a"b', "$", "a'b", "", "x" * 101, "\n"])
 def test_names_that_no_condition_has_are_refused(pushes, name):
     with pytest.raises(InvalidInput, match="column"):
-        pushes.browse(View(sort=name))
+        pushes.browse(ExperimentView(sort=name))
     with pytest.raises(InvalidInput, match="column"):
-        pushes.browse(View(bounds=(Bound(name, "=", "x"),)))
+        pushes.browse(ExperimentView(bounds=(Bound(name, "=", "x"),)))
 
 
 def test_a_small_turn_across_half_a_turn_is_small(store):

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fixel.calibration.objective import Evaluated
-from fixel.domain.along_axis import AxisStudies, Edges, edges
-from fixel.domain.growth import Singles, Wanted
-from fixel.domain.places import ROWS, Group, Place
+from fixel.calibration.objective import Evaluation
+from fixel.domain.along_axis import AxisEdges, AxisStudies, edges
+from fixel.domain.growth import RolloutQueue, Singles
+from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 
 STEPS = np.arange(-5, 6)
@@ -17,25 +17,25 @@ STEPS = np.arange(-5, 6)
 def test_edges_are_read_between_samples():
     errors = np.array([9.0, 8.0, 8.0, 5.0, 3.0, 2.0, 3.0, 4.0, 6.0, 9.0, 1.0])
     # As the thesis says of figure 6.5: "from -2 to 2.5 y", at 5.
-    assert edges(STEPS, errors, 5.0) == Edges(-2.0, 2.5, False, False)
+    assert edges(STEPS, errors, 5.0) == AxisEdges(-2.0, 2.5, False, False)
 
 
 def test_an_axis_that_stays_within_is_open():
-    assert edges(STEPS, np.ones(11), 5.0) == Edges(-5.0, 5.0, True, True)
-    assert edges(np.arange(6), np.arange(6.0), 3.25) == Edges(0.0, 3.25, True, False)
+    assert edges(STEPS, np.ones(11), 5.0) == AxisEdges(-5.0, 5.0, True, True)
+    assert edges(np.arange(6), np.arange(6.0), 3.25) == AxisEdges(0.0, 3.25, True, False)
 
 
 def test_no_domain_where_the_nominal_sample_is_beyond():
-    assert edges(STEPS, np.abs(STEPS) + 6.0, 5.0) == Edges(None, None)
+    assert edges(STEPS, np.abs(STEPS) + 6.0, 5.0) == AxisEdges(None, None)
     errors = np.ones(11)
     errors[5] = np.nan
-    assert edges(STEPS, errors, 5.0) == Edges(None, None)
+    assert edges(STEPS, errors, 5.0) == AxisEdges(None, None)
 
 
 def test_nothing_is_read_across_a_gap():
     errors = np.ones(11)
     errors[[2, 8]] = np.nan, np.inf
-    assert edges(STEPS, errors, 5.0) == Edges(-2.0, 2.0, False, False)
+    assert edges(STEPS, errors, 5.0) == AxisEdges(-2.0, 2.0, False, False)
 
 
 @given(
@@ -62,12 +62,12 @@ FLOOR = np.linspace(0.1, 1.0, 42)
 
 def _evaluate(which, points):
     error = ((points - BEST[which]) ** 2).sum(axis=1) + FLOOR[which]
-    return Evaluated(error, [""] * len(which))
+    return Evaluation(error, [""] * len(which))
 
 
 def _groups(left_out=()):
     return [
-        Group(
+        ExperimentGroup(
             shape="square",
             layout=layout,
             at={p: 21 * k + row for row, p in enumerate(ROWS) if (layout, p) not in left_out},
@@ -78,7 +78,7 @@ def _groups(left_out=()):
 
 def _studied(groups, evaluate=_evaluate, **sizes):
     studies = AxisStudies(groups, Singles(points=BEST, errors=FLOOR), sizes)
-    wanted = Wanted()
+    wanted = RolloutQueue()
     studies.ask(wanted)
     return {(s.axis, s.size): s for s in studies.read(wanted.run(evaluate))}
 
@@ -90,10 +90,10 @@ def test_every_layout_has_a_set_of_its_own_interval():
     assert study.interval == (-1, 1)
     np.testing.assert_array_equal(study.steps, STEPS)
     for row, group in enumerate(_groups()):
-        inside = [group.at[p] for p in (Place("y", -1), ROWS[0], Place("y", 1))]
+        inside = [group.at[p] for p in (AxisPlace("y", -1), ROWS[0], AxisPlace("y", 1))]
         weight = 1.0 / FLOOR[inside]
         point = weight @ BEST[inside] / weight.sum()
-        every = [group.at[Place("y", k) if k else ROWS[0]] for k in STEPS.tolist()]
+        every = [group.at[AxisPlace("y", k) if k else ROWS[0]] for k in STEPS.tolist()]
         expected = _evaluate(np.array(every), np.repeat(point[None], 11, axis=0)).error
         np.testing.assert_allclose(study.error[row], expected, rtol=1e-12)
         np.testing.assert_array_equal(study.own[row], FLOOR[every])
@@ -103,7 +103,7 @@ def test_every_layout_has_a_set_of_its_own_interval():
 
 
 def test_an_experiment_that_is_missing_is_no_number_and_the_others_count():
-    found = _studied(_groups({("a", Place("x", 5)), ("b", Place("theta", 1))}))
+    found = _studied(_groups({("a", AxisPlace("x", 5)), ("b", AxisPlace("theta", 1))}))
     x = found["x", 2]
     assert np.isnan(x.error[0, 5])
     assert x.average[5] == x.error[1, 5]
@@ -117,11 +117,11 @@ def test_an_experiment_that_is_missing_is_no_number_and_the_others_count():
 def test_a_failure_ends_the_domain():
     def evaluate(which, points):
         error = np.where(np.isin(which, [2, 3]), np.inf, 0.5)
-        return Evaluated(error, [""] * len(which))
+        return Evaluation(error, [""] * len(which))
 
     study = _studied(_groups(), evaluate)["x", 2]
     assert np.isinf(study.average[[2, 3]]).all()
-    assert study.edges(5.0) == Edges(0.0, 1.0, True, False)
+    assert study.edges(5.0) == AxisEdges(0.0, 1.0, True, False)
     assert study.relative_edges(5.0).high == 1.0
 
 

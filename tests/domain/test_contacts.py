@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fixel.domain.contacts import Contacts, PushedContacts, contacts_of
+from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.features import Configurations
 from fixel.domain.promise import Promise, promised
 from fixel.errors import InvalidInput
@@ -27,7 +27,9 @@ class Laboratory:
         self.bias = bias * self.rng.standard_normal((parts, SIDES))
         self.parts = parts
 
-    def push(self, part: int, side: int, seen: bool) -> tuple[FloatArray, FloatArray, Contacts]:
+    def push(
+        self, part: int, side: int, seen: bool
+    ) -> tuple[FloatArray, FloatArray, TouchedPlaces]:
         """Features, errors and contacts of the pushes of one side."""
         features = self.rng.uniform(-0.4, 0.4, (EACH, 2))
         noise = self.rng.standard_normal(EACH) * np.exp(features[:, 0])
@@ -36,22 +38,22 @@ class Laboratory:
 
     def pushes(
         self, cells: list[tuple[int, int]], seen: bool
-    ) -> tuple[FloatArray, FloatArray, Contacts, list[int], list[tuple[int, int]]]:
+    ) -> tuple[FloatArray, FloatArray, TouchedPlaces, list[int], list[tuple[int, int]]]:
         found = [self.push(part, side, seen) for part, side in cells]
         labels = [cell for cell in cells for _ in range(EACH)]
         return (
             np.concatenate([own[0] for own in found]),
             np.concatenate([own[1] for own in found]),
-            Contacts.joined([own[2] for own in found]),
+            TouchedPlaces.joined([own[2] for own in found]),
             [part for part, _ in labels],
             labels,
         )
 
 
-def contacts_on(side: int, along: FloatArray, speed: float = 0.01) -> Contacts:
+def contacts_on(side: int, along: FloatArray, speed: float = 0.01) -> TouchedPlaces:
     angle = np.full(len(along), 0.5 * math.pi * side)
     c, s = np.cos(angle), np.sin(angle)
-    return Contacts(angle, np.column_stack((c - s * along, s + c * along)),
+    return TouchedPlaces(angle, np.column_stack((c - s * along, s + c * along)),
                     np.full(len(along), speed))  # fmt: skip
 
 
@@ -97,7 +99,7 @@ def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
     ways = (contacts_on(1, np.zeros(1)), contacts_on(3, np.zeros(1)),
             contacts_on(1, np.zeros(1), 0.02), contacts_on(3, np.zeros(1), 0.02),
             contacts_on(1, np.full(1, 1.5)))  # fmt: skip
-    answer = promised(x, e, np.zeros((5, 2)), contacts=(contacts, Contacts.joined(ways)))
+    answer = promised(x, e, np.zeros((5, 2)), contacts=(contacts, TouchedPlaces.joined(ways)))
     assert np.isfinite(answer.bound).tolist() == [True, False, False, False, False]
     assert answer.near.tolist() == [True, False, False, False, False]
     assert answer.colours(1e6).tolist() == ["trusted"] + 4 * ["no data"]
@@ -114,7 +116,7 @@ def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sid
     x, e, contacts, parts, units = lab.pushes(known, seen=True)
     beyond = Promise.fit(x, e, parts, units=units, model="neighbours")
     promise = Promise.fit(x, e, parts, model="neighbours").for_contacts(contacts, parts, beyond)
-    asked = Contacts.joined(
+    asked = TouchedPlaces.joined(
         [
             contacts_on(side, np.zeros(1), v)
             for side, v in ((3, 0.01), (1, 0.02), (3, 0.02), (1, 0.01))

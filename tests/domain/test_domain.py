@@ -18,7 +18,7 @@ from fixel.domain.domain import (
     domain_map,
     usual_threshold,
 )
-from fixel.domain.evidence import Evidence, threshold_score, value_of
+from fixel.domain.evidence import HeldOutErrors, threshold_score, value_of
 from fixel.domain.folds import folds_of, usual_folds
 from fixel.domain.next_experiment import proposals
 from fixel.errors import InvalidInput
@@ -87,7 +87,7 @@ def test_counting_decides_where_members_are_enough():
 def test_no_cell_is_trusted_without_experiments_of_its_own():
     evidence = line(np.full(11, 0.1)).rows([0, 1, 2, 4, 5, 6, 8, 9])
     other = line(np.full(11, 0.1), group=("other",) * 11)
-    both = Evidence(
+    both = HeldOutErrors(
         keys=evidence.keys + tuple(f"{key}b" for key in other.keys),
         ids=evidence.ids + other.ids,
         coordinates={"offset_y_m": evidence.column("offset_y_m") + other.column("offset_y_m")},
@@ -191,7 +191,7 @@ def test_few_values_are_cells_and_many_become_ranges():
 
 def _plane(points):
     n = len(points)
-    return Evidence(
+    return HeldOutErrors(
         keys=tuple(map(str, range(n))),
         ids=tuple(range(n)),
         coordinates={

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from fixel.calibration.objective import Evaluated
+from fixel.calibration.objective import Evaluation
 from fixel.domain.growth import (
     AVERAGED,
     OWN,
     STORED,
     Joint,
+    RolloutQueue,
     Singles,
-    Wanted,
     grow,
     one_set,
     weights,
 )
-from fixel.domain.places import ROWS, Group, Place
+from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 
 # A toy: every experiment has a best point of its own, and its error is the squared distance to it.
@@ -25,7 +25,7 @@ FLOOR = np.linspace(0.1, 1.0, 21)
 
 def _evaluate(which, points):
     error = ((points - BEST[which]) ** 2).sum(axis=1) + FLOOR[which]
-    return Evaluated(error, [""] * len(which))
+    return Evaluation(error, [""] * len(which))
 
 
 def _singles(**joint):
@@ -33,7 +33,9 @@ def _singles(**joint):
 
 
 def _group(rows=ROWS):
-    return Group(shape="square", layout="a", at={place: ROWS.index(place) for place in rows})
+    return ExperimentGroup(
+        shape="square", layout="a", at={place: ROWS.index(place) for place in rows}
+    )
 
 
 def _by_hand(members):
@@ -80,7 +82,7 @@ def test_a_stored_set_for_exactly_these_members_is_used():
 
 
 def test_a_step_that_lacks_a_member_is_empty_and_so_are_those_after_it():
-    rows = [place for place in ROWS if place != Place("y", -3)]
+    rows = [place for place in ROWS if place != AxisPlace("y", -3)]
     found = grow([_group(rows)], _singles(), _evaluate)
     whole = grow([_group()], _singles(), _evaluate)
     assert found.matrix[0][:3] == whole.matrix[0][:3]
@@ -93,7 +95,7 @@ def test_a_simulation_that_fails_is_a_reason_and_no_number():
         answer = _evaluate(which, points)
         bad = which == 17
         answer.error[bad] = np.inf
-        return Evaluated(answer.error, ["stalled" if b else "" for b in bad])
+        return Evaluation(answer.error, ["stalled" if b else "" for b in bad])
 
     found = grow([_group()], _singles(), evaluate)
     assert found.matrix[0][1] is not None
@@ -123,7 +125,7 @@ def test_too_few_experiments_to_grow_are_refused():
 
 
 def test_the_same_rollout_is_run_once():
-    wanted = Wanted()
+    wanted = RolloutQueue()
     first = wanted.add(3, BEST[0])
     assert wanted.add(3, BEST[0].copy()) == first
     assert wanted.add(4, BEST[0]) != first

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fixel.domain.places import NOMINAL, ROWS, Group, Place, domain, interval, joining
+from fixel.domain.places import NOMINAL, ROWS, AxisPlace, ExperimentGroup, domain, interval, joining
 from fixel.errors import InvalidInput
 
 
@@ -33,9 +33,9 @@ def test_the_corrected_domain_has_every_row_once_the_printed_one_has_row_16_twic
     assert sorted(domain(5)) == sorted(ROWS)
     printed = domain(5, "printed")
     assert len(printed) == 21
-    assert printed.count(Place("y", -5)) == 2
-    assert Place("theta", 5) not in printed
-    assert Place("y", -5) in domain(1, "printed")
+    assert printed.count(AxisPlace("y", -5)) == 2
+    assert AxisPlace("theta", 5) not in printed
+    assert AxisPlace("y", -5) in domain(1, "printed")
     assert [len(domain(k)) for k in range(6)] == [1, 5, 9, 13, 17, 21]
 
 
@@ -65,10 +65,10 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(InvalidInput, match="corrected or printed"):
         joining(1, "other")
     with pytest.raises(InvalidInput, match="no nominal"):
-        Group(shape="square", layout="a", at={Place("x", 1): 0})
+        ExperimentGroup(shape="square", layout="a", at={AxisPlace("x", 1): 0})
 
 
 def test_a_group_says_what_it_lacks():
-    group = Group(shape="square", layout="a", at={NOMINAL: 0, Place("x", 1): 1})
+    group = ExperimentGroup(shape="square", layout="a", at={NOMINAL: 0, AxisPlace("x", 1): 1})
     assert [place.name for place in group.missing(domain(1))] == ["y1", "y-1", "theta1"]
     assert group.found(domain(1)) == (0, 1)

@@ -5,7 +5,7 @@ import pytest
 
 from fixel.domain.cells import cells_of
 from fixel.domain.domain import Claim, domain_map
-from fixel.domain.evidence import Evidence
+from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.promised_cells import promised_cells
 
 
@@ -14,7 +14,7 @@ def _evidence(n, groups=("",), seed=0):
     random = np.random.default_rng(seed)
     place = np.tile(np.arange(5), n * len(groups))
     error = (1.0 + 0.5 * place) * np.exp(0.1 * random.normal(size=len(place)))
-    return Evidence(
+    return HeldOutErrors(
         keys=tuple(f"e{k}" for k in range(len(place))),
         ids=tuple(range(len(place))),
         coordinates={"offset_y_m": tuple((1e-3 * place).tolist())},
@@ -54,7 +54,7 @@ def test_experiments_without_evidence_say_nothing():
     evidence = _evidence(40)
     error = np.array(evidence.error_mm2)
     error[evidence.column("offset_y_m").index(0.0)] = np.nan
-    kept = Evidence(
+    kept = HeldOutErrors(
         keys=evidence.keys,
         ids=evidence.ids,
         coordinates=evidence.coordinates,
@@ -74,7 +74,7 @@ def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitio
         tried = np.sort(random.permutation(41)[:25])
         at = np.repeat(tried, repetitions)
         error = own[at] * np.exp(0.05 * random.normal(size=len(at)))
-        evidence = Evidence(
+        evidence = HeldOutErrors(
             keys=tuple(f"e{k}" for k in range(len(at))),
             ids=tuple(range(len(at))),
             coordinates={"offset_y_m": tuple((1e-3 * at).tolist())},
@@ -103,7 +103,7 @@ def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
     rng = np.random.default_rng(0)
     angles = np.radians(np.arange(-165.0, 180.0, 30.0))
     at = np.concatenate((angles, angles[:9]))
-    evidence = Evidence(
+    evidence = HeldOutErrors(
         keys=tuple(f"e{k}" for k in range(len(at))),
         ids=tuple(range(len(at))),
         coordinates={"contact_angle_rad": tuple(at.tolist())},

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fixel.domain.evidence import Evidence
+from fixel.domain.evidence import HeldOutErrors
 
 STEPS = np.linspace(-0.04, 0.04, 11)
 
@@ -19,7 +19,7 @@ def line(errors_mm, steps=STEPS, repetitions=1, **changes):
         "error_mm2": rms**2,
         "configuration": tuple(f"{y:g}" for y in every),
     } | changes
-    return Evidence(**settings)
+    return HeldOutErrors(**settings)
 
 
 def scattered(maps=8, members=2, scatter=0.15, seed=0):
@@ -39,7 +39,7 @@ def scattered(maps=8, members=2, scatter=0.15, seed=0):
                 y.append(float(step))
                 group.append(f"map {g}")
                 error.append(np.exp(2.0 * (middle[k] + scatter * dice.normal())))
-    evidence = Evidence(
+    evidence = HeldOutErrors(
         keys=tuple(keys),
         ids=tuple(range(len(keys))),
         coordinates={"offset_y_m": tuple(y)},

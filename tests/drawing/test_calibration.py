@@ -7,7 +7,7 @@ import pytest
 from fixel.drawing import palette
 from fixel.drawing.calibration import ErrorsChart, SecondsChart
 from fixel.drawing.chart import draw_chart, log_scale, positive, readable
-from fixel.drawing.offsets import Axis, OffsetsChart, Quantity
+from fixel.drawing.offsets import OffsetsChart, OffsetSeries, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
@@ -70,7 +70,7 @@ def seconds(values):
 def offsets(n, groups, axes=True):
     place = np.arange(n)
     values = np.linspace(0.01, 1.0, n)
-    along = [Axis(name, "m", place, np.tile(np.linspace(-0.04, 0.04, n // groups), groups))
+    along = [OffsetSeries(name, "m", place, np.tile(np.linspace(-0.04, 0.04, n // groups), groups))
              for name in ("x", "y")]  # fmt: skip
     return OffsetsChart(
         title="parameters",

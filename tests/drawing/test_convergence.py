@@ -3,14 +3,14 @@
 import numpy as np
 from tests.drawing.collisions import collisions
 
-from fixel.drawing.convergence import ConvergenceChart, Descent
+from fixel.drawing.convergence import BestSoFar, ConvergenceChart
 
 
 def test_numbers_of_the_errors_do_not_collide():
     triangle = 4e-4 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.5]])
     outline = 1e-4 * np.array([[-4.2, -8.1], [4.2, -8.1], [4.2, 8.1], [-4.2, 8.1]])
     descents = [
-        Descent(
+        BestSoFar(
             f"search {k}",
             np.arange(50),
             np.geomspace(high, 0.005, 50),

@@ -10,7 +10,7 @@ from tests.drawing.collisions import collisions
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.domain import FILLS, MapChart, Panel, SizeChart, Strip
+from fixel.drawing.domain import FILLS, MapChart, MapPanel, SizeChart, Strip
 
 HEAD = ("group", "cell", "colour")
 
@@ -20,7 +20,9 @@ def _panel(rows, columns, name="a map"):
     colour = [[names[(i + j) % len(names)] for j in range(columns)] for i in range(rows)]
     count = [[i * j for j in range(columns)] for i in range(rows)]
     inside = [[colour[i][j] == "trusted" for j in range(columns)] for i in range(rows)]
-    return Panel(title=name, colour=colour, count=count, inside=inside, nominal=(0, columns // 2))
+    return MapPanel(
+        title=name, colour=colour, count=count, inside=inside, nominal=(0, columns // 2)
+    )
 
 
 def _chart(rows, columns, panels):

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from fixel.drawing import palette
 from fixel.drawing.picture import draw_simulation, force_text
-from fixel.drawing.view import Box, carried, contacts_at, ghosts, round_number, unit_for
+from fixel.drawing.view import Rectangle, carried, contacts_at, ghosts, round_number, unit_for
 from fixel.errors import InvalidInput
 from fixel.model import Polygon
 from fixel.simulation import QuasiStatic, StewartTrinkle, simulate
@@ -103,9 +103,9 @@ def test_forces_have_the_prefix_that_suits_them(newtons, text):
 
 
 def test_a_box_grows_to_an_aspect_and_keeps_its_centre():
-    box = Box((0.0, 4.0), (0.0, 1.0)).with_aspect(1.0)
+    box = Rectangle((0.0, 4.0), (0.0, 1.0)).with_aspect(1.0)
 
-    assert box == Box((0.0, 4.0), (-1.5, 2.5))
+    assert box == Rectangle((0.0, 4.0), (-1.5, 2.5))
 
 
 def test_ghosts_stand_at_equal_travel():

@@ -8,7 +8,7 @@ from matplotlib.collections import PolyCollection
 
 from fixel.drawing.plan import MOST_GHOSTS, MOST_PANELS, draw_plan, plan_figure
 from fixel.errors import InvalidInput
-from fixel.sampling import Grid, Layout, Nominal, thesis_plan
+from fixel.sampling import FixelLayout, Grid, Nominal, thesis_plan
 
 PLAN = thesis_plan()
 ONE = replace(PLAN, shapes=PLAN.shapes[:1], layouts=PLAN.layouts[:1], schemes=(Nominal(),))
@@ -58,7 +58,7 @@ def test_panels_lie_on_the_page_and_apart():
 
 
 def test_large_plans_are_thinned():
-    layouts = tuple(Layout(name=f"l{k}", pegs=((0.7, 0.5),)) for k in range(30))
+    layouts = tuple(FixelLayout(name=f"l{k}", pegs=((0.7, 0.5),)) for k in range(30))
     grid = Grid(x=tuple(np.linspace(0.0, 0.02, 50)), y=tuple(np.linspace(-0.02, 0.02, 50)))
 
     figure = plan_figure(replace(PLAN, layouts=layouts))

@@ -11,7 +11,7 @@ from PIL import Image
 
 from fixel.drawing.prints import (
     PER_METRE,
-    Sheet,
+    PrintSheet,
     board_rectangles,
     board_sheet,
     rastered,
@@ -30,7 +30,7 @@ def test_a_board_is_the_one_of_opencv(text: str) -> None:
     per_metre = 4000.0
     size = tuple(round(side * per_metre) for side in board.size)
     ours = np.asarray(
-        rastered(Sheet(board.size, board_rectangles(board), ()), per_metre).convert("L")
+        rastered(PrintSheet(board.size, board_rectangles(board), ()), per_metre).convert("L")
     )
     theirs = board.of_opencv().generateImage(size)
     assert np.mean(ours != theirs) < 0.02  # rounding of cells to whole pixels

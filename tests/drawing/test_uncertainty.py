@@ -11,8 +11,8 @@ from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.drawing.uncertainty import (
-    Axis,
     BandsChart,
+    CornerAxis,
     CornerChart,
     FinalPoseChart,
     FinalRegion,
@@ -26,9 +26,9 @@ POSES = DICE.standard_normal((80, 3)) * np.array([1e-3, 2e-3, 0.02]) + np.array(
 
 def _corner():
     axes = [
-        Axis("mu_pusher", "-", 0.0, 1.0, truth=0.3),
-        Axis("tripod_radius", "m", 0.01, 0.06),
-        Axis("model error", "m", 5e-5, 2e-2, logarithmic=True),
+        CornerAxis("mu_pusher", "-", 0.0, 1.0, truth=0.3),
+        CornerAxis("tripod_radius", "m", 0.01, 0.06),
+        CornerAxis("model error", "m", 5e-5, 2e-2, logarithmic=True),
     ]
     samples = DICE.random((60, 3)) * np.array([1.0, 0.05, 1e-2]) + np.array([0.0, 0.01, 1e-4])
     mode = (samples[:, 0] > 0.5).astype(int)
@@ -95,10 +95,10 @@ WIDE = np.array([0.25, 0.012, 3e-3, 0.6])
 def _corner_of(scale):
     """A posterior of four unknowns, at least as wide a prior about it."""
     axes = [
-        Axis("mu_pusher", "-", 0.0, 1.0),
-        Axis("tripod_radius", "m", 0.01, 0.06),
-        Axis("model error", "m", 5e-5, 2e-2, logarithmic=True),
-        Axis("registration_theta", "rad", -0.5 * np.pi, 0.5 * np.pi),
+        CornerAxis("mu_pusher", "-", 0.0, 1.0),
+        CornerAxis("tripod_radius", "m", 0.01, 0.06),
+        CornerAxis("model error", "m", 5e-5, 2e-2, logarithmic=True),
+        CornerAxis("registration_theta", "rad", -0.5 * np.pi, 0.5 * np.pi),
     ]
     low, high = np.array([(axis.low, axis.high) for axis in axes]).T
     centre = np.array([0.265, 0.031, 1e-3, 0.4])

@@ -6,9 +6,9 @@ from scipy.stats import chi2
 from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, push
 
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import Prior, touches_bound
+from fixel.filtering.prior import UniformPrior, touches_bound
 from fixel.filtering.recorded import run_filter
-from fixel.filtering.running import Frame
+from fixel.filtering.running import FilterFrame
 from fixel.testing.scenes import grasp
 
 FEW = ParticleFilter(n_particles=60)
@@ -28,7 +28,7 @@ def test_a_head_that_stands_still_pushes_nothing():
     running = FEW.start(scene, 0, pusher=still)
     for k in range(1, 61):
         shaken = still + random.standard_normal(3) * (7e-4, 7e-4, 0.0)
-        estimate = running.step(Frame(k / 30, shaken, start if k < 10 else None))
+        estimate = running.step(FilterFrame(k / 30, shaken, start if k < 10 else None))
     assert abs(estimate.pose[0] - start[0]) < 5e-4
 
 
@@ -59,7 +59,7 @@ def test_an_object_at_rest_is_known_as_well_as_frames_tell(seed):
     running = ParticleFilter().start(scene, seed, pose=seen[0])
     away = scene.pushers[0].pose - [0.05, 0.0, 0.0]
     for k in range(1, 46):
-        estimate = running.step(Frame(k / 30, away, seen[k]))
+        estimate = running.step(FilterFrame(k / 30, away, seen[k]))
 
     sizes = np.geomspace(3e-6, 5e-4, 200)
     belief = np.full(200, 0.5 / 200)
@@ -89,7 +89,7 @@ def test_what_nobody_can_know_stays_as_believed():
 
 
 def test_intervals_at_a_bound_are_named():
-    prior = Prior(("mu_fixel",), np.array([0.2]), np.array([0.5]))
+    prior = UniformPrior(("mu_fixel",), np.array([0.2]), np.array([0.5]))
     assert touches_bound(prior, np.array([0.2]), np.array([0.218])) == [True]
     assert touches_bound(prior, np.array([0.45]), np.array([0.499])) == [True]
     assert touches_bound(prior, np.array([0.25]), np.array([0.3])) == [False]

@@ -8,7 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import DEFAULT_PRIORS
-from fixel.filtering.running import Frame
+from fixel.filtering.running import FilterFrame
 from fixel.model import Disk, Ellipsoid, Scene
 from fixel.simulation import Dynamic, FirstOrder
 from fixel.testing.scenes import grasp, heap, sliding_block
@@ -34,7 +34,7 @@ def test_same_seed_same_bits_on_any_number_of_threads():
     def run(seed, threads):
         running = replace(FEW, threads=threads).start(SCENE, seed)
         for k in range(1, 90):
-            estimate = running.step(Frame(k / 30, forward(k), START if k < 40 else None))
+            estimate = running.step(FilterFrame(k / 30, forward(k), START if k < 40 else None))
         return np.concatenate([x.ravel() for x in (*running.particles, estimate.pose)])
 
     np.testing.assert_array_equal(run(3, 1), run(3, 1))
@@ -48,7 +48,7 @@ def test_the_mean_angle_goes_on_past_half_a_turn():
     angles = []
     for k in range(1, 60):
         seen = np.array([0.09, 0.0, (3.1 + 0.002 * k + np.pi) % (2 * np.pi) - np.pi])
-        angles.append(running.step(Frame(k / 30, HEAD, seen)).pose[2])
+        angles.append(running.step(FilterFrame(k / 30, HEAD, seen)).pose[2])
 
     assert np.abs(np.diff(angles)).max() < 0.05
     # It turns without being pushed, by less than the camera's noise in ten frames: it lags.
@@ -61,19 +61,19 @@ def test_what_the_camera_has_corrected_stays_while_it_sees_nothing():
     running = FEW.start(SCENE)
     for k in range(1, 46):
         seen = START + np.array([0.0, 0.0004 * k, 0.0])
-        last = running.step(Frame(k / 30, HEAD, seen)).pose
+        last = running.step(FilterFrame(k / 30, HEAD, seen)).pose
 
     assert last[1] - START[1] > 0.015
     for k in range(46, 66):
-        hidden = running.step(Frame(k / 30, HEAD)).pose
+        hidden = running.step(FilterFrame(k / 30, HEAD)).pose
         np.testing.assert_allclose(hidden, last, atol=1e-3)
 
 
 def test_an_object_that_is_elsewhere_is_found_again():
     running = FEW.start(SCENE)
     away = START + np.array([0.05, 0.03, 1.0])
-    first = running.step(Frame(1 / 30, HEAD, away))
-    second = running.step(Frame(2 / 30, HEAD, away))
+    first = running.step(FilterFrame(1 / 30, HEAD, away))
+    second = running.step(FilterFrame(2 / 30, HEAD, away))
 
     assert (first.recovered, second.recovered) == (True, False)
     for estimate in (first, second):
@@ -93,12 +93,12 @@ def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
     running = FEW.start(SCENE)
     calm = running.estimate
     monkeypatch.setattr(module, "simulate_packed", failing)
-    estimates = [running.step(Frame(k / 30, HEAD)) for k in range(1, 8)]
+    estimates = [running.step(FilterFrame(k / 30, HEAD)) for k in range(1, 8)]
     assert all(e.recovered and e.failed == 60 and finite(e) for e in estimates)
     spread = [np.trace(e.covariance[:2, :2]) for e in (calm, *estimates)]
     assert spread[3] > spread[1] > spread[0]
     monkeypatch.setattr(module, "simulate_packed", real)
-    back = running.step(Frame(9 / 30, HEAD, START))
+    back = running.step(FilterFrame(9 / 30, HEAD, START))
     assert finite(back)
     np.testing.assert_allclose(back.pose[:2], START[:2], atol=0.02)
 
@@ -119,14 +119,14 @@ def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
     running = ParticleFilter(n_particles=300).start(SCENE)
     for k in range(1, 10):
         rollouts.append(0)
-        running.step(Frame(k / 30, forward(k), START))
+        running.step(FilterFrame(k / 30, forward(k), START))
     assert rollouts[1:] == [300 + 2 * 100] * 9
 
 
 def test_an_island_that_alone_is_lost_is_replaced():
     running = ParticleFilter(n_particles=250).start(SCENE)
     running._crowd.pose[125:] += (0.05, 0.03, 1.0)
-    estimate = running.step(Frame(1 / 30, HEAD, START))
+    estimate = running.step(FilterFrame(1 / 30, HEAD, START))
 
     assert not estimate.recovered
     poses, _, weight = running.particles
@@ -139,14 +139,14 @@ def test_squeezed_particles_never_give_nan():
     """The head runs the object into the fixels, and on: what no real head could do."""
     running = FEW.start(SCENE)
     for k in range(1, 40):
-        estimate = running.step(Frame(k / 3, forward(12 * k), None, [0.0, 0.0, 0.0]))
+        estimate = running.step(FilterFrame(k / 3, forward(12 * k), None, [0.0, 0.0, 0.0]))
         assert finite(estimate)
 
 
 def test_a_parameter_that_nothing_depends_on_stays_as_believed():
     running = ParticleFilter(n_particles=300).start(SCENE)
     for k in range(1, 30):  # before the head arrives
-        estimate = running.step(Frame(k / 30, forward(k) - np.array([0.02, 0, 0]), START))
+        estimate = running.step(FilterFrame(k / 30, forward(k) - np.array([0.02, 0, 0]), START))
 
     for (low, high), quantiles in zip(DEFAULT_PRIORS.values(), estimate.quantiles, strict=True):
         expected = low + (high - low) * np.array([0.05, 0.5, 0.95])
@@ -157,7 +157,7 @@ def test_beliefs_fit_the_scene_and_can_be_changed():
     bare = Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0)
     assert FEW.start(bare).estimate.names == ("mu_support", "mu_pusher", "tripod_radius")
     options = replace(FEW, priors={"mu_pusher": (0.3, 0.3), "mu_support": None})
-    estimate = options.start(SCENE).step(Frame(1 / 30, HEAD, START))
+    estimate = options.start(SCENE).step(FilterFrame(1 / 30, HEAD, START))
 
     assert estimate.names == ("mu_pusher", "mu_fixel", "tripod_radius")
     np.testing.assert_array_equal(estimate.quantiles[0], 0.3)
@@ -165,7 +165,7 @@ def test_beliefs_fit_the_scene_and_can_be_changed():
 
 def test_nothing_to_learn_is_fine():
     options = replace(FEW, priors=dict.fromkeys(DEFAULT_PRIORS))
-    estimate = options.start(SCENE).step(Frame(1 / 30, HEAD, START))
+    estimate = options.start(SCENE).step(FilterFrame(1 / 30, HEAD, START))
 
     assert estimate.names == ()
     assert finite(estimate)
@@ -176,7 +176,7 @@ def test_first_order_motion_and_rigid_drives():
     running = replace(FEW, motion=FirstOrder()).start(rigid)
 
     assert running.scene.pushers[0].drive.force_limit == pytest.approx(20 * 0.15 * 9.81, rel=1e-2)
-    assert finite(running.step(Frame(1 / 30, HEAD, START)))
+    assert finite(running.step(FilterFrame(1 / 30, HEAD, START)))
 
 
 @pytest.mark.parametrize(
@@ -230,13 +230,13 @@ def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
 @pytest.mark.parametrize(
     ("frame", "sentence"),
     [
-        (Frame(0.0, HEAD), "an instant after 0 s"),
-        (Frame(np.nan, HEAD), "an instant after"),
-        (Frame(0.1, HEAD[:2]), "frame.pusher"),
-        (Frame(0.1, HEAD * np.nan), "frame.pusher"),
-        (Frame(0.1, HEAD, START * np.inf), "frame.seen"),
-        (Frame(0.1, HEAD, None, [1.0]), "3 readings, one a fixel"),
-        (Frame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
+        (FilterFrame(0.0, HEAD), "an instant after 0 s"),
+        (FilterFrame(np.nan, HEAD), "an instant after"),
+        (FilterFrame(0.1, HEAD[:2]), "frame.pusher"),
+        (FilterFrame(0.1, HEAD * np.nan), "frame.pusher"),
+        (FilterFrame(0.1, HEAD, START * np.inf), "frame.seen"),
+        (FilterFrame(0.1, HEAD, None, [1.0]), "3 readings, one a fixel"),
+        (FilterFrame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
     ],
 )
 def test_impossible_frames_are_refused(frame, sentence):

@@ -6,7 +6,7 @@ Statistical bounds are five standard deviations with fixed seeds.
 import numpy as np
 import pytest
 
-from fixel.filtering.prior import Prior
+from fixel.filtering.prior import UniformPrior
 from fixel.filtering.resampling import (
     COARSE,
     effective_sample_size,
@@ -15,7 +15,7 @@ from fixel.filtering.resampling import (
     systematic,
 )
 
-PRIOR = Prior(("mu_pusher", "tripod_radius"), np.array([0.1, 0.01]), np.array([1.0, 0.1]))
+PRIOR = UniformPrior(("mu_pusher", "tripod_radius"), np.array([0.1, 0.01]), np.array([1.0, 0.1]))
 
 
 def weights(n, seed=0):
@@ -69,5 +69,5 @@ def test_free_scale_and_back():
     values = PRIOR.drawn(100, np.random.default_rng(6))
 
     np.testing.assert_allclose(PRIOR.bounded(PRIOR.free(values)), values, rtol=1e-9)
-    pinned = Prior(("mu_fixel",), np.array([0.3]), np.array([0.3]))
+    pinned = UniformPrior(("mu_fixel",), np.array([0.3]), np.array([0.3]))
     np.testing.assert_array_equal(pinned.bounded(pinned.free(np.full((5, 1), 0.3))), 0.3)

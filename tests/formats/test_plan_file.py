@@ -13,7 +13,7 @@ import yaml
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import PlanRecord, load_plan, plan_from_text, plan_text
 from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, UniformPressure
-from fixel.sampling import Grid, Listed, Nominal, Sampled, thesis_plan
+from fixel.sampling import Grid, Nominal, OffsetList, OffsetSample, thesis_plan
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampling.md"
 
@@ -38,8 +38,8 @@ def variety():
         schemes=(
             Nominal(),
             Grid(x=(0.0, 0.01), theta=(0.1, 1 / 3)),
-            Listed(((1e-3, 2e-3, 1e-17),)),
-            Sampled(method="halton", count=5, seed=3, y=(-0.01, 0.01)),
+            OffsetList(((1e-3, 2e-3, 1e-17),)),
+            OffsetSample(method="halton", count=5, seed=3, y=(-0.01, 0.01)),
         ),
         repetitions=3,
     )

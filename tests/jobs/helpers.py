@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fixel.io.journal import MAGIC, read_journal
 from fixel.jobs import folder as files
-from fixel.jobs.folder import Run
+from fixel.jobs.folder import RunSettings
 
 PATIENCE_S = 90.0
 
@@ -89,4 +89,4 @@ def blocks_written(folder):
     return data.count(mark) - 1
 
 
-LOCAL_2 = Run(workers=2)
+LOCAL_2 = RunSettings(workers=2)

@@ -18,7 +18,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
 from fixel.workflows.calibration import run as calibrations
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.request import Choice, Request, entry_of
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of
 from fixel.workflows.jobs import prepare_job
 
@@ -126,12 +126,14 @@ class Campaign(JobKind):
         content = {
             "mode": "campaign",
             "unknowns": [entry_of(unknown) for unknown in fitted(self.fit, scenes)],
-            "optimiser": Choice(name="pattern-search", options={"threshold_delta": self.threshold}),
+            "optimiser": NamedOptions(
+                name="pattern-search", options={"threshold_delta": self.threshold}
+            ),
             # Stated, or every verdict would begin by finding it out.
             "noise_position": 5e-5,
             "noise_angle": 2e-3,
         }
-        return Request(**content | self.changes)
+        return CalibrationRequest(**content | self.changes)
 
     def comparable(self, result):
         """All but how long the searches took: wall time [s], another in every run."""

@@ -19,7 +19,7 @@ from tests.jobs.kinds import THESIS, assert_as_undisturbed, toy_job
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
-from fixel.jobs.folder import Run
+from fixel.jobs.folder import RunSettings
 from fixel.testing.toy_work import MAKER
 from fixel.workflows.jobs import prepare_job
 
@@ -134,7 +134,7 @@ def test_another_fixel_does_not_go_on_unless_told_to(tmp_path, monkeypatch):
     assert "--accept-version" in str(refused.value)
     assert files.read_status(folder).state == "failed"
     assert names_in(folder) == []
-    files.write_run(folder, Run(stamp="9.9.9+0123456789abcdef"))
+    files.write_run(folder, RunSettings(stamp="9.9.9+0123456789abcdef"))
     assert coordinate(folder).state == "done"
 
 
@@ -217,7 +217,7 @@ def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
     ],
 )
 def test_files_that_say_what_they_should_not(tmp_path, file, change):
-    folder = toy_job(tmp_path / "job", Run(), **OPTIONS)
+    folder = toy_job(tmp_path / "job", RunSettings(), **OPTIONS)
     content = json.loads((folder / file).read_text())
     (folder / file).write_text(json.dumps(content | change))
     with pytest.raises(InvalidInput, match=file):

@@ -11,7 +11,7 @@ from tests.jobs.helpers import await_true, await_while_running, names_in, proces
 from tests.jobs.kinds import QUICK, THESIS, Toy, assert_as_undisturbed
 
 from fixel.jobs import folder as files
-from fixel.jobs.folder import Run
+from fixel.jobs.folder import RunSettings
 from fixel.jobs.site import Site
 from fixel.jobs.slurm import cancel, listed
 from fixel.workflows import jobs
@@ -33,7 +33,7 @@ OPTIONS = {"rounds": 3, "chunks": 12, "sleep_s": 0.1}
 # So long that it still runs when a busy machine gets round to looking at it.
 LONGER = Toy(**OPTIONS | {"sleep_s": 0.5})
 # Under the load of other tests a heartbeat may be late.
-RUN = Run(workers=2, site=SITE, lease_s=60.0)
+RUN = RunSettings(workers=2, site=SITE, lease_s=60.0)
 
 
 @pytest.fixture

@@ -10,7 +10,16 @@ from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
 from fixel.jobs.functions import THREADS, chunk_function, current_name, named_function, threads
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import Chunk, Failure, Round, Stopped, block_name, framed, run_work, unframed
+from fixel.jobs.work import (
+    Chunk,
+    Failure,
+    Round,
+    StopRequest,
+    block_name,
+    framed,
+    run_work,
+    unframed,
+)
 from fixel.testing.toy_work import FUNCTION, make_toy_work
 
 OPTIONS = {"rounds": 3, "chunks": 5}
@@ -45,7 +54,7 @@ def test_every_chunk_is_computed_once_and_the_result_is_the_works(inputs):
 def test_stopped_anywhere_it_goes_on_to_the_same_bits(inputs, n_before):
     expected, _ = toy_undisturbed(inputs, **OPTIONS)
     (inputs.parent / "calls").write_text("")
-    with pytest.raises(Stopped):
+    with pytest.raises(StopRequest):
         run(inputs, stop=lambda: len(calls(inputs)) >= n_before)
     assert len(calls(inputs)) == n_before
     assert run(inputs) == expected

@@ -11,12 +11,12 @@ import time
 import pytest
 
 from fixel.errors import JobRefused
-from fixel.jobs.worker_process import Bounded, Cancelled
+from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 
 
 @pytest.fixture(scope="module")
 def root():
-    with Bounded(math.sqrt, limit=30.0) as bounded:
+    with WorkerProcess(math.sqrt, limit=30.0) as bounded:
         yield bounded
 
 
@@ -34,7 +34,7 @@ def test_and_raises_as_the_function_would(root):
 
 
 def test_a_call_that_takes_too_long_is_ended_and_the_next_one_works():
-    with Bounded(time.sleep, limit=0.3) as sleep:
+    with WorkerProcess(time.sleep, limit=0.3) as sleep:
         sleep.start()
         began = time.monotonic()
         with pytest.raises(JobRefused, match=r"more than 0\.3 s"):
@@ -44,17 +44,17 @@ def test_a_call_that_takes_too_long_is_ended_and_the_next_one_works():
 
 
 def test_a_call_that_nobody_waits_for_is_ended():
-    with Bounded(time.sleep, limit=60.0) as sleep:
+    with WorkerProcess(time.sleep, limit=60.0) as sleep:
         sleep.start()
         gone = threading.Event()
         threading.Timer(0.1, gone.set).start()
-        with pytest.raises(Cancelled):
+        with pytest.raises(CallCancellation):
             sleep.call(60.0, gone.is_set)
         assert sleep._process is None
 
 
 def test_a_process_that_dies_is_told_and_replaced():
-    with Bounded(os._exit, limit=30.0) as end:
+    with WorkerProcess(os._exit, limit=30.0) as end:
         with pytest.raises(JobRefused, match="died"):
             end.call(3)
         with pytest.raises(JobRefused, match="died"):
@@ -62,7 +62,7 @@ def test_a_process_that_dies_is_told_and_replaced():
 
 
 def test_a_process_that_hangs_and_hears_nothing_is_told_and_replaced():
-    with Bounded(len, limit=0.5) as length:
+    with WorkerProcess(len, limit=0.5) as length:
         length.start()
         os.kill(length._process.pid, signal.SIGSTOP)
         with pytest.raises(JobRefused, match="died"):
@@ -72,12 +72,12 @@ def test_a_process_that_hangs_and_hears_nothing_is_told_and_replaced():
 
 
 def test_others_wait_for_their_turn_only_so_long():
-    with Bounded(time.sleep, limit=0.5) as sleep:
+    with WorkerProcess(time.sleep, limit=0.5) as sleep:
         sleep.start()
         sleep._turn.acquire()
         with pytest.raises(JobRefused, match="others have been computing"):
             sleep.call(0.0)
-        with pytest.raises(Cancelled):
+        with pytest.raises(CallCancellation):
             sleep.call(0.0, lambda: True)
         sleep._turn.release()
 

@@ -13,7 +13,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, SupportPoints
 from fixel.model.net import support_net
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box
 
 PLATE = box(0.09, 0.06)
@@ -39,7 +39,7 @@ TRUTH = [*BOARDS.values(), *SHARED.values()]
 TIMES = np.linspace(1.0, 4.0, 4)
 
 
-def push(angle: float, aside: float) -> Case:
+def push(angle: float, aside: float) -> RolloutCase:
     """40 mm against the long side of the plate, so far from its middle."""
     along = np.array([-np.sin(angle), np.cos(angle)])
     across = np.array([np.cos(angle), np.sin(angle)])
@@ -60,7 +60,7 @@ def push(angle: float, aside: float) -> Case:
         drive=PathDrive(waypoints=path),
         friction=0.2,
     )
-    return Case(Scene(bodies=(body,), pushers=(tip,), duration=4.0), TIMES)
+    return RolloutCase(Scene(bodies=(body,), pushers=(tip,), duration=4.0), TIMES)
 
 
 @pytest.fixture(scope="module")

@@ -15,15 +15,15 @@ import pytest
 from fixel.calibration.least_squares import LeastSquares
 from fixel.reproductions.cmu_tripod import surface_friction, transferred
 from fixel.reproductions.tripod_points import fitted_points
-from fixel.reproductions.tripod_pushes import Push, machined, read_pushes, support_of
+from fixel.reproductions.tripod_pushes import TripodPush, machined, read_pushes, support_of
 
 
 @pytest.fixture(scope="module")
-def pushes(data_root: Path) -> list[Push]:
+def pushes(data_root: Path) -> list[TripodPush]:
     return read_pushes(data_root / "cmu_tripod_push")
 
 
-def test_friction_of_the_surfaces_from_forces(pushes: list[Push]) -> None:
+def test_friction_of_the_surfaces_from_forces(pushes: list[TripodPush]) -> None:
     rows = {r["surface"]: r for r in surface_friction(pushes) if r["support"] == "all"}
     # Reached: 0.271 and 0.311, medians 0.280 and 0.324.
     assert rows["hardboard"]["mu_median"] == pytest.approx(0.282, abs=0.02)
@@ -32,7 +32,7 @@ def test_friction_of_the_surfaces_from_forces(pushes: list[Push]) -> None:
 
 
 def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_millimetres(
-    pushes: list[Push],
+    pushes: list[TripodPush],
 ) -> None:
     own = [p for p in pushes if support_of(p) == "3pts2"][::3]
     found = fitted_points(own, LeastSquares(loss="soft_l1", width=2.0), forces=False)
@@ -43,7 +43,7 @@ def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_milli
 
 
 @pytest.mark.slow
-def test_known_points_predict_better_than_even_pressure(pushes: list[Push]) -> None:
+def test_known_points_predict_better_than_even_pressure(pushes: list[TripodPush]) -> None:
     rows = transferred(pushes, "3pts1", LeastSquares(loss="soft_l1", width=2.0))
     error = {
         row["points"]: row["position_mm_mean"]

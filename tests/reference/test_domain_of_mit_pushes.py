@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.workflows.domain.request import Asked
+from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
 from fixel.workflows.project.importing import import_plan
 
@@ -21,7 +21,7 @@ def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_pat
     with project.store() as store:
         for experiment in islice(plan.experiments(), 0, 360, 6):
             store.add_experiment(experiment)
-    asked = Asked(
+    asked = DomainRequest(
         axes=("contact_angle_rad",),
         steps={"contact_angle_rad": np.pi / 4},
         fit=("mu_pusher", "registration_x", "registration_y"),

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fixel.reproductions.replay import Choice, Replay, replay_dataset
+from fixel.reproductions.replay import Replay, ReplayRequest, replay_dataset
 
 
 def pooled(answer: Replay) -> dict[str, Any]:
@@ -21,7 +21,7 @@ def pooled(answer: Replay) -> dict[str, Any]:
 def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root: Path) -> None:
     """Spread over all 17 groups. Bounds: the whole set's figures and three standard errors."""
     answer = replay_dataset(
-        data_root / "mit_push_endpoints", Choice(select={}, settings={}, limit=200)
+        data_root / "mit_push_endpoints", ReplayRequest(select={}, settings={}, limit=200)
     )
 
     assert len(answer.groups) == 18

@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import minimize
 from tests.reference.more_wild import FORMS, PROBLEMS, objective, solved_after
 
-from fixel.calibration import Box, MultiStart, NelderMead, PatternSearch
+from fixel.calibration import MultiStart, NelderMead, PatternSearch, SearchBox
 
 BUDGET = 300  # times n + 1
 TOLERANCES = (1e-1, 1e-3, 1e-5)
@@ -36,11 +36,11 @@ PUBLISHED = {
 }
 
 
-def area(problem) -> Box:
+def area(problem) -> SearchBox:
     """As good as unbounded; a tenth of the unknown, or of 1, is a step worth taking."""
     start = np.array(problem.start)
     scale = 0.1 * np.maximum(np.abs(start), 1.0)
-    return Box(start - 1e4 * scale, start + 1e4 * scale, start, scale)
+    return SearchBox(start - 1e4 * scale, start + 1e4 * scale, start, scale)
 
 
 def ours(optimiser, error, box, limit):

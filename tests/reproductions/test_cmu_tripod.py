@@ -9,10 +9,10 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import Target
 from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
 from fixel.reproductions import cmu_tripod
-from fixel.reproductions.tripod_points import Fitted, fitted_points
-from fixel.reproductions.tripod_pushes import GRAVITY, SAMPLES, STEP, Push, unit_forces
+from fixel.reproductions.tripod_points import SupportFit, fitted_points
+from fixel.reproductions.tripod_pushes import GRAVITY, SAMPLES, STEP, TripodPush, unit_forces
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.ensemble import Ensemble, RolloutCase
 
 OUTLINE = np.array([[-0.05, -0.05], [0.1, -0.05], [-0.05, 0.1]])
 POINTS = np.array([[-0.02, -0.02], [0.04, -0.02], [-0.02, 0.04]])
@@ -48,38 +48,38 @@ def scene(place: float, slant: float, mu: float) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def pushes() -> list[Push]:
+def pushes() -> list[TripodPush]:
     made = []
     for k, place in enumerate((-0.95, -0.7, -0.45, -0.2, -0.05, 0.05, 0.2, 0.45, 0.7, 0.95)):
         surface = "plywood" if k % 2 else "hardboard"
         times = np.linspace(0.0, DURATION, SAMPLES + 1)[1:]
-        case = Case(scene(place, 0.3 * (-1) ** k, MU[surface]), times)
+        case = RolloutCase(scene(place, 0.3 * (-1) ** k, MU[surface]), times)
         way = Ensemble([case], stepper=StewartTrinkle(step=STEP)).simulate(np.zeros(1, int), {})
         full = np.concatenate((np.zeros((1, 1, 3)), way.pose), axis=1)
         unit = unit_forces(full, POINTS[None], np.full((1, 3), 1 / 3))[0]
         conditions = {"support": "3pts3", "surface": surface}
         target = Target(f"made/{k}", conditions, case, np.tile(way.pose[0, -1], (SAMPLES, 1)))
-        made.append(Push(target, MU[surface] * 1.518 * GRAVITY * unit))
+        made.append(TripodPush(target, MU[surface] * 1.518 * GRAVITY * unit))
     return made
 
 
 @pytest.fixture(scope="module")
-def found(pushes: list[Push]) -> Fitted:
+def found(pushes: list[TripodPush]) -> SupportFit:
     options = LeastSquares(starts=2, most_iterations=25)
     return fitted_points(pushes, options, forces=True)
 
 
-def test_exact_poses_and_forces_give_the_points_back(found: Fitted) -> None:
+def test_exact_poses_and_forces_give_the_points_back(found: SupportFit) -> None:
     # The model made the data: what is left is where the search ends.
     assert np.hypot(*(found.points - POINTS).T).max() < 1e-3
 
 
-def test_and_the_friction_of_finger_and_surfaces(found: Fitted) -> None:
+def test_and_the_friction_of_finger_and_surfaces(found: SupportFit) -> None:
     assert found.values["mu_pusher"] == pytest.approx(MU_FINGER, abs=0.02)
     assert found.friction == pytest.approx(MU, abs=0.005)
 
 
-def test_known_points_leave_only_the_finger_to_fit(pushes: list[Push]) -> None:
+def test_known_points_leave_only_the_finger_to_fit(pushes: list[TripodPush]) -> None:
     known = fitted_points(pushes, LeastSquares(most_iterations=15), forces=False, known=True)
     np.testing.assert_array_equal(known.points, POINTS)
     # The finger sticks in most of these pushes: any friction that holds it does.
@@ -87,7 +87,7 @@ def test_known_points_leave_only_the_finger_to_fit(pushes: list[Push]) -> None:
     assert known.deviance < 0.1
 
 
-def test_friction_of_the_surface_from_forces(pushes: list[Push]) -> None:
+def test_friction_of_the_surface_from_forces(pushes: list[TripodPush]) -> None:
     rows = cmu_tripod.surface_friction(pushes, MU_FINGER)
     found = {row["surface"]: row["mu"] for row in rows if row["support"] == "all"}
     assert found == pytest.approx(MU, abs=1e-4)

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from fixel.cli import main
 from fixel.datasets.raw import mit_push
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.io.result_cache import Finished
-from fixel.reproductions import Benchmark, Request, benchmark_real
+from fixel.io.result_cache import ResultCache
+from fixel.reproductions import Benchmark, BenchmarkRequest, benchmark_real
 from fixel.reproductions.leftover import learned_ends
 from fixel.reproductions.protocols import PROTOCOLS
 from fixel.reproductions.pushes import PushGroup, rows_by_key, usable_rows
@@ -110,7 +110,7 @@ def test_wrong_splits_are_refused() -> None:
 
 
 def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
-    kept = Finished(tmp_path / "fits")
+    kept = ResultCache(tmp_path / "fits")
     calls = []
 
     def compute() -> dict[str, object]:
@@ -119,7 +119,7 @@ def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
 
     of = [np.arange(3.0), "a"]
     assert kept.get("one", of, compute) == {"answer": 1}
-    assert Finished(tmp_path / "fits").get("one", of, compute) == {"answer": 1}
+    assert ResultCache(tmp_path / "fits").get("one", of, compute) == {"answer": 1}
     assert kept.get("one", [np.arange(4.0), "a"], compute) == {"answer": 2}
     (tmp_path / "fits" / "one.json").write_text("{ torn")
     assert kept.get("one", of, compute) == {"answer": 3}
@@ -132,7 +132,7 @@ def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data")
     out = tmp_path / "out"
     told: list[tuple[int, int]] = []
-    request = Request(seeds=1)
+    request = BenchmarkRequest(seeds=1)
 
     answer = benchmark_real(
         folder, request, out=out, progress=lambda done, of, _: told.append((done, of))
@@ -164,7 +164,7 @@ def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
 
 def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
     folder, out = made_up(tmp_path / "data", 12), tmp_path / "out"
-    request = Request(protocols=("calibrated",), seeds=1, quick=True)
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=True)
 
     def stop(done: int, of: int, what: str) -> None:
         raise KeyboardInterrupt
@@ -201,7 +201,7 @@ def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
 def test_fits_depend_on_training_pushes_alone(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data", 16)
     data = mit_push.read(folder)
-    request = Request(protocols=("calibrated", "few"), seeds=1, quick=True)
+    request = BenchmarkRequest(protocols=("calibrated", "few"), seeds=1, quick=True)
     first = benchmark_real(folder, request)
     split = {name for scored in first.scored for name in scored.names}
     rows = list(csv.DictReader(_unzipped(folder)))
@@ -252,7 +252,7 @@ def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
 )
 def test_wrong_requests_are_refused(changes: dict[str, object], complaint: str) -> None:
     with pytest.raises(InvalidInput, match=complaint):
-        Request(**changes)  # type: ignore[arg-type]
+        BenchmarkRequest(**changes)  # type: ignore[arg-type]
 
 
 def test_a_folder_without_the_data_is_refused(tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_real_pushes_are_nearer_than_the_published_simulator(
     push_files.write_table(tmp_path / "pushes.csv.gz", rows)
     (tmp_path / "shapes.json").write_text((source / "shapes.json").read_text())
 
-    answer = benchmark_real(tmp_path, Request(protocols=("calibrated",), seeds=1))
+    answer = benchmark_real(tmp_path, BenchmarkRequest(protocols=("calibrated",), seeds=1))
 
     assert pooled(answer, "calibrated", "calibrated") < 2.6
     assert pooled(answer, "calibrated", "published") > 3.0

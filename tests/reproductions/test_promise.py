@@ -11,19 +11,19 @@ from tests.reproductions.test_mit_push import made_up
 
 from fixel.datasets.raw import mit_push
 from fixel.errors import DatasetMissing
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Polygon
-from fixel.reproductions import Request
+from fixel.reproductions import BenchmarkRequest
 from fixel.reproductions.evidence import evidence_of
 from fixel.reproductions.overview import reproduce
-from fixel.reproductions.promise import LEVELS, Table, _halves, _rank_correlation
-from fixel.reproductions.protocols import Bench, full_fit
+from fixel.reproductions.promise import LEVELS, PushTable, _halves, _rank_correlation
+from fixel.reproductions.protocols import BenchmarkData, full_fit
 from fixel.reproductions.rates import PAPER_RATE, extent
 
 
-def bench_of(folder: Path) -> Bench:
-    request = Request(protocols=("calibrated",), seeds=1, quick=True)
-    return Bench(mit_push.read(folder), request, Finished(None), lambda *_: None)
+def bench_of(folder: Path) -> BenchmarkData:
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=True)
+    return BenchmarkData(mit_push.read(folder), request, ResultCache(None), lambda *_: None)
 
 
 def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
 def test_halves_share_no_push_and_leave_out_what_was_trained_on() -> None:
     dice = np.random.default_rng(0)
     held = dice.uniform(size=200) < 0.4
-    table = Table(np.zeros((200, 1)), np.zeros((200, 3)), np.arange(200) % 3, held)
+    table = PushTable(np.zeros((200, 1)), np.zeros((200, 3)), np.arange(200) % 3, held)
     first, second = _halves(table, 1)
     assert sorted([*first, *second]) == np.flatnonzero(held).tolist()
     for group in range(3):

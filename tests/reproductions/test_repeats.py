@@ -9,7 +9,7 @@ from fixel.errors import DatasetMissing
 from fixel.reproductions import repeats
 from fixel.reproductions.overview import reproduce
 from fixel.reproductions.two_point_groups import (
-    Group,
+    RepeatGroup,
     group_scene,
     outline_of,
     read_groups,
@@ -20,7 +20,7 @@ from fixel.reproductions.two_point_groups import (
 def made(start, end, start_pose="a", heading=0.0):
     time = np.linspace(0.0, 4.0, 20)
     path = np.column_stack((time, -0.0205 + 0.02 * time, 0.0 * time, np.full(20, heading)))
-    return Group(f"{start_pose} #1", start_pose, "bigrect_ridge", True, start, end, path)
+    return RepeatGroup(f"{start_pose} #1", start_pose, "bigrect_ridge", True, start, end, path)
 
 
 def around(middle, size, n=3, seed=1):

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from fixel.cli import main
 from fixel.errors import InvalidInput
 from fixel.reproductions.replay import (
-    Choice,
     Replay,
+    ReplayRequest,
     columns_and_values,
     draw_replay,
     names_and_numbers,
@@ -30,7 +30,7 @@ EXACT = 1e-3  # [mm]
 
 def replayed(folder: Path, *select: str, **options: object) -> Replay:
     settings = options.pop("settings", {})
-    choice = Choice(select=columns_and_values(select), settings=settings, **options)  # type: ignore[arg-type]
+    choice = ReplayRequest(select=columns_and_values(select), settings=settings, **options)  # type: ignore[arg-type]
     return replay_dataset(folder, choice)
 
 
@@ -108,7 +108,7 @@ def test_wrong_choices_are_refused(
     folder = push_files.mit_push(tmp_path, push_files.push(0))
 
     with pytest.raises(InvalidInput, match=complaint):
-        replay_dataset(folder, Choice(**({"select": {}, "settings": {}} | options)))  # type: ignore[arg-type]
+        replay_dataset(folder, ReplayRequest(**({"select": {}, "settings": {}} | options)))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("pair", ["shape", "=hex", "shape="])

@@ -9,14 +9,14 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Polygon, placed
 from fixel.sampling import (
-    Axis,
+    FixelLayout,
     Grid,
-    Layout,
-    Listed,
     Nominal,
+    OffsetAxis,
+    OffsetList,
+    OffsetSample,
     PlannedShape,
     RegularPolygon,
-    Sampled,
     rehearse,
     thesis_plan,
 )
@@ -24,7 +24,7 @@ from fixel.sampling import (
 SMALL = replace(
     thesis_plan(),
     shapes=thesis_plan().shapes[:1],
-    layouts=(Layout(name="one", pegs=((0.6, 0.5),)),),
+    layouts=(FixelLayout(name="one", pegs=((0.6, 0.5),)),),
     schemes=(Nominal(),),
 )
 
@@ -37,7 +37,7 @@ def sentences(**changes) -> list[str]:
 
 
 def test_steps_of_an_axis_leave_out_the_nominal_pose():
-    offsets = Axis(name="y", step=0.008, first=-2, last=2).offsets()
+    offsets = OffsetAxis(name="y", step=0.008, first=-2, last=2).offsets()
 
     assert [offset.y for offset in offsets] == [-0.016, -0.008, 0.008, 0.016]
     assert [offset.label for offset in offsets] == ["y-2", "y-1", "y1", "y2"]
@@ -58,7 +58,7 @@ def test_a_grid_has_every_combination():
 
 @pytest.mark.parametrize("method", ["sobol", "halton", "uniform"])
 def test_samples_fill_their_box_and_repeat_with_their_seed(method):
-    scheme = Sampled(
+    scheme = OffsetSample(
         method=method, count=100, seed=7, x=(0.0, 0.02), y=(-0.04, 0.04), theta=(0.0, pi)
     )
     points = np.array([(o.x, o.y, o.theta) for o in scheme.offsets()])
@@ -78,7 +78,7 @@ def test_low_discrepancy_is_lower_than_that_of_random_numbers():
 
     def discrepancy(method: str) -> float:
         unit = {"x": (0.0, 1.0), "y": (0.0, 1.0), "theta": (0.0, 1.0)}
-        offsets = Sampled(method=method, count=64, seed=1, **unit).offsets()
+        offsets = OffsetSample(method=method, count=64, seed=1, **unit).offsets()
         return float(qmc.discrepancy([(o.x, o.y, o.theta) for o in offsets]))
 
     assert max(discrepancy("sobol"), discrepancy("halton")) < 0.5 * discrepancy("uniform")
@@ -87,25 +87,25 @@ def test_low_discrepancy_is_lower_than_that_of_random_numbers():
 @pytest.mark.parametrize(
     ("build", "where"),
     [
-        (lambda: Axis(name="z", step=1.0, first=1, last=2), r"axis\.name"),
-        (lambda: Axis(name="x", step=0.0, first=1, last=2), r"axis\.step"),
-        (lambda: Axis(name="x", step=1.0, first=2, last=1), r"axis\.last"),
-        (lambda: Axis(name="x", step=1.0, first=1, last=10**9), r"axis\.last"),
+        (lambda: OffsetAxis(name="z", step=1.0, first=1, last=2), r"axis\.name"),
+        (lambda: OffsetAxis(name="x", step=0.0, first=1, last=2), r"axis\.step"),
+        (lambda: OffsetAxis(name="x", step=1.0, first=2, last=1), r"axis\.last"),
+        (lambda: OffsetAxis(name="x", step=1.0, first=1, last=10**9), r"axis\.last"),
         (lambda: Grid(x=()), r"grid\.x"),
         (lambda: Grid(x=(nan,)), r"grid\.x"),
         (lambda: Grid(x=(0.0,) * 1000, y=(0.0,) * 1000), "at most 100000"),
-        (lambda: Listed(()), "at least one"),
-        (lambda: Listed(((0.0, 0.0, inf),)), r"list\[0\]"),
-        (lambda: Sampled(count=0), "at least one point"),
-        (lambda: Sampled(count=4, method="dice"), r"sample\.method"),
-        (lambda: Sampled(count=4, y=(0.1, -0.1)), r"sample\.y"),
+        (lambda: OffsetList(()), "at least one"),
+        (lambda: OffsetList(((0.0, 0.0, inf),)), r"list\[0\]"),
+        (lambda: OffsetSample(count=0), "at least one point"),
+        (lambda: OffsetSample(count=4, method="dice"), r"sample\.method"),
+        (lambda: OffsetSample(count=4, y=(0.1, -0.1)), r"sample\.y"),
         (lambda: RegularPolygon(sides=2, side=0.1), r"regular\.sides"),
         (lambda: RegularPolygon(sides=5, side=-0.1), r"regular\.side"),
-        (lambda: Layout(name="a", pegs=((0.5, 1.1),)), r"pegs\[0\]"),
-        (lambda: Layout(name="a", pegs=((0.5, nan),)), r"pegs\[0\]"),
-        (lambda: Layout(name="a", pegs=((0.5, 0.5),) * 101), "at most 100"),
-        (lambda: Layout(name="a", pegs=(), number=0), r"number: found 0"),
-        (lambda: Layout(name="a/b", pegs=((0.5, 0.5),)), r"layout\.name"),
+        (lambda: FixelLayout(name="a", pegs=((0.5, 1.1),)), r"pegs\[0\]"),
+        (lambda: FixelLayout(name="a", pegs=((0.5, nan),)), r"pegs\[0\]"),
+        (lambda: FixelLayout(name="a", pegs=((0.5, 0.5),) * 101), "at most 100"),
+        (lambda: FixelLayout(name="a", pegs=(), number=0), r"number: found 0"),
+        (lambda: FixelLayout(name="a/b", pegs=((0.5, 0.5),)), r"layout\.name"),
         (lambda: replace(SMALL, name=""), r"plan\.name"),
         (lambda: replace(SMALL, repetitions=0), "repetitions"),
         (lambda: replace(SMALL, repetitions=10**6), "at most 100000"),
@@ -144,7 +144,7 @@ def test_an_offset_turns_the_object_about_its_centroid():
 
 
 def test_repetitions_follow_one_another():
-    plan = replace(SMALL, repetitions=2, schemes=(Listed(((0, 0, 0), (0.01, 0, 0))),))
+    plan = replace(SMALL, repetitions=2, schemes=(OffsetList(((0, 0, 0), (0.01, 0, 0))),))
 
     assert [e.name for e in plan.experiments] == [
         "1-square-one-list1-r1",
@@ -165,7 +165,7 @@ def test_a_disk_is_an_object_too():
 
 
 def test_an_overlap_is_reported_and_left_out():
-    plan = replace(SMALL, schemes=(Nominal(), Listed(((0.060, 0.0, 0.0),))))
+    plan = replace(SMALL, schemes=(Nominal(), OffsetList(((0.060, 0.0, 0.0),))))
     (problem,) = plan.check()
 
     assert problem.name == "2-square-one-list1"
@@ -175,7 +175,9 @@ def test_an_overlap_is_reported_and_left_out():
 
 
 def test_a_head_that_passes_beside_the_object():
-    assert sentences(schemes=(Listed(((0.0, 0.2, 0.0),)),)) == ["the head passes beside the object"]
+    assert sentences(schemes=(OffsetList(((0.0, 0.2, 0.0),)),)) == [
+        "the head passes beside the object"
+    ]
 
 
 def test_a_head_that_stops_short():
@@ -188,7 +190,7 @@ def test_a_head_that_stops_short():
 
 
 def test_fixels_that_are_too_far():
-    far = Layout(name="far", pegs=((0.99, 0.0), (0.99, 1.0)))
+    far = FixelLayout(name="far", pegs=((0.99, 0.0), (0.99, 1.0)))
 
     (sentence,) = sentences(layouts=(far,))
 
@@ -198,14 +200,14 @@ def test_fixels_that_are_too_far():
 def test_a_fixel_in_the_way_of_the_head():
     # A peg in the gap between the head and the object.
     shape = replace(SMALL.shapes[0], zone_start=0.03)
-    layout = Layout(name="blocked", pegs=((0.0, 0.5), (1.0, 0.5)))
+    layout = FixelLayout(name="blocked", pegs=((0.0, 0.5), (1.0, 0.5)))
 
     assert "the head runs into fixel-1" in sentences(shapes=(shape,), layouts=(layout,))
 
 
 def test_a_rehearsal_tells_which_fixels_are_touched():
-    near = Layout(name="near", pegs=((0.60, 0.5), (0.99, 0.0)))
-    aside = Layout(name="aside", pegs=((0.9, 0.95),))
+    near = FixelLayout(name="near", pegs=((0.60, 0.5), (0.99, 0.0)))
+    aside = FixelLayout(name="aside", pegs=((0.9, 0.95),))
     plan = replace(SMALL, layouts=(near, aside), repetitions=2)
 
     rehearsal = rehearse(plan)

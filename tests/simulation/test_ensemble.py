@@ -9,7 +9,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Parameters, SupportPoints
 from fixel.simulation import QuasiStatic, simulate
-from fixel.simulation.ensemble import INFEASIBLE, Case, Ensemble
+from fixel.simulation.ensemble import INFEASIBLE, Ensemble, RolloutCase
 from fixel.testing.scenes import grasp, heap, micro_push
 
 TIMES = np.linspace(0.5, 5.0, 10)
@@ -23,10 +23,10 @@ def _cases():
     )
     fewer = replace(scene, fixels=scene.fixels[:1])
     return [
-        Case(scene, TIMES),
-        Case(turned, TIMES[:7]),
-        Case(fewer, TIMES),
-        Case(micro_push(3), TIMES[:3] / 6),
+        RolloutCase(scene, TIMES),
+        RolloutCase(turned, TIMES[:7]),
+        RolloutCase(fewer, TIMES),
+        RolloutCase(micro_push(3), TIMES[:3] / 6),
     ]
 
 
@@ -98,7 +98,7 @@ def _on_net(turn):
     net = SupportPoints(points=[(0.04, 0), (0, 0.04), (-0.04, 0), (0, -0.04)], friction=0.3)
     body = scene.bodies[0]
     body = replace(body, pose=body.pose + np.array([0.004, 0.002, turn]), support=net)
-    return Case(replace(scene, bodies=(body,)), TIMES)
+    return RolloutCase(replace(scene, bodies=(body,)), TIMES)
 
 
 def test_cases_of_one_template_meet_the_table_at_their_own_angles():
@@ -132,7 +132,7 @@ def test_what_cannot_be_is_not_tried_and_says_why():
     points = SupportPoints(points=[(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3)
     scene = grasp()
     scene = replace(scene, bodies=(replace(scene.bodies[0], support=points),))
-    outcome = Ensemble([Case(scene, TIMES)]).simulate(
+    outcome = Ensemble([RolloutCase(scene, TIMES)]).simulate(
         np.zeros(2, int), {"support_1_x": np.array([0.03, -0.03])}
     )
     assert outcome.status.tolist() == [codes.CONVERGED, INFEASIBLE]
@@ -147,14 +147,14 @@ def test_a_pusher_that_parameters_put_into_the_body_pushes_it_out():
     touching = replace(scene.bodies[0], pose=(0.5 * (0.029 + 0.1075), 0.0, 0.0))
     scene = replace(scene, bodies=(touching,))
     values = {"start_x": np.array([0.0, -1e-3, -3e-3])}
-    outcome = Ensemble([Case(scene, TIMES)]).simulate(np.zeros(3, int), values)
+    outcome = Ensemble([RolloutCase(scene, TIMES)]).simulate(np.zeros(3, int), values)
     assert outcome.converged.all()
     assert outcome.pose[1:, -1, 0] == pytest.approx(outcome.pose[0, -1, 0], abs=1e-3)
 
 
 def test_a_simulation_that_stops_early_says_when():
     scene = grasp(force_limit=None)
-    outcome = Ensemble([Case(scene, np.array([5.0, scene.duration]))]).simulate(
+    outcome = Ensemble([RolloutCase(scene, np.array([5.0, scene.duration]))]).simulate(
         np.zeros(1, int), {}
     )
     assert outcome.reasons[0].startswith("jammed at ")
@@ -174,9 +174,9 @@ def test_many_rollouts_run_in_several_passes(monkeypatch):
     ("cases", "where"),
     [
         ([], "cases"),
-        ([Case(heap(4), TIMES)], "case.scene"),
-        ([Case(grasp(), np.zeros(1))], "case.times"),
-        ([Case(grasp(), np.zeros(0))], "case.times"),
+        ([RolloutCase(heap(4), TIMES)], "case.scene"),
+        ([RolloutCase(grasp(), np.zeros(1))], "case.times"),
+        ([RolloutCase(grasp(), np.zeros(0))], "case.times"),
     ],
 )
 def test_what_is_no_case_is_refused(cases, where):

@@ -12,7 +12,7 @@ import numpy as np
 
 from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import RecordingHeader, RecordingWriter
-from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Frame, Picture
 
 SIZE = (160, 120)
@@ -58,7 +58,7 @@ class Pictures(FrameSource):
     def open(self) -> Stream:
         return Stream(SIZE, self._rate, isinstance(self._make(0), bytes), self._live)
 
-    def frames(self) -> Iterator[Arrived]:
+    def frames(self) -> Iterator[CameraPicture]:
         began = time.monotonic()
         for k in range(self._n):
             if self.pulled.is_set():
@@ -66,7 +66,11 @@ class Pictures(FrameSource):
             self._before(k)
             made = self._make(k)
             at = began + k / self._rate
-            yield Arrived(at, jpeg=made) if isinstance(made, bytes) else Arrived(at, pixels=made)
+            yield (
+                CameraPicture(at, jpeg=made)
+                if isinstance(made, bytes)
+                else CameraPicture(at, pixels=made)
+            )
         self.ended = "no more pictures"
 
     def close(self) -> None:

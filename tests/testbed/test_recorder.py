@@ -21,12 +21,14 @@ from fixel.formats.recording import open_recording
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed import room
 from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue
-from fixel.testbed.frame_source import Arrived, FrameSource
-from fixel.testbed.recorder import Recorded, Recorder, Status
+from fixel.testbed.frame_source import CameraPicture, FrameSource
+from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary
 from fixel.testbed.seating import Seating
 
 
-def record(source: FrameSource, folder: Path, codec: str = "as-it-comes", **more: Any) -> Recorded:
+def record(
+    source: FrameSource, folder: Path, codec: str = "as-it-comes", **more: Any
+) -> RecordingSummary:
     return Recorder(source=source, stream=source.open(), folder=folder, codec=codec, **more).run()
 
 
@@ -54,7 +56,7 @@ def test_a_limit_ends_it(tmp_path: Path) -> None:
 
 
 def test_a_key_ends_it(tmp_path: Path) -> None:
-    seen: list[Status] = []
+    seen: list[RecordingStatus] = []
     done = record(
         Pictures(10_000),
         tmp_path / "r",
@@ -105,9 +107,9 @@ def test_a_slow_disk_loses_frames_and_says_how_many(tmp_path: Path) -> None:
 def test_who_stays_behind_gives_up_what_is_old() -> None:
     queue = FrameQueue(Pictures(0), live=True)
     began = time.monotonic()
-    fresh, old = Arrived(began + 100.0), Arrived(began - 100.0)
+    fresh, old = CameraPicture(began + 100.0), CameraPicture(began - 100.0)
 
-    def kept(*waiting: Arrived) -> list[Arrived]:
+    def kept(*waiting: CameraPicture) -> list[CameraPicture]:
         for arrived in waiting:
             queue._put(arrived)
         return [arrived for _ in waiting if (arrived := queue.get(0.0)) is not None]
@@ -179,7 +181,7 @@ def test_a_source_that_ends_at_once_leaves_no_folder(tmp_path: Path) -> None:
 
 
 def test_who_watches_may_fail(tmp_path: Path) -> None:
-    def watch(arrived: Arrived, status: Status) -> None:
+    def watch(arrived: CameraPicture, status: RecordingStatus) -> None:
         raise ZeroDivisionError("in the browser")
 
     done = record(Pictures(9), tmp_path / "r", watch=watch)
@@ -191,7 +193,7 @@ def test_gaps_are_told(tmp_path: Path) -> None:
     source = Pictures(40)
     frames = source.frames
 
-    def late() -> Iterator[Arrived]:
+    def late() -> Iterator[CameraPicture]:
         for k, arrived in enumerate(frames()):
             arrived.time += 0.1 * (k >= 30)
             yield arrived

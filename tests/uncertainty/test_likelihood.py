@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
-from fixel.uncertainty.prior import Prior
+from fixel.uncertainty.prior import ParameterPrior
 from fixel.uncertainty.sbc import measured_path
 
 TRUTH = np.array([0.4, 0.035, 1e-3])
@@ -22,7 +22,7 @@ TRUTH = np.array([0.4, 0.035, 1e-3])
 def measured(seed=0, threads=None, truth=TRUTH, noise=NOISE):
     """The benchmark's pushes, as a camera would see them under a truth."""
     bare = pushes()
-    prior = Prior(bare.space, MODEL_ERROR)
+    prior = ParameterPrior(bare.space, MODEL_ERROR)
     dice = np.random.default_rng(seed)
     targets = [
         target._replace(pose=measured_path(bare, k, truth, prior, noise, dice))
@@ -137,7 +137,7 @@ def test_priors_are_uniform_or_cut_normal(comparer):
 
     first, second = comparer.space.unknowns
     space = ParameterSpace(unknowns=(replace(first, prior=0.1), second))
-    drawn = Prior(space, MODEL_ERROR).draw(4000, np.random.default_rng(0))
+    drawn = ParameterPrior(space, MODEL_ERROR).draw(4000, np.random.default_rng(0))
     assert drawn[:, 0].mean() == pytest.approx(first.nominal, abs=0.01)
     assert drawn[:, 0].std() == pytest.approx(0.1, rel=0.1)
     assert drawn[:, 1].mean() == pytest.approx(0.5 * (second.low + second.high), rel=0.05)

@@ -10,7 +10,7 @@ from fixel.formats.rig_file import rig_of
 from fixel.testing.scenes import grasp
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
-from fixel.vision.render.bench import Bench
+from fixel.vision.render.bench import RenderedBench
 from fixel.vision.render.looks import Looks
 
 SIZE = (420, 320)
@@ -35,5 +35,5 @@ def bare_scene():
 
 def still(rig: Rig, looks: Looks, pose: object, scene: object = None, **more: object) -> np.ndarray:
     """(h, w, 3) light of one instant."""
-    bench = Bench(scene or bare_scene(), rig, looks, 1)
+    bench = RenderedBench(scene or bare_scene(), rig, looks, 1)
     return bench.light([{"object": np.asarray(pose), "actuator": AWAY, **more}])

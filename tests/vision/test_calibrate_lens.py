@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.testing.board_pictures import Studio, seen_corners, spread
 from fixel.vision.boards import Board, Corners, Picture, board_of
 from fixel.vision.bundle import lens_with, values_of
-from fixel.vision.calibrate_lens import Dropped, View, calibrate_lens, find_boards
+from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
 from fixel.vision.lens import Lens
 from fixel.vision.plane_errors import radius95
 
@@ -104,15 +104,15 @@ def test_a_bad_picture_is_dropped_with_the_reason() -> None:
     assert found.rms < 0.08
 
 
-def replace_corners(view: View, corners: Corners) -> View:
-    return View(view.name, view.size, corners)
+def replace_corners(view: BoardView, corners: Corners) -> BoardView:
+    return BoardView(view.name, view.size, corners)
 
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_too_few_pictures(count: int) -> None:
     views = seen_corners(LENS, CHECKERS, 8, noise=0.05)[:count]
     with pytest.raises(InvalidInput, match="at least 4"):
-        calibrate_lens(views, [Dropped("x.png", "no such board")])
+        calibrate_lens(views, [SkippedPicture("x.png", "no such board")])
 
 
 def test_parallel_boards_say_nothing_of_the_focal_length() -> None:
@@ -132,7 +132,7 @@ def test_hardly_tilted_boards_say_too_little() -> None:
 @pytest.mark.parametrize(("size", "word"), [((360, 480), "90 degrees"), ((960, 720), "one size")])
 def test_mixed_sizes(size: tuple[int, int], word: str) -> None:
     views = list(seen_corners(LENS, CHECKERS, 8, noise=0.05))
-    views[2] = View("odd.png", size, views[2].corners)
+    views[2] = BoardView("odd.png", size, views[2].corners)
     with pytest.raises(InvalidInput, match=word):
         calibrate_lens(views)
 
@@ -182,7 +182,7 @@ def test_fewer_coefficients_stay_nought() -> None:
 # --- lenses that the usual model does not describe ----------------------------------------------
 
 
-def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[View]:
+def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[BoardView]:
     """Corners by OpenCV's projection, with noise, and a bias that is smooth over each picture."""
     rng = np.random.default_rng(seed)
     matrix = np.array([[951.3, 0, 652.7], [0, 948.6, 351.4], [0, 0, 1.0]])
@@ -202,7 +202,7 @@ def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[View]:
         a, b, phase = rng.uniform(-30, 30, 3)
         bias = 0.03 * np.sin(flat @ [[a, b], [b, -a]] + phase)
         pixels += bias + rng.normal(0.0, 0.02, pixels.shape)
-        views.append(View(f"{len(views)}", (1280, 720), Corners(flat, pixels)))
+        views.append(BoardView(f"{len(views)}", (1280, 720), Corners(flat, pixels)))
     return views
 
 

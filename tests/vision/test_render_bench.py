@@ -9,7 +9,7 @@ from tests.vision.rendered import AWAY, SIZE, bare_scene, small_rig, still
 
 from fixel.model import Disk, Fixel
 from fixel.model.shape import placed
-from fixel.vision.render.bench import Bench
+from fixel.vision.render.bench import RenderedBench
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.ink import PAPER, TONER, inks, tag_cells
 from fixel.vision.render.looks import Looks
@@ -32,7 +32,7 @@ def moment(weight: np.ndarray) -> np.ndarray:
 
 def test_a_sticker_is_where_the_camera_projects_it():
     rig = small_rig("thesis-stickers")
-    bench = Bench(bare_scene(), rig, PLAIN, 1)
+    bench = RenderedBench(bare_scene(), rig, PLAIN, 1)
     sticker = rig.parts["object"].marks[0]
     ink = inks(sticker, 5e-4)[0]
     off, area = [], []
@@ -55,7 +55,7 @@ def test_a_sticker_is_where_the_camera_projects_it():
 
 def test_the_edges_of_a_tag_lie_where_the_camera_projects_them():
     rig = small_rig()
-    bench = Bench(bare_scene(), rig, PLAIN, 1)
+    bench = RenderedBench(bare_scene(), rig, PLAIN, 1)
     tag = rig.parts["object"].marks[0]
     paper, toner = inks(tag, 5e-4)
     for pose in poses(4, 2):
@@ -147,7 +147,7 @@ def test_what_leaves_the_picture_does_not_come_back_on_the_other_side():
 
 def test_a_picture_is_the_same_in_a_small_window_and_in_a_large_one():
     """A hand in a corner makes the painted window larger; where it is not, nothing changes."""
-    bench = Bench(bare_scene(), small_rig(), Looks(blur=1.0, shadows=0.0), 1)
+    bench = RenderedBench(bare_scene(), small_rig(), Looks(blur=1.0, shadows=0.0), 1)
     poses = {"object": np.array([0.10, -0.02, 0.7]), "actuator": AWAY}
     alone = bench.light([poses])
     together = bench.light([{**poses, "hand": np.array([0.235, 0.06, np.pi])}])

@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fixel.vision.render.canvas import Canvas, Stroke, Window, cover, window_of
+from fixel.vision.render.canvas import Canvas, PictureWindow, Stroke, cover, window_of
 
 WIDTH, HEIGHT = 24, 18
 
@@ -50,7 +50,7 @@ def test_neighbours_of_one_stroke_leave_no_seam():
     left = [(3.3, 2.2), (10.4, 3.1), (9.2, 12.7), (2.9, 11.1)]
     right = [(10.4, 3.1), (17.0, 2.0), (16.1, 14.0), (9.2, 12.7)]
     points = np.array(left + right)
-    window = Window(0, 0, WIDTH, HEIGHT)
+    window = PictureWindow(0, 0, WIDTH, HEIGHT)
     canvas = Canvas(window, np.zeros((HEIGHT, WIDTH, 3), np.float32))
     stroke = Stroke(
         points, np.array([0, 4, 8]), np.full(3, 200.0), window_of(points, (WIDTH, HEIGHT))

@@ -6,7 +6,7 @@ from tests.web.client import Client
 
 from fixel.database.project import Project
 from fixel.web.app import create_app
-from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.project import ProjectContext, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
@@ -20,7 +20,7 @@ class Bench:
     def __init__(self, folder):
         self.folder = folder
         self.gate = Gate()
-        self.desk = Desk(Project.open(folder))
+        self.desk = ProjectContext(Project.open(folder))
         self.api = project_api(self.desk)
         self.pages = project_pages(self.desk)
         self.app = create_app(self.pages, self.gate, api=self.api, name=self.desk.name)

@@ -57,7 +57,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     from fixel.workflows.calibration import run
     from fixel.workflows.calibration.parameter_options import fitted
     from fixel.workflows.calibration.request import entry_of
-    from fixel.workflows.domain.request import Asked
+    from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
 
     folder = tmp_path_factory.mktemp("trusted") / "my_lab"
@@ -73,7 +73,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     job = run.prepare(project, chosen, request)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
-    asked = Asked(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
+    asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
     map_domain(project, asked, command="fixel domain")
     return folder
 
@@ -89,9 +89,9 @@ def project(laboratory, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def server(project):
     """The pages of the copy, on a port of this machine: `server.link`, `server.home`."""
-    from fixel.web.project import Desk, project_server
+    from fixel.web.project import ProjectContext, project_server
 
-    desk = Desk(Project.open(project))
+    desk = ProjectContext(Project.open(project))
     running = project_server(desk).start()
     running.desk = desk
     yield running

@@ -12,14 +12,14 @@ from pathlib import Path
 def main():
     folder = Path(sys.argv[1])
     from fixel.database.project import Project
-    from fixel.web.project import Desk, project_server
+    from fixel.web.project import ProjectContext, project_server
     from fixel.web.views import live_comparison
 
     live_comparison.warm_up()
     for _ in sys.stdin:
         child = os.fork()
         if child == 0:
-            server = project_server(Desk(Project.open(folder))).start()
+            server = project_server(ProjectContext(Project.open(folder))).start()
             said = {"pid": os.getpid(), "port": server.port, "token": server.gate.token}
             print(json.dumps(said), flush=True)
             server.wait()

@@ -12,7 +12,7 @@ from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.vision.frame import Frame
 from fixel.web.app import create_app
-from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.project import ProjectContext, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import browser_video
 
@@ -23,7 +23,7 @@ ADDRESS = "/api/v1/experiments"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.desk = Desk(Project.open(folder))
+        self.desk = ProjectContext(Project.open(folder))
         self.store = self.desk.store
         self.app = create_app(
             project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"

@@ -8,7 +8,7 @@ import pytest
 from tests.web.bench import Bench
 
 from fixel.jobs import folder as files
-from fixel.jobs.folder import Status
+from fixel.jobs.folder import JobState
 from fixel.testing.toy_work import MAKER
 from fixel.web.pages.system import bytes_text
 from fixel.web.security import WORD_HEADER
@@ -94,7 +94,7 @@ def test_only_so_many_run_at_once_whatever_they_are(bench, monkeypatch):
 
 def test_lost_and_repeated_work_is_counted(bench):
     folder, _ = bench.job("lost")
-    said = Status(state="running", done=3, total=9, deaths=2, again=4, host="node1", pid=7)
+    said = JobState(state="running", done=3, total=9, deaths=2, again=4, host="node1", pid=7)
     files.write_status(folder, said)
     workers = folder / "workers"
     workers.mkdir()

@@ -13,7 +13,7 @@ from tests.web.conftest import unpacked
 from fixel.database.project import Project
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.web.app import create_app
-from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.project import ProjectContext, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import scene_editor
 from fixel.workflows.project.compare import comparison
@@ -24,7 +24,7 @@ class Bench:
 
     def __init__(self, folder):
         gate = Gate()
-        self.desk = Desk(Project.open(folder))
+        self.desk = ProjectContext(Project.open(folder))
         app = create_app(project_pages(self.desk), gate, api=project_api(self.desk), name="my_lab")
         cookies = {gate.cookie: gate.session}
         self._client = Client(app, f"http://127.0.0.1:8000{gate.root}", cookies=cookies)

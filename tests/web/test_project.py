@@ -19,7 +19,7 @@ from fixel.errors import InvalidInput
 from fixel.web.app import create_app
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
 from fixel.web.problems import OUR_MISTAKE
-from fixel.web.project import Desk, project_api, project_pages, project_server
+from fixel.web.project import ProjectContext, project_api, project_pages, project_server
 from fixel.web.security import MOST_BODY, WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
@@ -28,7 +28,7 @@ HERE = "http://127.0.0.1:8000"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.desk = Desk(Project.open(folder))
+        self.desk = ProjectContext(Project.open(folder))
         self.app = create_app(
             project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
         )

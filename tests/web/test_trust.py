@@ -19,7 +19,7 @@ from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import JobRefused
 from fixel.web.app import create_app
-from fixel.web.project import Desk, project_api, project_pages
+from fixel.web.project import ProjectContext, project_api, project_pages
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import domain_views
 from fixel.web.views.background_fits import Fits
@@ -41,7 +41,7 @@ def project(trusted_laboratory, tmp_path_factory):
 
 class Bench:
     def __init__(self, folder):
-        self.desk = Desk(Project.open(folder))
+        self.desk = ProjectContext(Project.open(folder))
         gate = Gate()
         pages, api = project_pages(self.desk), project_api(self.desk)
         app = create_app(pages, gate, api=api, name="my_lab")

@@ -14,7 +14,7 @@ from tests.jobs.kinds import assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import folder as files
-from fixel.jobs.folder import Run
+from fixel.jobs.folder import RunSettings
 from fixel.jobs.site import Site
 from fixel.workflows import jobs
 
@@ -52,7 +52,7 @@ def test_a_detached_job_outlives_who_started_it(tmp_path):
 
 def test_cancelled_with_its_workers_and_gone_on_with(tmp_path):
     pytest.importorskip("distributed")
-    folder = toy_job(tmp_path / "job", Run(workers=1), **SLOW)
+    folder = toy_job(tmp_path / "job", RunSettings(workers=1), **SLOW)
     coordinator = start(folder)
     await_true(lambda: names_in(folder), "an answer")
     assert jobs.cancel(folder).state == "cancelled"

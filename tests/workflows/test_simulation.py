@@ -9,7 +9,7 @@ from fixel.formats import SceneFile, save_scene
 from fixel.simulation import Adaptive, GaussSeidel, QuasiStatic, StewartTrinkle
 from fixel.testing import scenes
 from fixel.workflows import compilation
-from fixel.workflows.simulation import Method, Outputs, parts, simulate_file
+from fixel.workflows.simulation import Outputs, SimulationMethod, parts, simulate_file
 
 
 @pytest.fixture
@@ -24,18 +24,18 @@ def given(**options):
 
 
 def test_the_file_says_the_method():
-    motion, stepper, _ = parts(given(motion="quasistatic", step=0.02), Method())
+    motion, stepper, _ = parts(given(motion="quasistatic", step=0.02), SimulationMethod())
 
     assert isinstance(motion, QuasiStatic)
     assert stepper == StewartTrinkle(step=0.02)
 
 
 def test_without_a_step_steps_are_adaptive():
-    assert parts(given(), Method())[1] == Adaptive()
+    assert parts(given(), SimulationMethod())[1] == Adaptive()
 
 
 def test_the_command_line_comes_before_the_file():
-    method = Method(motion="quasistatic", step=0.001, solver="gauss-seidel")
+    method = SimulationMethod(motion="quasistatic", step=0.001, solver="gauss-seidel")
 
     motion, stepper, solver = parts(given(step=0.02), method)
 
@@ -45,18 +45,18 @@ def test_the_command_line_comes_before_the_file():
 
 
 def test_a_tolerance_asks_for_adaptive_steps():
-    assert parts(given(step=0.02), Method(tolerance=1e-5))[1] == Adaptive(tolerance=1e-5)
+    assert parts(given(step=0.02), SimulationMethod(tolerance=1e-5))[1] == Adaptive(tolerance=1e-5)
 
 
 def test_step_and_tolerance_exclude_each_other():
     with pytest.raises(InvalidInput, match="leave one out"):
-        parts(given(), Method(tolerance=1e-5, step=0.1))
+        parts(given(), SimulationMethod(tolerance=1e-5, step=0.1))
 
 
 @pytest.mark.parametrize("name", ["motion", "solver"])
 def test_an_unknown_name_is_refused(name):
     with pytest.raises(InvalidInput, match="expected one of"):
-        parts(given(), Method(**{name: "magic"}))
+        parts(given(), SimulationMethod(**{name: "magic"}))
 
 
 def test_all_files_are_written(scene, tmp_path):
@@ -92,7 +92,7 @@ def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_pa
 
 def test_plain_and_compiled_loops_give_the_same(scene):
     compiled = simulate_file(scene)
-    plain = simulate_file(scene, method=Method(plain=True))
+    plain = simulate_file(scene, method=SimulationMethod(plain=True))
 
     assert compiled.final["block"].tolist() == plain.final["block"].tolist()
 

@@ -4,14 +4,13 @@ from fixel.calibration.evolution import CmaEs
 from fixel.calibration.mads import Mads
 from fixel.calibration.multi_start import MultiStart
 from fixel.calibration.nelder_mead import NelderMead
-from fixel.calibration.optimiser import AbstractOptimiser, Best, Box, Feasible, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Best, Feasible, Search, SearchBox
 from fixel.calibration.pattern_search import FixedStepSearch, PatternSearch
 
 __all__ = [
     "OPTIMISERS",
     "AbstractOptimiser",
     "Best",
-    "Box",
     "CmaEs",
     "Feasible",
     "FixedStepSearch",
@@ -20,6 +19,7 @@ __all__ = [
     "NelderMead",
     "PatternSearch",
     "Search",
+    "SearchBox",
 ]
 
 # Those that run on their own; `MultiStart` runs another.

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from fixel.calibration.cost import Prior
-from fixel.calibration.descent import Fit
-from fixel.calibration.honest import Honest, MixedFit, ShiftModel, mixed_study
+from fixel.calibration.cost import NormalPrior
+from fixel.calibration.descent import LeastSquaresFit
+from fixel.calibration.honest import Honest, MixedStudyFit, ShiftModel, mixed_study
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
@@ -25,7 +25,7 @@ from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
-from fixel.calibration.verdict import Verdict, judge
+from fixel.calibration.verdict import ParameterVerdict, judge
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.fields import BoolArray
@@ -39,7 +39,7 @@ MOST_RESIDUALS: Final = 30_000
 T = TypeVar("T")
 
 
-class Ask(NamedTuple):
+class AssessmentRequest(NamedTuple):
     """Simulations that an assessment needs next.
 
     Attributes
@@ -60,14 +60,14 @@ class Ask(NamedTuple):
     left: int | None = None
 
 
-Asking = Generator[Ask, FloatArray, T]
+Asking = Generator[AssessmentRequest, FloatArray, T]
 """Yields questions, is sent one row of the answer for each point, and returns its result."""
 
 
 class Assessment(NamedTuple):
     """All of it."""
 
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[ParameterVerdict, ...]
     profiles: Profiles
     noise: Noise
     dispersion: Dispersion
@@ -133,15 +133,19 @@ def assessing(
     fitted = yield from fitting(comparer, members, point, noise=noise)
     noise, dispersion = fitted.noise, fitted.dispersion
     box = box_of(comparer.space.started_at(point))
-    prior = Prior.of(comparer.space).weighted(dispersion.value)
+    prior = NormalPrior.of(comparer.space).weighted(dispersion.value)
     known = None if np.isfinite(prior.sd).any() else fitted.fit
     threshold = dispersion.threshold(level)
     profile = ProfileLikelihood().start(box, fitted.point, threshold, prior, known)
     while not profile.done:
-        told = yield Ask("frames", profile.ask(), f"verdicts, {profile.phase}", profile.left)
+        told = yield AssessmentRequest(
+            "frames", profile.ask(), f"verdicts, {profile.phase}", profile.left
+        )
         profile.tell(chosen.scaled(told, noise))
     found = profile.profiles
-    excited = yield Ask("excited", np.asarray(point, np.float64)[None], "verdicts, contacts")
+    excited = yield AssessmentRequest(
+        "excited", np.asarray(point, np.float64)[None], "verdicts, contacts"
+    )
     touched = dict(zip(comparer.space.labels, excited[0].tolist(), strict=True))
     verdicts = judge(
         comparer.space,
@@ -170,7 +174,7 @@ class BestFit(NamedTuple):
         None where the noise of the measurements is not known.
     honest : Honest, optional
         Estimate that allows for misfit; None where there is too little of it to matter.
-    fit : Fit, optional
+    fit : LeastSquaresFit, optional
         Of least squares; None where its residuals were divided by another noise.
     """
 
@@ -179,7 +183,7 @@ class BestFit(NamedTuple):
     dispersion: Dispersion
     misfit: Misfit | None
     honest: Honest | None
-    fit: Fit | None
+    fit: LeastSquaresFit | None
 
 
 def fitting(
@@ -216,7 +220,7 @@ def fitting(
             honest = Honest.of(mixed, fits)
     count = len(best.point)
     dispersion = chosen.dispersion(noise, best.residual, count)
-    fit: Fit | None = best
+    fit: LeastSquaresFit | None = best
     if dispersion.source != noise.source:
         fit = None
         # The fit is worse than the noise allows: the model is wrong by more, frame after frame.
@@ -244,24 +248,26 @@ def _coarse(noise: Noise, count: int) -> LeastSquares:
 
 def _least_squares(
     chosen: Frames, point: FloatArray, noise: Noise, options: LeastSquares
-) -> Asking[Fit]:
+) -> Asking[LeastSquaresFit]:
     search = options.start(box_of(chosen.space.started_at(point)))
     while not search.done:
-        told = yield Ask("frames", search.ask(), "best fit")
+        told = yield AssessmentRequest("frames", search.ask(), "best fit")
         search.tell(chosen.scaled(told, noise))
     return search.fits[0]
 
 
 def _mixed(
     shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Asking[MixedFit]:
+) -> Asking[MixedStudyFit]:
     study = mixed_study(shifted, members, point, noise)
     try:
         rows = next(study)
         while True:
-            rows = study.send((yield Ask("shifted", rows, "fit of each experiment's own shifts")))
+            rows = study.send(
+                (yield AssessmentRequest("shifted", rows, "fit of each experiment's own shifts"))
+            )
     except StopIteration as end:
-        mixed: MixedFit = end.value
+        mixed: MixedStudyFit = end.value
         return mixed
 
 
@@ -328,7 +334,7 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
 
 def _left(point: FloatArray) -> Asking[Noise]:
     """Noise from what the calibrated simulations leave."""
-    told = yield Ask("noise", np.asarray(point, np.float64)[None], "noise")
+    told = yield AssessmentRequest("noise", np.asarray(point, np.float64)[None], "noise")
     position, angle, correlation, freedom = told[0].tolist()
     return Noise(
         position_m=position,

@@ -29,7 +29,7 @@ LEAST_CURVATURE: Final = 0.5
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Prior:
+class NormalPrior:
     """What was known of the parameters before: independent normal distributions.
 
     Parameters
@@ -54,19 +54,19 @@ class Prior:
             raise InvalidInput("prior.sd", found=self.sd.tolist(), expected="positive, or inf")
 
     @classmethod
-    def of(cls, space: ParameterSpace) -> Prior:
+    def of(cls, space: ParameterSpace) -> NormalPrior:
         """Of the free unknowns of a space, about their nominal values."""
         return cls(
             mean=space.nominal,
             sd=np.array([np.inf if u.prior is None else u.prior for u in space.free]),
         )
 
-    def weighted(self, dispersion: float) -> Prior:
+    def weighted(self, dispersion: float) -> NormalPrior:
         """The prior beside residuals whose true variance is the dispersion, in place of 1.
 
         The deviance divided by the dispersion then holds the prior at its full weight.
         """
-        return Prior(mean=self.mean, sd=self.sd / np.sqrt(positive(dispersion, "dispersion")))
+        return NormalPrior(mean=self.mean, sd=self.sd / np.sqrt(positive(dispersion, "dispersion")))
 
     def deviance(self, points: ArrayLike) -> FloatArray:
         """Points (..., n) -> (...,) their squared distance in standard deviations."""
@@ -97,7 +97,7 @@ class Cost:
         the width, so that a few wrong measurements do not decide.
     width : float
         Where a residual stops to count in full [standard deviations].
-    prior : Prior, optional
+    prior : NormalPrior, optional
 
     Source
     ------
@@ -107,7 +107,7 @@ class Cost:
 
     loss: Loss = "squares"
     width: float = 1.0
-    prior: Prior | None = None
+    prior: NormalPrior | None = None
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.calibration.cost import Cost, Quadratic
 from fixel.calibration.differences import Differences
-from fixel.calibration.optimiser import Box
+from fixel.calibration.optimiser import SearchBox
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import BoolArray
@@ -40,7 +40,7 @@ NOTHING_FREE: Final = "no parameter is free"
 EXHAUSTED: Final = "as many iterations as allowed"
 
 
-class Fit(NamedTuple):
+class LeastSquaresFit(NamedTuple):
     """Where a descent ended."""
 
     point: FloatArray  # (n,)
@@ -60,7 +60,7 @@ class Descent:
     Parameters
     ----------
     options : LeastSquares
-    box : Box
+    box : SearchBox
     cost : Cost
     starts : (c, n) array
         Candidates.
@@ -74,7 +74,7 @@ class Descent:
     def __init__(
         self,
         options: LeastSquares,
-        box: Box,
+        box: SearchBox,
         cost: Cost,
         starts: FloatArray,
         free: BoolArray | None = None,
@@ -108,10 +108,10 @@ class Descent:
         return bool(self.reason)
 
     @property
-    def fit(self) -> Fit:
+    def fit(self) -> LeastSquaresFit:
         """The best point so far, and the derivatives last taken."""
         hessian = self._model.hessian / np.outer(self.box.scale, self.box.scale)
-        return Fit(
+        return LeastSquaresFit(
             self.point,
             self.deviance,
             hessian,

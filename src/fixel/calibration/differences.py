@@ -6,7 +6,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import Box
+from fixel.calibration.optimiser import SearchBox
 from fixel.kernels.arrays import FloatArray
 
 # A response this many times the roughness gives a slope good to a few per cent.
@@ -31,7 +31,7 @@ class Differences:
 
     Parameters
     ----------
-    box : Box
+    box : SearchBox
     step : float
         First and smallest step, as a fraction of the scale.
     largest : float
@@ -40,7 +40,7 @@ class Differences:
         Change of a residual that means nothing [standard deviations].
     """
 
-    def __init__(self, box: Box, step: float, largest: float, roughness: float) -> None:
+    def __init__(self, box: SearchBox, step: float, largest: float, roughness: float) -> None:
         self.box = box
         self.step = np.full(box.n, step)
         self._first = step

@@ -13,10 +13,10 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.calibration.options import positive, settle, whole
 from fixel.calibration.starts import feasible_points
-from fixel.calibration.walk import Moves, Walk
+from fixel.calibration.walk import GeneratorSearch, Moves
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 
@@ -80,7 +80,7 @@ class CmaEs(AbstractOptimiser):
             max_evaluations=whole(self.max_evaluations, "CmaEs.max_evaluations"),
         )
 
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+    def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         if find_spec("cma") is None:
             raise InvalidInput(
                 "CmaEs",
@@ -96,9 +96,9 @@ class CmaEs(AbstractOptimiser):
 
 
 @final
-class _CmaWalk(Walk):
+class _CmaWalk(GeneratorSearch):
     def __init__(
-        self, box: Box, options: CmaEs, starts: FloatArray, dice: np.random.Generator
+        self, box: SearchBox, options: CmaEs, starts: FloatArray, dice: np.random.Generator
     ) -> None:
         super().__init__(box)
         self.options = options

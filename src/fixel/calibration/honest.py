@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.clusters import jackknife, numbered
-from fixel.calibration.mixed import Bounds, Linear, fit_mixed
+from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.repetitions import same_configuration
@@ -58,7 +58,7 @@ LEAST_FREEDOM: Final = 1.5
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
-class MixedFit(NamedTuple):
+class MixedStudyFit(NamedTuple):
     """Result of a mixed fit.
 
     Attributes
@@ -102,7 +102,7 @@ class Honest(NamedTuple):
     clusters: int
 
     @classmethod
-    def of(cls, mixed: MixedFit, fits: Sequence[FloatArray]) -> Honest:
+    def of(cls, mixed: MixedStudyFit, fits: Sequence[FloatArray]) -> Honest:
         """Combine a mixed fit with the ends (n_free,) of least squares."""
         freedom = np.maximum(mixed.effective - 1.0, LEAST_FREEDOM)
         gap = np.mean((mixed.value - np.array(fits)) ** 2, axis=0)
@@ -160,7 +160,7 @@ class ShiftModel:
 
 def mixed_study(
     shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Generator[FloatArray, FloatArray, MixedFit]:
+) -> Generator[FloatArray, FloatArray, MixedStudyFit]:
     """Rollouts of a mixed fit: yields rows, and is sent `ShiftModel.differences` of them.
 
     Parameters
@@ -182,7 +182,7 @@ def mixed_study(
     precision, anchor = _prior(space, point, NEAR)
     theta, own, evaluations = np.array(point, np.float64), np.zeros((n, q)), 0
     log_sd = np.zeros(q + 3)
-    bounds = Bounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
+    bounds = NoiseBounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
     for _ in range(ROUNDS):
         probes = [
             _Probes(shifted, m, names, theta, one * unit)
@@ -223,7 +223,7 @@ def mixed_study(
     covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)
     left_out = jackknife(fit.information, fit.gradient, covariance, cluster)
     variance = np.maximum(np.diag(covariance), np.diag(left_out.covariance))
-    return MixedFit(
+    return MixedStudyFit(
         value=theta,
         sd=np.sqrt(variance) * space.scale,
         effective=left_out.effective,

@@ -7,9 +7,9 @@ from typing import Final, Literal, final, get_args
 
 import numpy as np
 
-from fixel.calibration.cost import LOSSES, Cost, Loss, Prior, Residuals
-from fixel.calibration.descent import Descent, Fit, ask_all, tell_all
-from fixel.calibration.optimiser import Best, Box, Feasible
+from fixel.calibration.cost import LOSSES, Cost, Loss, NormalPrior, Residuals
+from fixel.calibration.descent import Descent, LeastSquaresFit, ask_all, tell_all
+from fixel.calibration.optimiser import Best, Feasible, SearchBox
 from fixel.calibration.options import whole
 from fixel.calibration.starts import feasible_points
 from fixel.errors import InvalidInput
@@ -98,27 +98,27 @@ class LeastSquares:
         for name in ("roughness", "tolerance", "enough"):
             settle(self, **{name: non_negative(getattr(self, name), f"LeastSquares.{name}")})
 
-    def cost(self, prior: Prior | None = None) -> Cost:
+    def cost(self, prior: NormalPrior | None = None) -> Cost:
         """The deviance this minimises."""
         return Cost(loss=self.loss, width=self.width, prior=prior)
 
     def start(
         self,
-        box: Box,
+        box: SearchBox,
         seed: int = 0,
         feasible: Feasible | None = None,
-        prior: Prior | None = None,
+        prior: NormalPrior | None = None,
     ) -> LeastSquaresSearch:
         """Begin.
 
         Parameters
         ----------
-        box : Box
+        box : SearchBox
         seed : int
             Of the random starts.
         feasible : callable, optional
             For random starts.
-        prior : Prior, optional
+        prior : NormalPrior, optional
         """
         if prior is not None and len(prior.mean) != box.n:
             found = f"{len(prior.mean)} parameters"
@@ -143,7 +143,7 @@ class LeastSquaresSearch:
         One a start.
     """
 
-    def __init__(self, box: Box, descents: tuple[Descent, ...]) -> None:
+    def __init__(self, box: SearchBox, descents: tuple[Descent, ...]) -> None:
         self.box = box
         self.descents = descents
 
@@ -154,7 +154,7 @@ class LeastSquaresSearch:
         return Best(first.point, first.deviance)
 
     @property
-    def fits(self) -> tuple[Fit, ...]:
+    def fits(self) -> tuple[LeastSquaresFit, ...]:
         """One a start, best first."""
         return tuple(sorted((d.fit for d in self.descents), key=lambda fit: fit.deviance))
 
@@ -194,13 +194,13 @@ class LeastSquaresSearch:
         return [descent for descent in self.descents if not descent.done]
 
 
-def roughness_of(residuals: Residuals, box: Box, point: FloatArray) -> float:
+def roughness_of(residuals: Residuals, box: SearchBox, point: FloatArray) -> float:
     """Change of a residual that means nothing, for `LeastSquares.roughness`.
 
     Parameters
     ----------
     residuals : callable
-    box : Box
+    box : SearchBox
     point : (n,) array
         One that can be evaluated.
 
@@ -218,7 +218,7 @@ def roughness_of(residuals: Residuals, box: Box, point: FloatArray) -> float:
     return float(np.abs(np.diff(told, n=2, axis=0)).max(initial=0.0) / 6.0**0.5)
 
 
-def fit(search: LeastSquaresSearch, residuals: Residuals) -> Fit:
+def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
     """Run a search to its end; the best fit."""
     while not search.done:
         search.tell(residuals(search.ask()))

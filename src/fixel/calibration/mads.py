@@ -17,7 +17,7 @@ from typing import IO, Any, ClassVar, Final, final
 import numpy as np
 
 from fixel.calibration import mads_child
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.calibration.options import positive, settle, whole
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
@@ -72,7 +72,7 @@ class Mads(AbstractOptimiser):
             max_evaluations=whole(self.max_evaluations, "Mads.max_evaluations"),
         )
 
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+    def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         if find_spec("PyNomad") is None:
             raise InvalidInput(
                 "Mads",
@@ -85,7 +85,7 @@ class Mads(AbstractOptimiser):
 
 @final
 class _MadsSearch(Search):
-    def __init__(self, box: Box, options: Mads, seed: int) -> None:
+    def __init__(self, box: SearchBox, options: Mads, seed: int) -> None:
         super().__init__(box)
         self.options = options
         self._seed = seed

@@ -56,7 +56,7 @@ class Linear(NamedTuple):
     mean: FloatArray
 
 
-class Bounds(NamedTuple):
+class NoiseBounds(NamedTuple):
     """Logarithms of standard deviations: of own shifts, walk in position and angle, white noise."""
 
     low: FloatArray  # (q + 3,)
@@ -73,7 +73,7 @@ class MixedFit(NamedTuple):
     shifts : (n, q) float64
         Conditional means of b_e.
     log_sd : (q + 3,) float64
-        Estimated standard deviations, in the order of `Bounds`.
+        Estimated standard deviations, in the order of `NoiseBounds`.
     information : (n, p, p) float64
         J' V^-1 J of each experiment, times its weight.
     gradient : (n, p) float64
@@ -90,7 +90,7 @@ class MixedFit(NamedTuple):
     covariance: FloatArray
 
 
-def fit_mixed(data: Linear, start: FloatArray, bounds: Bounds) -> MixedFit:
+def fit_mixed(data: Linear, start: FloatArray, bounds: NoiseBounds) -> MixedFit:
     """Fit variances, common step and own shifts.
 
     Parameters
@@ -98,7 +98,7 @@ def fit_mixed(data: Linear, start: FloatArray, bounds: Bounds) -> MixedFit:
     data : Linear
     start : (q + 3,) array
         Logarithms of standard deviations to begin with.
-    bounds : Bounds
+    bounds : NoiseBounds
     """
     from scipy.optimize import minimize
 
@@ -114,7 +114,7 @@ def fit_mixed(data: Linear, start: FloatArray, bounds: Bounds) -> MixedFit:
     return _criterion(rotated, found.x)[2]
 
 
-class _Rotated(NamedTuple):
+class _RotatedData(NamedTuple):
     """The data along the axes of the walks, where all noise is independent."""
 
     y: FloatArray  # (n, k)
@@ -129,7 +129,7 @@ class _Rotated(NamedTuple):
     mean: FloatArray
 
 
-def _rotated(data: Linear) -> _Rotated:
+def _rotated(data: Linear) -> _RotatedData:
     n, _, m = data.y.shape
     walk = np.minimum(data.share[:, :, None], data.share[:, None, :])
     variance, axes = np.linalg.eigh(walk)
@@ -140,7 +140,7 @@ def _rotated(data: Linear) -> _Rotated:
         out = np.einsum("nma,ncm...->nca...", axes, table)
         return np.asarray(out.reshape(n, 3 * m, *table.shape[3:]))
 
-    return _Rotated(
+    return _RotatedData(
         y=turned(data.y),
         common=turned(data.common),
         own=turned(data.own),
@@ -154,7 +154,7 @@ def _rotated(data: Linear) -> _Rotated:
     )
 
 
-def _criterion(data: _Rotated, log_sd: FloatArray) -> tuple[float, FloatArray, MixedFit]:
+def _criterion(data: _RotatedData, log_sd: FloatArray) -> tuple[float, FloatArray, MixedFit]:
     """-2 log restricted likelihood, its gradient in the logarithms, and the fit there."""
     q = data.own.shape[2]
     sd, walk, white = np.exp(log_sd[:q]), np.exp(2.0 * log_sd[q : q + 2]), np.exp(2.0 * log_sd[-1])

@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.calibration.options import settle, whole
 from fixel.calibration.starts import feasible_points
 from fixel.errors import InvalidInput
@@ -42,7 +42,9 @@ class MultiStart(AbstractOptimiser):
             )
         settle(self, starts=whole(self.starts, "MultiStart.starts"))
 
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> MultiStartSearch:
+    def start(
+        self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
+    ) -> MultiStartSearch:
         given = box.start[None]
         if feasible is not None and not np.asarray(feasible(given), bool)[0]:
             given = given[:0]
@@ -72,7 +74,7 @@ class MultiStartSearch(Search):
         Each with its own `best`, `reason` and `evaluations`.
     """
 
-    def __init__(self, box: Box, searches: list[Search]) -> None:
+    def __init__(self, box: SearchBox, searches: list[Search]) -> None:
         super().__init__(box)
         self.searches = tuple(searches)
 

@@ -9,10 +9,10 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, SearchBox
 from fixel.calibration.options import positive, settle, whole
 from fixel.calibration.starts import feasible_points
-from fixel.calibration.walk import Moves, Walk, inside
+from fixel.calibration.walk import GeneratorSearch, Moves, inside
 from fixel.kernels.arrays import FloatArray
 
 # Where the trials lie, in distances from the worst vertex to the centre of the others, beyond it.
@@ -75,7 +75,9 @@ class NelderMead(AbstractOptimiser):
             max_evaluations=whole(self.max_evaluations, "NelderMead.max_evaluations"),
         )
 
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> NelderMeadSearch:
+    def start(
+        self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
+    ) -> NelderMeadSearch:
         if self.random_simplex:
             others = feasible_points(box, box.n, seed, feasible)
             if len(others) == box.n:
@@ -84,7 +86,7 @@ class NelderMead(AbstractOptimiser):
 
 
 @final
-class NelderMeadSearch(Walk):
+class NelderMeadSearch(GeneratorSearch):
     """A running search.
 
     Attributes
@@ -95,7 +97,7 @@ class NelderMeadSearch(Walk):
         The simplex, best vertex first.
     """
 
-    def __init__(self, box: Box, options: NelderMead, vertices: FloatArray) -> None:
+    def __init__(self, box: SearchBox, options: NelderMead, vertices: FloatArray) -> None:
         super().__init__(box)
         self.options = options
         self.vertices = vertices
@@ -154,7 +156,7 @@ class NelderMeadSearch(Walk):
         return errors
 
 
-def stepped_simplex(box: Box, step: float) -> FloatArray:
+def stepped_simplex(box: SearchBox, step: float) -> FloatArray:
     """(n + 1, n): the start, and a step from it along every unknown, to the roomier side where the
     upper bound is in the way."""
     vertices = np.tile(box.start, (box.n + 1, 1))
@@ -165,7 +167,7 @@ def stepped_simplex(box: Box, step: float) -> FloatArray:
     return np.clip(vertices, box.low, box.high)
 
 
-def simplex_size(box: Box, vertices: FloatArray) -> float:
+def simplex_size(box: SearchBox, vertices: FloatArray) -> float:
     """Mean distance of vertices (k, n) from their centre, in scales."""
     places = vertices / box.scale
     return float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())

@@ -127,7 +127,7 @@ def _squares(difference: FloatArray, angle_scale: float) -> FloatArray:
     return np.asarray(np.einsum("nsk,nsk->ns", scaled, scaled))
 
 
-class Evaluated(NamedTuple):
+class Evaluation(NamedTuple):
     """Errors of rollouts, one experiment under one set of parameters each."""
 
     error: FloatArray  # (n,) inf where there is none
@@ -178,7 +178,7 @@ class Comparer:
         other.space, other._columns = space, _Columns(self.targets, space)
         return other
 
-    def errors(self, which: IntArray, points: FloatArray) -> Evaluated:
+    def errors(self, which: IntArray, points: FloatArray) -> Evaluation:
         """Errors of experiments under points.
 
         Parameters
@@ -198,7 +198,7 @@ class Comparer:
                 error[rows][own] = self.error.of(difference[own, :n])
             error[rows][~good] = math.inf
             reasons += why
-        return Evaluated(error, reasons)
+        return Evaluation(error, reasons)
 
     def residuals_at(
         self, members: Sequence[int] | IntArray, point: FloatArray

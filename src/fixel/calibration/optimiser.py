@@ -19,7 +19,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 
 
-class Box(NamedTuple):
+class SearchBox(NamedTuple):
     """Where to search; all arrays (n,), in the units of the parameters."""
 
     low: FloatArray
@@ -47,7 +47,7 @@ class Best(NamedTuple):
 class Search(abc.ABC):
     """One running search. `ask` and `tell` take turns."""
 
-    def __init__(self, box: Box) -> None:
+    def __init__(self, box: SearchBox) -> None:
         self.box = box
         self.evaluations = 0
         self.reason = ""
@@ -107,12 +107,12 @@ class AbstractOptimiser(abc.ABC):
     name: ClassVar[str]
 
     @abc.abstractmethod
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+    def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         """Begin a search.
 
         Parameters
         ----------
-        box : Box
+        box : SearchBox
         seed : int
             Of whatever is random.
         feasible : callable, optional

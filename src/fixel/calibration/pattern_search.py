@@ -8,9 +8,9 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.calibration.options import between, positive, settle, whole
-from fixel.calibration.walk import Moves, Walk, inside
+from fixel.calibration.walk import GeneratorSearch, Moves, inside
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import finite, non_negative
@@ -85,13 +85,13 @@ class PatternSearch(AbstractOptimiser):
         )
 
     def start(
-        self, box: Box, seed: int = 0, feasible: Feasible | None = None
+        self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
     ) -> PatternSearchSearch:
         return PatternSearchSearch(box, self)
 
 
 @final
-class PatternSearchSearch(Walk):
+class PatternSearchSearch(GeneratorSearch):
     """A running pattern search.
 
     Attributes
@@ -102,7 +102,7 @@ class PatternSearchSearch(Walk):
         Finished or under way.
     """
 
-    def __init__(self, box: Box, options: PatternSearch) -> None:
+    def __init__(self, box: SearchBox, options: PatternSearch) -> None:
         super().__init__(box)
         self.options = options
         self.delta = options.initial_delta
@@ -197,7 +197,7 @@ class FixedStepSearch(AbstractOptimiser):
             rounds=whole(self.rounds, "FixedStepSearch.rounds"),
         )
 
-    def start(self, box: Box, seed: int = 0, feasible: Feasible | None = None) -> Search:
+    def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         if self.steps is not None and len(self.steps) != box.n:
             raise InvalidInput(
                 "FixedStepSearch.steps",
@@ -208,8 +208,8 @@ class FixedStepSearch(AbstractOptimiser):
 
 
 @final
-class _FixedStepWalk(Walk):
-    def __init__(self, box: Box, options: FixedStepSearch) -> None:
+class _FixedStepWalk(GeneratorSearch):
+    def __init__(self, box: SearchBox, options: FixedStepSearch) -> None:
         super().__init__(box)
         self.options = options
 

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.cost import Cost, Prior, Residuals
-from fixel.calibration.descent import FAILED, Descent, Fit
+from fixel.calibration.cost import Cost, NormalPrior, Residuals
+from fixel.calibration.descent import FAILED, Descent, LeastSquaresFit
 from fixel.calibration.least_squares import LeastSquares
-from fixel.calibration.optimiser import Best, Box
+from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.options import whole
 from fixel.calibration.side import Node, Side
 from fixel.calibration.slices import Slice, Slicer
@@ -142,24 +142,24 @@ class ProfileLikelihood:
 
     def start(
         self,
-        box: Box,
+        box: SearchBox,
         point: FloatArray,
         threshold: float,
-        prior: Prior | None = None,
-        fitted: Fit | None = None,
+        prior: NormalPrior | None = None,
+        fitted: LeastSquaresFit | None = None,
     ) -> ProfileSearch:
         """Begin.
 
         Parameters
         ----------
-        box : Box
+        box : SearchBox
         point : (n,) array
             The calibration's best.
         threshold : float
             Rise of the deviance at the ends of an interval; `Dispersion.threshold`.
-        prior : Prior, optional
+        prior : NormalPrior, optional
             As in the calibration.
-        fitted : Fit, optional
+        fitted : LeastSquaresFit, optional
             Of all parameters, ending at the point, with the residuals that will be told and without
             a prior; saves fitting again.
         """
@@ -178,11 +178,11 @@ class ProfileSearch:
     def __init__(
         self,
         options: ProfileLikelihood,
-        box: Box,
+        box: SearchBox,
         point: FloatArray,
         threshold: float,
         cost: Cost,
-        fitted: Fit | None = None,
+        fitted: LeastSquaresFit | None = None,
     ) -> None:
         self.box, self.reason, self.evaluations = box, "", 0
         self._fitted = fitted if fitted is not None and fitted.columns.size else None
@@ -357,7 +357,7 @@ class ProfileSearch:
         rise = (deviances - self._best.error - smooth)[np.isfinite(deviances)]
         self._roughness = max(0.0, float(np.quantile(rise, DENT_QUANTILE))) if len(rise) else 0.0
 
-    def _set_sides(self, covariance: FloatArray, fitted: Fit) -> None:
+    def _set_sides(self, covariance: FloatArray, fitted: LeastSquaresFit) -> None:
         """Both sides of each unknown, with what the curvature predicts and what is known."""
         for j in range(self.box.n):
             variance = max(float(covariance[j, j]), np.finfo(float).tiny)

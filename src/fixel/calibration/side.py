@@ -8,8 +8,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.descent import Fit
-from fixel.calibration.optimiser import Box
+from fixel.calibration.descent import LeastSquaresFit
+from fixel.calibration.optimiser import SearchBox
 from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import BoolArray
 
@@ -54,7 +54,7 @@ class Side:
 
     Parameters
     ----------
-    box : Box
+    box : SearchBox
     index : int
         Of the unknown.
     sign : int
@@ -67,7 +67,7 @@ class Side:
     """
 
     def __init__(
-        self, box: Box, index: int, sign: int, best: Node, reach: float, slope: FloatArray
+        self, box: SearchBox, index: int, sign: int, best: Node, reach: float, slope: FloatArray
     ) -> None:
         self.index, self.sign = index, sign
         self.bound = float(box.high[index] if sign > 0 else box.low[index])
@@ -98,7 +98,7 @@ class Side:
         if len(columns) == len(residual) > 0:
             self.columns, self._at, self._residual = columns.copy(), point, residual
 
-    def learn(self, fit: Fit, free: BoolArray) -> None:
+    def learn(self, fit: LeastSquaresFit, free: BoolArray) -> None:
         """Correct the derivatives by what a fit at a fixed value has met.
 
         Fresh ones replace those of the parameters that were free; the change of the residuals from

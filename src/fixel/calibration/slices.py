@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import Best, Box
+from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.side import crossing_share
 from fixel.kernels.arrays import FloatArray
 
@@ -42,7 +42,7 @@ class Slicer:
 
     Parameters
     ----------
-    box : Box
+    box : SearchBox
     index : int
         Of the unknown.
     best : Best
@@ -52,7 +52,9 @@ class Slicer:
         Distance of the crossing that the curvature predicts; inf where it says nothing.
     """
 
-    def __init__(self, box: Box, index: int, best: Best, threshold: float, reach: float) -> None:
+    def __init__(
+        self, box: SearchBox, index: int, best: Best, threshold: float, reach: float
+    ) -> None:
         self._best, self._index, self._threshold, self._reach = best, index, threshold, reach
         self._bounds = float(box.low[index]), float(box.high[index])
         self._centre = float(best.point[index])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fixel.calibration.optimiser import Box, Feasible
+from fixel.calibration.optimiser import Feasible, SearchBox
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 
@@ -13,7 +13,7 @@ TRIES = 64 * BATCH
 
 
 def feasible_points(
-    box: Box, count: int, seed: int = 0, feasible: Feasible | None = None
+    box: SearchBox, count: int, seed: int = 0, feasible: Feasible | None = None
 ) -> FloatArray:
     """The first `count` feasible points of a scrambled Sobol' sequence over the box.
 

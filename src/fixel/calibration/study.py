@@ -15,8 +15,8 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from fixel.calibration.objective import Evaluated
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Feasible, Search
+from fixel.calibration.objective import Evaluation
+from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import BoolArray
@@ -25,14 +25,14 @@ from fixel.model.space import ParameterSpace
 T = TypeVar("T")
 
 
-class Ask(NamedTuple):
+class RolloutRequest(NamedTuple):
     """Rollouts a study wants next."""
 
     which: IntArray  # (n,) target of each
     points: FloatArray  # (n, n_free)
 
 
-Study = Generator[Ask, Evaluated, T]
+Study = Generator[RolloutRequest, Evaluation, T]
 
 OUT_OF_BUDGET: Final = "the budget is used up"
 
@@ -48,15 +48,15 @@ class Trace(NamedTuple):
     ended: str  # why the search ended
 
 
-def box_of(space: ParameterSpace) -> Box:
+def box_of(space: ParameterSpace) -> SearchBox:
     """Where a search of the space goes."""
-    return Box(space.low, space.high, space.nominal, space.scale)
+    return SearchBox(space.low, space.high, space.nominal, space.scale)
 
 
 def conducted(
     study: Study[T],
-    evaluate: Callable[[Ask], Evaluated],
-    progress: Callable[[Ask, Evaluated], None] | None = None,
+    evaluate: Callable[[RolloutRequest], Evaluation],
+    progress: Callable[[RolloutRequest, Evaluation], None] | None = None,
 ) -> T:
     """Hold the conversation to its end."""
     try:
@@ -76,7 +76,7 @@ def conducted(
 
 def each_alone(
     members: Sequence[int],
-    box: Box,
+    box: SearchBox,
     optimiser: AbstractOptimiser,
     seed: int = 0,
     feasible: Feasible | None = None,
@@ -92,7 +92,7 @@ def each_alone(
             return [log.trace() for log in logs]
         asked = [log.search.ask() for _, log in running]
         which = np.repeat([m for m, _ in running], [len(points) for points in asked])
-        answer = yield Ask(which, np.concatenate(asked))
+        answer = yield RolloutRequest(which, np.concatenate(asked))
         at = 0
         for (_, log), points in zip(running, asked, strict=True):
             end = at + len(points)
@@ -102,7 +102,7 @@ def each_alone(
 
 def together(
     members: Sequence[int],
-    box: Box,
+    box: SearchBox,
     optimiser: AbstractOptimiser,
     combine: Callable[[FloatArray], FloatArray],
     seed: int = 0,
@@ -132,7 +132,9 @@ def together(
 def at_points(members: Sequence[int], points: FloatArray) -> Study[tuple[FloatArray, list[str]]]:
     """Errors (k, n_member) of all members at points (k, n_free), and why a point has none."""
     k, n = len(points), len(members)
-    answer = yield Ask(np.tile(np.asarray(members, np.int64), k), np.repeat(points, n, axis=0))
+    answer = yield RolloutRequest(
+        np.tile(np.asarray(members, np.int64), k), np.repeat(points, n, axis=0)
+    )
     reasons = []
     for row in range(k):
         own = answer.reasons[row * n : (row + 1) * n]
@@ -195,7 +197,7 @@ def polished(
     if not pairs:
         return points, errors
     own, other = np.array(pairs).T
-    answer = yield Ask(own, points[other])
+    answer = yield RolloutRequest(own, points[other])
     best, least = points.copy(), errors.copy()
     for k, (a, b) in enumerate(pairs):
         if answer.error[k] < least[a]:
@@ -237,7 +239,7 @@ def weighted_mean(
     return mean
 
 
-class Pooled(NamedTuple):
+class CombinedFit(NamedTuple):
     """One set of parameters made of those of single calibrations."""
 
     point: FloatArray  # (n_free,)
@@ -250,11 +252,11 @@ def weighted(
     points: FloatArray,
     errors: FloatArray,
     informed: BoolArray | None = None,
-) -> Study[Pooled]:
+) -> Study[CombinedFit]:
     """The weighted mean of all single calibrations, and how every member does with it."""
     mean = weighted_mean(points, errors, informed)
     found, _ = yield from at_points(members, mean[None])
-    return Pooled(mean, found[0], tuple(np.flatnonzero(np.isfinite(errors)).tolist()))
+    return CombinedFit(mean, found[0], tuple(np.flatnonzero(np.isfinite(errors)).tolist()))
 
 
 def best_subset(
@@ -266,7 +268,7 @@ def best_subset(
     candidates: int = 24,
     rounds: int = 20,
     informed: BoolArray | None = None,
-) -> Study[Pooled]:
+) -> Study[CombinedFit]:
     """The weighted mean of the subset of single calibrations that does best on all members.
 
     From all members on, each round leaves members out one at a time and in random halves, and goes
@@ -289,7 +291,7 @@ def best_subset(
         k = int(np.argmin(values))
         if not values[k] < value:
             break
-        best, value = Pooled(means[k], found[k], subsets[k]), float(values[k])
+        best, value = CombinedFit(means[k], found[k], subsets[k]), float(values[k])
     return best
 
 
@@ -309,11 +311,11 @@ def _smaller(
     return list(dict.fromkeys(singles + halves))
 
 
-def best_stored(members: Sequence[int], points: FloatArray) -> Study[Pooled]:
+def best_stored(members: Sequence[int], points: FloatArray) -> Study[CombinedFit]:
     """Of stored points (k, n_free), the one whose largest error over the members is smallest."""
     found, _ = yield from at_points(members, points)
     k = int(np.argmin(found.max(axis=1)))
-    return Pooled(points[k], found[k], (k,))
+    return CombinedFit(points[k], found[k], (k,))
 
 
 def neighbours(conditions: Sequence[Mapping[str, str | float]]) -> list[list[int]]:

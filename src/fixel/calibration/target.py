@@ -11,7 +11,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, LineDrive, Scene
 from fixel.model.fields import BoolArray
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 
 ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
 
@@ -21,7 +21,7 @@ class Target(NamedTuple):
 
     key: str  # dataset/name
     conditions: Mapping[str, str | float]  # and "experiment", the key
-    case: Case  # its scene, and the measured instants on the scene's clock
+    case: RolloutCase  # its scene, and the measured instants on the scene's clock
     pose: FloatArray  # (n_sample, 3) measured at these
 
 
@@ -48,7 +48,7 @@ def target_of(experiment: Experiment) -> Target:
     return Target(
         experiment.key,
         {**experiment.conditions, "experiment": experiment.key},
-        Case(scene, time[after]),
+        RolloutCase(scene, time[after]),
         pose[after],
     )
 

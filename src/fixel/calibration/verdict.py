@@ -88,7 +88,7 @@ Excited = Callable[[str], bool]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class ParameterVerdict:
     """What is known of one unknown after a calibration.
 
     Parameters
@@ -129,7 +129,7 @@ class Verdict:
         return f"{self.word} with {', '.join(self.partners)}" if self.partners else self.word
 
 
-class _Case(NamedTuple):
+class _ParameterCase(NamedTuple):
     """One unknown, as the rules see it."""
 
     unknown: Unknown
@@ -212,7 +212,7 @@ def judge(
     dispersion: Dispersion | None = None,
     honest: Honest | None = None,
     misfits: bool = False,
-) -> tuple[Verdict, ...]:
+) -> tuple[ParameterVerdict, ...]:
     """A verdict on each free unknown; frozen ones are not judged.
 
     Parameters
@@ -250,12 +250,12 @@ def judge(
     return tuple(verdicts)
 
 
-def _not_excited(unknown: Unknown, value: float, level: float) -> Verdict:
+def _not_excited(unknown: Unknown, value: float, level: float) -> ParameterVerdict:
     reason = "the simulations never had the contact or slip it acts on, so its value is a guess"
     return _verdict(unknown, value, None, None, level, "not excited", reason)
 
 
-def _not_evaluated(unknown: Unknown, value: float, level: float) -> Verdict:
+def _not_evaluated(unknown: Unknown, value: float, level: float) -> ParameterVerdict:
     reason = "the best point could not be evaluated"
     return _verdict(unknown, value, None, None, level, "not identified", reason)
 
@@ -267,7 +267,7 @@ def _case(
     level: float,
     solutions: Sequence[FloatArray],
     honest: Honest | None,
-) -> _Case:
+) -> _ParameterCase:
     profile = profiles.profiles[j]
     good = profiles.best.error + profiles.limit
     values = [
@@ -286,7 +286,7 @@ def _case(
     if others:  # the interval about all of them
         low = None if low is None else min(low, others[0])
         high = None if high is None else max(high, others[-1])
-    return _Case(
+    return _ParameterCase(
         unknown=space.free[j],
         labels=space.labels,
         profile=profile,
@@ -320,7 +320,7 @@ def _prior_width(
     return 2.0 * unknown.prior * math.sqrt(ratio)
 
 
-def _judged(case: _Case, prior_width: float | None) -> Verdict:
+def _judged(case: _ParameterCase, prior_width: float | None) -> ParameterVerdict:
     """The rules of the table, in order."""
     if case.others and not case.narrow:
         values = ", ".join(case.shown(value) for value in case.others[:3])
@@ -353,14 +353,14 @@ def _judged(case: _Case, prior_width: float | None) -> Verdict:
     return _of(case, "not identified", _why_wide(case))
 
 
-def _at_bound(case: _Case) -> str:
+def _at_bound(case: _ParameterCase) -> str:
     bound = case.unknown.low if case.low is None else case.unknown.high
     if _falls_outwards(case):
         return f"the deviance still falls at the bound {case.shown(bound)}; widen it if it may be"
     return f"the best value is the bound {case.shown(bound)} itself"
 
 
-def _one_sided(case: _Case) -> str:
+def _one_sided(case: _ParameterCase) -> str:
     if case.high is None:
         known, bound = f"at least {case.shown(case.low or 0.0)}", case.unknown.high
     else:
@@ -368,7 +368,7 @@ def _one_sided(case: _Case) -> str:
     return f"it is {known}; the data do not tell it from the bound {case.shown(bound)}"
 
 
-def _falls_outwards(case: _Case) -> bool:
+def _falls_outwards(case: _ParameterCase) -> bool:
     """Whether the deviance rises in a line from the bound, rather than from a minimum there."""
     known = np.isfinite(case.profile.deviances)
     values, deviances = case.profile.values[known], case.profile.deviances[known]
@@ -381,7 +381,7 @@ def _falls_outwards(case: _Case) -> bool:
     return bool(half - start > 0.375 * (whole - start))
 
 
-def _needed(case: _Case) -> list[int]:
+def _needed(case: _ParameterCase) -> list[int]:
     """Numbers of the unknowns that must move to reach the ends of the interval."""
     rise, moved = case.profile.rise, case.profile.moved
     least = max(COSTS, BESIDE_MOST * float(rise.max(initial=0.0)))
@@ -389,14 +389,14 @@ def _needed(case: _Case) -> list[int]:
     return sorted(found, key=lambda k: -moved[k])[:MOST_PARTNERS]
 
 
-def _partners(case: _Case) -> tuple[str, ...]:
+def _partners(case: _ParameterCase) -> tuple[str, ...]:
     least = min(case.width / CLEARLY_WIDER, NARROW * case.range)
     if case.slice_width > least:
         return ()
     return tuple(case.labels[k] for k in _needed(case))
 
 
-def _why_wide(case: _Case) -> str:
+def _why_wide(case: _ParameterCase) -> str:
     if case.open_sides == 2:
         return "no value within the bounds fits clearly worse than the best"
     if case.open_sides == 1:
@@ -406,7 +406,7 @@ def _why_wide(case: _Case) -> str:
     return _extent(case)
 
 
-def _extent(case: _Case) -> str:
+def _extent(case: _ParameterCase) -> str:
     if case.widened >= SAID:
         wider = f"misfit makes it {case.widened:.2g} times as wide as noise alone would"
         return f"its interval covers {100.0 * case.width / case.range:.2g} % of the range; {wider}"
@@ -420,7 +420,9 @@ def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
     return (unknown.high if high is None else high) - (unknown.low if low is None else low)
 
 
-def _of(case: _Case, word: Word, reason: str, partners: tuple[str, ...] = ()) -> Verdict:
+def _of(
+    case: _ParameterCase, word: Word, reason: str, partners: tuple[str, ...] = ()
+) -> ParameterVerdict:
     found = _verdict(
         case.unknown, case.value, case.low, case.high, case.level, word, reason, partners
     )
@@ -438,8 +440,8 @@ def _verdict(
     word: Word,
     reason: str,
     partners: tuple[str, ...] = (),
-) -> Verdict:
-    return Verdict(
+) -> ParameterVerdict:
+    return ParameterVerdict(
         label=unknown.label,
         unit=unknown.unit,
         value=value,

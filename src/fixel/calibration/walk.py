@@ -7,17 +7,17 @@ from collections.abc import Generator
 
 import numpy as np
 
-from fixel.calibration.optimiser import Box, Search
+from fixel.calibration.optimiser import Search, SearchBox
 from fixel.kernels.arrays import FloatArray
 
 Moves = Generator[FloatArray, FloatArray, str]
 """Yields points (k, n), is sent their errors (k,), returns why it ended."""
 
 
-class Walk(Search):
+class GeneratorSearch(Search):
     """A search that follows a generator."""
 
-    def __init__(self, box: Box) -> None:
+    def __init__(self, box: SearchBox) -> None:
         super().__init__(box)
         self._moves: Moves | None = None
         self._points = np.zeros((0, box.n))
@@ -41,6 +41,6 @@ class Walk(Search):
             self.reason = str(end.value)
 
 
-def inside(box: Box, points: FloatArray) -> np.ndarray:
+def inside(box: SearchBox, points: FloatArray) -> np.ndarray:
     """(k,) bool: which of the points (k, n) lie within the bounds."""
     return np.asarray(((points >= box.low) & (points <= box.high)).all(axis=1))

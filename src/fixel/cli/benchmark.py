@@ -81,7 +81,7 @@ def real(
     """Calibrate on some recorded pushes and say how far others end from where they should."""
     import json
 
-    from fixel.reproductions import PROTOCOLS, Request, benchmark_real, joint_real
+    from fixel.reproductions import PROTOCOLS, BenchmarkRequest, benchmark_real, joint_real
     from fixel.reproductions.overview import REPRODUCTIONS, reproduce
 
     if only in REPRODUCTIONS:
@@ -101,7 +101,7 @@ def real(
             timed = joint_real(data, only, tell)
         typer.echo(json.dumps(timed) if as_json else _timed(timed))
         return
-    request = Request(
+    request = BenchmarkRequest(
         protocols=tuple(protocol) if protocol else tuple(PROTOCOLS),
         seeds=1 if quick else seeds,
         folds=0 if quick else folds,

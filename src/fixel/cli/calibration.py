@@ -152,7 +152,12 @@ def calibrate(
         held,
         read_space,
     )
-    from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
+    from fixel.workflows.calibration.request import (
+        CalibrationRequest,
+        NamedOptions,
+        entry_of,
+        usual_optimiser,
+    )
     from fixel.workflows.project.importing import query_of
 
     if experiments and (dataset or where):
@@ -165,7 +170,7 @@ def calibrate(
     if sample is not None:
         chosen = run.sampled(chosen, sample, seed)
     scenes = [target.case.scene for target in chosen.targets]
-    search = Choice(name=optimiser or "", options=_options(option or []))
+    search = NamedOptions(name=optimiser or "", options=_options(option or []))
     if dakota is not None:
         from fixel.workflows.calibration.dakota import from_dakota
 
@@ -183,11 +188,11 @@ def calibrate(
         free = sum(not unknown.frozen for unknown in unknowns)
         usual = usual_optimiser(how, combine, error, 3 * frames, free)
         search = search.model_copy(update={"name": usual})
-    request = Request(
+    request = CalibrationRequest(
         name=name,
         mode=how,
         unknowns=[entry_of(unknown) for unknown in unknowns],
-        error=Choice(name=error, options={"angle_scale": 1e-3 * angle_scale_mm}),
+        error=NamedOptions(name=error, options={"angle_scale": 1e-3 * angle_scale_mm}),
         motion=motion,
         optimiser=search,
         starts=starts,

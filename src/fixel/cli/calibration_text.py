@@ -13,7 +13,7 @@ from fixel.calibration.misfit import WARNED
 from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
 from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
-from fixel.workflows.calibration.result import ALONE, Found, length_of, outliers
+from fixel.workflows.calibration.result import ALONE, ParameterSet, length_of, outliers
 from fixel.workflows.calibration.run import Calibration
 
 MOST_ROWS = 20
@@ -57,11 +57,11 @@ def _next(done: Calibration, folder: Path) -> str:
     return compare_command(target.key, values, done.request.motion, folder)
 
 
-def _worst(one: Found) -> float:
+def _worst(one: ParameterSet) -> float:
     return float(one.errors.max())
 
 
-def _best_alone(done: Calibration) -> list[Found]:
+def _best_alone(done: Calibration) -> list[ParameterSet]:
     """One set an experiment: its own, or a neighbour's, which comes later where it is better."""
     return list({one.members: one for one in done.outcome.alone}.values())
 
@@ -87,7 +87,7 @@ def _alone_lines(done: Calibration) -> list[str]:
     return lines + _verdicts(outcome.alone, [u.label for u in free])
 
 
-def _verdicts(alone: Sequence[Found], labels: list[str]) -> list[str]:
+def _verdicts(alone: Sequence[ParameterSet], labels: list[str]) -> list[str]:
     """How often each parameter has which verdict."""
     counts: dict[str, Counter[str]] = {label: Counter() for label in labels}
     for estimate in (e for one in alone for e in one.estimates if e.label in counts):
@@ -138,7 +138,7 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
     return [*lines, f"Next, {what}:", f"  {larger}"]
 
 
-def _outlier_lines(done: Calibration, one: Found) -> list[str]:
+def _outlier_lines(done: Calibration, one: ParameterSet) -> list[str]:
     """The experiments that stand out, and what to do about them."""
     unit = done.request.made_error.unit
     found = outliers(one.errors, unit)

@@ -10,7 +10,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at, project_words
 
 if TYPE_CHECKING:
-    from fixel.workflows.project.maintenance import Backup, Checked, Upgraded
+    from fixel.workflows.project.maintenance import Backup, CheckResult, SchemaVersions
 
 MOST_TROUBLES = 20
 
@@ -83,7 +83,7 @@ def diagram(
         typer.echo(f"wrote {file}: {len(names)} tables")
 
 
-def _upgraded(versions: "Upgraded", project: Path) -> str:
+def _upgraded(versions: "SchemaVersions", project: Path) -> str:
     if versions.before == versions.after:
         done = f"The database has schema {versions.after} already."
     elif versions.before is None:
@@ -101,12 +101,12 @@ def _backed_up(done: "Backup") -> str:
     )
 
 
-def _checked(found: "Checked", project: Path) -> str:
+def _checked(found: "CheckResult", project: Path) -> str:
     blocks = [_contents(found), _troubles(found), [f"Next: {_next(found, project)}"]]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
 
-def _contents(found: "Checked") -> list[str]:
+def _contents(found: "CheckResult") -> list[str]:
     from fixel.cli.screen import table
 
     version = "unknown" if found.version is None else found.version
@@ -119,7 +119,7 @@ def _contents(found: "Checked") -> list[str]:
     ]
 
 
-def _troubles(found: "Checked") -> list[str]:
+def _troubles(found: "CheckResult") -> list[str]:
     if not found.troubles:
         return ["Everything can be read."]
     shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MOST_TROUBLES]]
@@ -129,7 +129,7 @@ def _troubles(found: "Checked") -> list[str]:
     return [f"{len(found.troubles)} thing{plural} wrong", *shown, *more]
 
 
-def _next(found: "Checked", project: Path) -> str:
+def _next(found: "CheckResult", project: Path) -> str:
     """What helps against the first trouble; else the command most people want after this one."""
     if found.troubles:
         return found.troubles[0].hint.removeprefix("run: ")

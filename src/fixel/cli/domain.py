@@ -21,8 +21,8 @@ from fixel.cli.options import (
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.workflows.domain.request import Asked
-    from fixel.workflows.domain.run import Mapped
+    from fixel.workflows.domain.request import DomainRequest
+    from fixel.workflows.domain.run import DomainResult
 
 MOST_ROWS = 30
 
@@ -130,13 +130,13 @@ def domain(
         return
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.domain.request import Asked
+    from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
     from fixel.workflows.project.importing import query_of
 
     if threshold_mm is not None and relative is not None:
         raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")
-    asked = Asked(
+    asked = DomainRequest(
         query=query_of(dataset=dataset, where=where or (), flagged=flagged),
         calibration=calibration,
         fit=tuple(fit or ()),
@@ -193,7 +193,7 @@ def _widths(settings: list[str]) -> dict[str, float]:
     return found
 
 
-def _answer(done: "Mapped") -> dict[str, object]:
+def _answer(done: "DomainResult") -> dict[str, object]:
     analysis = done.kept.analysis
     return {
         "title": analysis.title,
@@ -206,7 +206,7 @@ def _answer(done: "Mapped") -> dict[str, object]:
     }
 
 
-def _lines(done: "Mapped", folder: Path, asked: "Asked") -> list[str]:
+def _lines(done: "DomainResult", folder: Path, asked: "DomainRequest") -> list[str]:
     from fixel.cli.screen import table
 
     analysis = done.kept.analysis
@@ -224,7 +224,7 @@ def _lines(done: "Mapped", folder: Path, asked: "Asked") -> list[str]:
     return lines
 
 
-def _next(done: "Mapped", folder: Path, asked: "Asked") -> str:
+def _next(done: "DomainResult", folder: Path, asked: "DomainRequest") -> str:
     """Pictures; then a tighter threshold, where the measurement itself allows one."""
     from dataclasses import replace
 

@@ -11,7 +11,7 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, Seed
 
 if TYPE_CHECKING:
-    from fixel.workflows.acquisition.film import Filmed
+    from fixel.workflows.acquisition.film import FilmResult
 
 MOST_ROWS = 20
 
@@ -98,7 +98,7 @@ def film(
         typer.echo(written(filmed))
 
 
-def written(filmed: "list[Filmed]") -> str:
+def written(filmed: "list[FilmResult]") -> str:
     """What was filmed, and what to type next."""
     from fixel.cli.screen import table
 
@@ -118,7 +118,7 @@ def written(filmed: "list[Filmed]") -> str:
     return "\n".join(lines)
 
 
-def _plain(one: "Filmed") -> dict[str, object]:
+def _plain(one: "FilmResult") -> dict[str, object]:
     return {
         "name": one.name,
         "folder": str(one.folder),

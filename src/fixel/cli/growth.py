@@ -12,7 +12,7 @@ from fixel.cli.options import AsJson, DatasetName, ProjectFolder
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.workflows.analysis import Kept, TextTable
+    from fixel.workflows.analysis import StoredAnalysis, TextTable
     from fixel.workflows.growth.explore import Exploration
 
 
@@ -63,11 +63,11 @@ def growth(
     from fixel.cli.screen import say
     from fixel.database.project import Project
     from fixel.domain.places import INDEXES
-    from fixel.workflows.growth.run import Asked, run_growth
+    from fixel.workflows.growth.run import GrowthRequest, run_growth
 
     if index not in INDEXES:
         raise InvalidInput("--index", found=repr(index), expected="corrected or printed")
-    asked = Asked(
+    asked = GrowthRequest(
         shape=shape,
         dataset=dataset,
         index="printed" if index == "printed" else "corrected",
@@ -114,7 +114,7 @@ def _sizes(texts: list[str]) -> dict[str, tuple[int, ...]] | None:
     return found or None
 
 
-def _plain(kept: "Kept", copied: list[Path]) -> dict[str, Any]:
+def _plain(kept: "StoredAnalysis", copied: list[Path]) -> dict[str, Any]:
     analysis = kept.analysis
     return {
         "headline": list(analysis.headline),
@@ -127,7 +127,9 @@ def _plain(kept: "Kept", copied: list[Path]) -> dict[str, Any]:
     }
 
 
-def _lines(found: "Exploration", kept: "Kept", copied: list[Path], where: str) -> list[str]:
+def _lines(
+    found: "Exploration", kept: "StoredAnalysis", copied: list[Path], where: str
+) -> list[str]:
     from fixel.cli.screen import seconds
 
     analysis = kept.analysis

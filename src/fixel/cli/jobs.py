@@ -13,8 +13,8 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
-    from fixel.jobs.folder import Status
-    from fixel.jobs.work import Progress
+    from fixel.jobs.folder import JobState
+    from fixel.jobs.work import JobProgress
     from fixel.workflows.jobs import JobStatus
 
 BAR = 24  # [characters]
@@ -206,12 +206,12 @@ def _say(sentence: str) -> None:
     say(sentence)
 
 
-def job_bar() -> "Callable[[Progress], None]":
+def job_bar() -> "Callable[[JobProgress], None]":
     """Show progress on standard error: a bar on a terminal, else a line every 30 s."""
     terminal = sys.stderr.isatty()
     last = time.monotonic()
 
-    def show(progress: "Progress") -> None:
+    def show(progress: "JobProgress") -> None:
         nonlocal last
         if terminal:
             end = "\n" if progress.share == 1.0 else ""
@@ -223,20 +223,20 @@ def job_bar() -> "Callable[[Progress], None]":
     return show
 
 
-def _bar(progress: "Progress") -> str:
+def _bar(progress: "JobProgress") -> str:
     """One line: the bar stays empty while nobody knows how much work follows."""
     full = int(BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (BAR - full)}]"
     return "  ".join([bar, _share(progress), *_details(progress)])
 
 
-def _share(progress: "Progress") -> str:
+def _share(progress: "JobProgress") -> str:
     if progress.share is None:
         return f"{progress.done} chunks done"
     return f"{int(100 * progress.share)} %"
 
 
-def _details(progress: "Progress") -> list[str]:
+def _details(progress: "JobProgress") -> list[str]:
     from fixel.cli.screen import seconds
 
     rate = f"{progress.rate:.3g}/s" if progress.rate else ""
@@ -268,7 +268,7 @@ def _listed(found: "list[JobStatus]") -> list[str]:
     return [*table(head, rows, left=2), "", *_advice(found[0])]
 
 
-def _total(status: "Status") -> str:
+def _total(status: "JobState") -> str:
     """Number of chunks, where that is known."""
     return "?" if status.share is None else str(status.total)
 

@@ -14,7 +14,7 @@ from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where
 if TYPE_CHECKING:
     from fixel.database.query import Summary
     from fixel.database.store import Listing
-    from fixel.workflows.project.importing import Imported
+    from fixel.workflows.project.importing import ImportSummary
 
 MOST_ROWS = 30
 
@@ -214,7 +214,9 @@ def run_plan(
     _say_imported(done, {"seed": seed}, as_json, folder)
 
 
-def _say_imported(done: "Imported", answer: dict[str, Any], as_json: bool, folder: Path) -> None:
+def _say_imported(
+    done: "ImportSummary", answer: dict[str, Any], as_json: bool, folder: Path
+) -> None:
     if as_json:
         typer.echo(json.dumps(answer | done._asdict()))
         return

@@ -16,8 +16,8 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.formats.recording import Recording
-    from fixel.testbed.frame_source import Arrived
-    from fixel.testbed.recorder import Recorded, Status
+    from fixel.testbed.frame_source import CameraPicture
+    from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -189,7 +189,7 @@ def _shown(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterator
     line = _StatusLine() if sys.stderr.isatty() else None
     with _browser(limit, out, preview, wish) as page:
 
-        def watch(arrived: "Arrived", status: "Status") -> None:
+        def watch(arrived: "CameraPicture", status: "RecordingStatus") -> None:
             if line is not None:
                 line.show(status)
             if page is not None:
@@ -213,7 +213,7 @@ def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterat
 
     shown = RecordPreview(str(out))
 
-    def page(arrived: "Arrived", status: "Status") -> None:
+    def page(arrived: "CameraPicture", status: "RecordingStatus") -> None:
         if shown.stop_wanted:
             wish.reason = wish.reason or "stopped in the browser"
         shown.show(
@@ -240,7 +240,7 @@ class _StatusLine:
     def __init__(self) -> None:
         self._length = 0
 
-    def show(self, status: "Status") -> None:
+    def show(self, status: "RecordingStatus") -> None:
         fixels = "" if status.bits is None else f"  fixels {status.bits:03b}"
         text = (
             f"{status.seconds:7.1f} s  {status.frames} frames  {status.lost} lost "
@@ -254,7 +254,7 @@ class _StatusLine:
             print(file=sys.stderr, flush=True)
 
 
-def _written(done: "Recorded") -> str:
+def _written(done: "RecordingSummary") -> str:
     """About a recording, for people."""
     frames = "frame" if done.frames == 1 else "frames"
     lines = [

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fixel.reproductions.replay import Replay
 
 
-class Motion(StrEnum):
+class MotionName(StrEnum):
     """Names of the motion models, as in scene files."""
 
     DYNAMIC = "dynamic"
@@ -62,7 +62,7 @@ def replay(
         ),
     ] = None,
     motion: Annotated[
-        Motion | None,
+        MotionName | None,
         typer.Option(help="Motion model, instead of the dataset's usual one.", show_default=False),
     ] = None,
     window: Annotated[
@@ -86,7 +86,7 @@ def replay(
 ) -> None:
     """Replay recorded pushes and say how far simulation and measurement lie apart."""
     from fixel.reproductions.replay import (
-        Choice,
+        ReplayRequest,
         columns_and_values,
         draw_replay,
         names_and_numbers,
@@ -96,7 +96,7 @@ def replay(
 
     if plot is not None:
         refuse_picture(plot)
-    choice = Choice(
+    choice = ReplayRequest(
         select=columns_and_values(select or ()),
         limit=limit,
         settings=names_and_numbers(set_ or ()),
@@ -116,7 +116,7 @@ def replay(
     _print(answer, dataset, plot)
 
 
-class Column(NamedTuple):
+class ReplayColumn(NamedTuple):
     """A heading over two lines, and how to say the value of a row."""
 
     heading: str
@@ -142,7 +142,7 @@ def _print(answer: Replay, dataset: Path, plot: Path | None) -> None:
     console.print(f"Next: {_next(answer, dataset, plot)}")
 
 
-def _print_table(console: Console, columns: list[Column], rows: list[dict[str, Any]]) -> None:
+def _print_table(console: Console, columns: list[ReplayColumn], rows: list[dict[str, Any]]) -> None:
     cells = [[column.say(row) for column in columns] for row in rows]
     if not console.is_terminal:
         headings = [column.heading.replace("\n", " ") for column in columns]
@@ -182,50 +182,50 @@ def _next(answer: Replay, dataset: Path, plot: Path | None) -> str:
     return f"{command} --set {value}"
 
 
-def _push_columns(rows: list[dict[str, Any]]) -> list[Column]:
+def _push_columns(rows: list[dict[str, Any]]) -> list[ReplayColumn]:
     columns = [
-        Column("surface", lambda row: row["surface"]),
-        Column("shape", lambda row: row["shape"]),
-        Column("speed\nmm/s", lambda row: _number(row["speed_mm_s"], 0)),
-        Column("pushes", lambda row: str(row["pushes"])),
+        ReplayColumn("surface", lambda row: row["surface"]),
+        ReplayColumn("shape", lambda row: row["shape"]),
+        ReplayColumn("speed\nmm/s", lambda row: _number(row["speed_mm_s"], 0)),
+        ReplayColumn("pushes", lambda row: str(row["pushes"])),
     ]
     for name in ("fixel", "poly4", "quad"):
         if name in rows[0]:
             columns += [
-                Column(f"{name}\nmm", _pair_of(name, "position_mm")),
-                Column(f"{name}\ndeg", _pair_of(name, "angle_deg")),
+                ReplayColumn(f"{name}\nmm", _pair_of(name, "position_mm")),
+                ReplayColumn(f"{name}\ndeg", _pair_of(name, "angle_deg")),
             ]
     return columns
 
 
-def _trial_columns(rows: list[dict[str, Any]]) -> list[Column]:
+def _trial_columns(rows: list[dict[str, Any]]) -> list[ReplayColumn]:
     return [
-        Column("trial", lambda row: str(row["experiment_id"])),
-        Column("simulation", lambda row: row["model"]),
-        Column("path", lambda row: row["path"]),
-        Column("against", lambda row: row["against"]),
-        Column("frames", lambda row: str(row["frames"])),
-        Column("rms\nmm", lambda row: _number(row["position_mm_rms"])),
-        Column("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
-        Column("weighted\nrms mm", lambda row: _number(row["weighted_mm_rms"])),
-        Column("E\nmm^2", lambda row: _number(row["error_mm2"])),
-        Column("final\nmm", lambda row: _number(row["position_mm_final"])),
-        Column("final\ndeg", lambda row: _number(row["angle_deg_final"])),
-        Column("contact mode\n(felt)", _modes),
-        Column("status", lambda row: row["status"]),
+        ReplayColumn("trial", lambda row: str(row["experiment_id"])),
+        ReplayColumn("simulation", lambda row: row["model"]),
+        ReplayColumn("path", lambda row: row["path"]),
+        ReplayColumn("against", lambda row: row["against"]),
+        ReplayColumn("frames", lambda row: str(row["frames"])),
+        ReplayColumn("rms\nmm", lambda row: _number(row["position_mm_rms"])),
+        ReplayColumn("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
+        ReplayColumn("weighted\nrms mm", lambda row: _number(row["weighted_mm_rms"])),
+        ReplayColumn("E\nmm^2", lambda row: _number(row["error_mm2"])),
+        ReplayColumn("final\nmm", lambda row: _number(row["position_mm_final"])),
+        ReplayColumn("final\ndeg", lambda row: _number(row["angle_deg_final"])),
+        ReplayColumn("contact mode\n(felt)", _modes),
+        ReplayColumn("status", lambda row: row["status"]),
     ]
 
 
-def _window_columns(rows: list[dict[str, Any]]) -> list[Column]:
+def _window_columns(rows: list[dict[str, Any]]) -> list[ReplayColumn]:
     return [
-        Column("run", lambda row: row["run"]),
-        Column("windows", lambda row: str(row["windows"])),
-        Column("motion", lambda row: row["motion"]),
-        Column("moved\nmm", lambda row: _pair(row["moved_mm"], 1)),
-        Column("rms\nmm", lambda row: _number(row["position_mm_rms"])),
-        Column("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
-        Column("final\nmm", lambda row: _pair(row["position_mm_final"])),
-        Column("final\ndeg", lambda row: _pair(row["angle_deg_final"])),
+        ReplayColumn("run", lambda row: row["run"]),
+        ReplayColumn("windows", lambda row: str(row["windows"])),
+        ReplayColumn("motion", lambda row: row["motion"]),
+        ReplayColumn("moved\nmm", lambda row: _pair(row["moved_mm"], 1)),
+        ReplayColumn("rms\nmm", lambda row: _number(row["position_mm_rms"])),
+        ReplayColumn("rms\ndeg", lambda row: _number(row["angle_deg_rms"])),
+        ReplayColumn("final\nmm", lambda row: _pair(row["position_mm_final"])),
+        ReplayColumn("final\ndeg", lambda row: _pair(row["angle_deg_final"])),
     ]
 
 

@@ -47,9 +47,9 @@ def serve(
     from fixel.web import require_server
 
     require_server()
-    from fixel.web.project import Desk, project_server
+    from fixel.web.project import ProjectContext, project_server
 
-    desk = Desk(Project.open(project_at(place, folder)))
+    desk = ProjectContext(Project.open(project_at(place, folder)))
     server = project_server(desk, port=port, host=host).start()
     door = None
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.options import AsJson, ProjectFolder, project_words
-from fixel.cli.simulation import NOT_SOLVED, Motion
+from fixel.cli.simulation import NOT_SOLVED, MotionChoice
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def compare(
         ),
     ] = None,
     motion: Annotated[
-        Motion | None, typer.Option(help="Motion model; dynamic where left out.")
+        MotionChoice | None, typer.Option(help="Motion model; dynamic where left out.")
     ] = None,
     plot: Annotated[
         Path | None, typer.Option(help="Draw both motions: .png, .svg or .pdf.", metavar="FILE")
@@ -144,7 +144,7 @@ def _command(
     experiment: "Experiment",
     project: Path,
     set_: list[str] | None = None,
-    motion: Motion | None = None,
+    motion: MotionChoice | None = None,
     calibration: int | None = None,
 ) -> str:
     """What to type, from the current folder."""

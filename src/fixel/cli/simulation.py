@@ -12,7 +12,7 @@ from fixel.cli.options import AsJson
 NOT_SOLVED = 3
 
 
-class Motion(StrEnum):
+class MotionChoice(StrEnum):
     """Names of the motion models, as in scene files."""
 
     DYNAMIC = "dynamic"
@@ -59,7 +59,7 @@ def simulate(
         Path | None, typer.Option(help="Film the motion: .mp4 or .gif.", metavar="FILE")
     ] = None,
     motion: Annotated[
-        Motion | None,
+        MotionChoice | None,
         typer.Option(help="Motion model, instead of the scene's.", show_default=False),
     ] = None,
     step: Annotated[
@@ -79,13 +79,13 @@ def simulate(
 ) -> None:
     """Simulate a scene file; say where everything came to rest."""
     from fixel.cli.screen import progress_bar, say
-    from fixel.workflows.simulation import Method, Outputs, simulate_file
+    from fixel.workflows.simulation import Outputs, SimulationMethod, simulate_file
 
     outputs = Outputs(trajectory=trajectory, plot=plot, animate=animate)
     simulation = simulate_file(
         scene,
         set_ or (),
-        Method(
+        SimulationMethod(
             motion=motion,
             solver=solver,
             step=step,

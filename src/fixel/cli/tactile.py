@@ -11,7 +11,7 @@ from fixel.cli.options import AsJson
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
     from fixel.testbed.tactile import TactileReader
-    from fixel.testbed.tactile_reading import Reading
+    from fixel.testbed.tactile_reading import TactileReading
     from fixel.workflows.acquisition.tactile import TactileCheck
 
 app = typer.Typer(
@@ -135,7 +135,7 @@ def watch(
         typer.echo("")
 
 
-def _line(reader: "TactileReader", reading: "Reading") -> str:
+def _line(reader: "TactileReader", reading: "TactileReading") -> str:
     from fixel.testbed.tactile_bits import COLOURS, FIXELS, contact_mode
 
     counts = reader.statistics
@@ -156,7 +156,7 @@ def _line(reader: "TactileReader", reading: "Reading") -> str:
     )
 
 
-def _as_json(reading: "Reading") -> str:
+def _as_json(reading: "TactileReading") -> str:
     return json.dumps(
         {
             "bits": reading.bits,

@@ -13,8 +13,8 @@ from fixel.cli.options import AsJson, NoiseMm, NoiseMrad, PictureFolder, Project
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.uncertainty.posterior import Progress
-    from fixel.workflows.analysis import Kept
+    from fixel.uncertainty.posterior import SamplerProgress
+    from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.uncertainty.run import Uncertainty
 
 
@@ -115,7 +115,7 @@ def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
     return None if mm is None or mrad is None else (1e-3 * mm, 1e-3 * mrad)
 
 
-def _bar() -> "Callable[[Progress], None] | None":
+def _bar() -> "Callable[[SamplerProgress], None] | None":
     from fixel.cli.screen import progress_bar
 
     show = progress_bar("Sampling")
@@ -123,7 +123,7 @@ def _bar() -> "Callable[[Progress], None] | None":
         return None
     highest = 0
 
-    def tell(progress: "Progress") -> None:
+    def tell(progress: "SamplerProgress") -> None:
         nonlocal highest
         share = round(1000.0 * progress.share)
         if share >= 1000 and progress.remaining > 0.0:
@@ -134,7 +134,9 @@ def _bar() -> "Callable[[Progress], None] | None":
     return tell
 
 
-def _lines(found: "Uncertainty", kept: "Kept", pictures: list[Path], folder: Path) -> list[str]:
+def _lines(
+    found: "Uncertainty", kept: "StoredAnalysis", pictures: list[Path], folder: Path
+) -> list[str]:
     from fixel.cli.screen import seconds, table
 
     analysis, posterior = kept.analysis, found.posterior

@@ -29,7 +29,7 @@ MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "del
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class ExperimentView:
     """Which experiments, and in which order.
 
     Parameters
@@ -59,7 +59,7 @@ class View:
     offset: int = 0
 
 
-class Row(NamedTuple):
+class ExperimentRow(NamedTuple):
     """A line of the table."""
 
     id: int
@@ -84,7 +84,7 @@ class Row(NamedTuple):
 class Leaf(NamedTuple):
     """One page of the table."""
 
-    rows: list[Row]
+    rows: list[ExperimentRow]
     total: int  # that match, on this page or not
     faulty: int  # of these
 
@@ -207,7 +207,7 @@ def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
 # --- questions --------------------------------------------------------------------------------
 
 
-def browse(connection: sa.Connection, view: View) -> Leaf:
+def browse(connection: sa.Connection, view: ExperimentView) -> Leaf:
     """One page of the table."""
     where = _where(connection, view)
     wanted = (
@@ -247,7 +247,7 @@ def browse(connection: sa.Connection, view: View) -> Leaf:
     return Leaf([_row(row, flags, notes) for row in found], total, faulty)
 
 
-def ids(connection: sa.Connection, view: View) -> list[int]:
+def ids(connection: sa.Connection, view: ExperimentView) -> list[int]:
     """Of all that match, in order."""
     wanted = (
         sa.select(experiment.c.id)
@@ -258,7 +258,7 @@ def ids(connection: sa.Connection, view: View) -> list[int]:
     return list(connection.scalars(wanted))
 
 
-def unsimulated(connection: sa.Connection, view: View) -> list[int]:
+def unsimulated(connection: sa.Connection, view: ExperimentView) -> list[int]:
     """Ids of those that match, have a scene and no simulation with nominal values yet."""
     wanted = (
         sa.select(experiment.c.id)
@@ -274,7 +274,9 @@ def unsimulated(connection: sa.Connection, view: View) -> list[int]:
     return list(connection.scalars(wanted))
 
 
-def tally(connection: sa.Connection, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+def tally(
+    connection: sa.Connection, view: ExperimentView, names: Sequence[str]
+) -> list[tuple[Any, ...]]:
     """What those that match have there: a text, a number or null for each name, then how many."""
     chosen = [_text_and_number(connection, name) for name in names]
     every = (
@@ -353,13 +355,13 @@ def _each_condition(connection: sa.Connection) -> sa.Subquery:
     )
 
 
-def _needed(view: View, names: Iterable[str] = ()) -> Any:
+def _needed(view: ExperimentView, names: Iterable[str] = ()) -> Any:
     """What to look in: without the errors where nobody asks for them."""
     asked = {view.sort, *names, *(bound.name for bound in view.bounds)}
     return _FROM if asked & {"before_mm", "after_mm", "error_mm"} else experiment
 
 
-def _where(connection: sa.Connection, view: View) -> list[sa.ColumnElement[bool]]:
+def _where(connection: sa.Connection, view: ExperimentView) -> list[sa.ColumnElement[bool]]:
     gone = experiment.c.deleted_at_utc
     found: list[Any] = [gone.is_not(None) if "deleted" in view.marks else gone.is_(None)]
     if "replaced" not in view.marks:
@@ -407,7 +409,7 @@ def _has_word(word: str) -> Any:
     )
 
 
-def _order(connection: sa.Connection, view: View) -> list[Any]:
+def _order(connection: sa.Connection, view: ExperimentView) -> list[Any]:
     """What is not known stands last either way; equals by id."""
     keys: tuple[Any, ...]
     if view.sort in TEXTS or view.sort in NUMBERS or view.sort in SQUARES:
@@ -443,8 +445,8 @@ def _notes_of(connection: sa.Connection, numbers: list[int]) -> dict[int, int]:
     return {number: count for number, count in connection.execute(wanted)}
 
 
-def _row(row: Any, flags: dict[int, list[Any]], notes: dict[int, int]) -> Row:
-    return Row(
+def _row(row: Any, flags: dict[int, list[Any]], notes: dict[int, int]) -> ExperimentRow:
+    return ExperimentRow(
         id=row.id,
         dataset=row.dataset,
         name=row.name,

@@ -34,7 +34,7 @@ from fixel.database.bundle_file import (
     MANIFEST,
     VERSION,
     BundleFile,
-    Limits,
+    BundleLimits,
     first_of,
     npy_of,
 )
@@ -70,7 +70,7 @@ _FILE_MODE: Final = 0o100644 << 16
 
 @final
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class Exported:
+class ExportSummary:
     """What a bundle has.
 
     Attributes
@@ -91,7 +91,7 @@ def export_bundle(
     *,
     dataset: str | None = None,
     progress: Progress | None = None,
-) -> Exported:
+) -> ExportSummary:
     """Write the experiments of a project, or of one dataset of it, with all computed from them.
 
     Parameters
@@ -148,7 +148,7 @@ class _Writer:
         self._members: dict[str, dict[str, Any]] = {}
         self._parameters: dict[Parameters, int] = {}
 
-    def write(self, progress: Progress | None) -> Exported:
+    def write(self, progress: Progress | None) -> ExportSummary:
         """Everything, the manifest last."""
         kept, left_out = self._calibrations()
         settings = self._settings()
@@ -165,7 +165,7 @@ class _Writer:
             "parameters.jsonl", [{"values": dict(p)} for p in self._parameters]
         )
         self._manifest(counts)
-        return Exported(counts=counts, left_out={"calibrations": left_out})
+        return ExportSummary(counts=counts, left_out={"calibrations": left_out})
 
     # --- records as lines
 
@@ -393,7 +393,7 @@ def import_bundle(
     path: Path,
     store: Store,
     *,
-    limits: Limits = LIMITS,
+    limits: BundleLimits = LIMITS,
     progress: Progress | None = None,
 ) -> dict[str, int]:
     """Add the records of a bundle to a project; returns how many of each kind were new.

@@ -45,7 +45,7 @@ FloatArray = NDArray[np.float64]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class BundleLimits:
     """How large a bundle may be, so that a small file cannot fill a disk or the memory."""
 
     members: int = 1_000_000
@@ -56,7 +56,7 @@ class Limits:
     small: int = 1_000_000  # [bytes]
 
 
-LIMITS: Final = Limits()
+LIMITS: Final = BundleLimits()
 
 
 @final
@@ -69,7 +69,7 @@ class BundleFile:
         From here and from every method: no bundle, a damaged one, or one that means harm.
     """
 
-    def __init__(self, path: Path, limits: Limits = LIMITS) -> None:
+    def __init__(self, path: Path, limits: BundleLimits = LIMITS) -> None:
         self.path = path
         self._limits = limits
         try:

@@ -65,7 +65,7 @@ class NoteLine(Line):
     created_at_utc: str = Field(max_length=40)
 
 
-class Recorded(Line):
+class SourceEntry(Line):
     """Where a record comes from."""
 
     created_at_utc: str = Field(max_length=40)
@@ -76,7 +76,7 @@ class Recorded(Line):
     seed: int | None = Field(ge=-(2**63), lt=2**63)  # what a database holds
 
 
-class ExperimentLine(Recorded):
+class ExperimentLine(SourceEntry):
     """An experiment."""
 
     dataset: str = Field(max_length=200)
@@ -111,7 +111,7 @@ class ParametersLine(Line):
     values: dict[str, float]
 
 
-class SimulationLine(Recorded):
+class SimulationLine(SourceEntry):
     """A simulation."""
 
     experiment: Place
@@ -160,7 +160,7 @@ class EstimateLine(Line):
     reason: str
 
 
-class CalibrationLine(Recorded):
+class CalibrationLine(SourceEntry):
     """A calibration."""
 
     name: str = Field(max_length=400)
@@ -186,7 +186,7 @@ class CalibrationLine(Recorded):
         )
 
 
-class FilterParametersLine(Recorded):
+class FilterParametersLine(SourceEntry):
     """Settings of a filter."""
 
     name: str = Field(max_length=400)
@@ -203,7 +203,7 @@ class FilterParametersLine(Recorded):
         )
 
 
-class FilterRunLine(Recorded):
+class FilterRunLine(SourceEntry):
     """What a filter made of an experiment."""
 
     experiment: Place

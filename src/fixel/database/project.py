@@ -32,7 +32,7 @@ MAX_NAME: Final = 200  # characters
 VARIABLE: Final = "FIXEL_DATABASE"  # environment: names a database in place of the settings
 
 
-class Settings(BaseModel):
+class ProjectSettings(BaseModel):
     """What `fixel.yaml` says."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -49,11 +49,11 @@ class Project:
     Parameters
     ----------
     folder : Path
-    settings : Settings
+    settings : ProjectSettings
     """
 
     folder: Path
-    settings: Settings
+    settings: ProjectSettings
 
     @classmethod
     def create(cls, folder: Path, database: str | None = None) -> Project:
@@ -74,7 +74,7 @@ class Project:
                 str(folder), found="something else", expected="a new or an empty folder"
             )
         name = folder.resolve().name[:MAX_NAME] or "project"
-        settings = Settings(name=name, database=database)
+        settings = ProjectSettings(name=name, database=database)
         project = cls(folder, settings)
         try:
             (folder / MEDIA).mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ class Project:
             raise StoreRefused(f"{folder} is no project", hint=f"make one with: fixel new {folder}")
         content = read_document(path)
         try:
-            return cls(folder, Settings.model_validate(content))
+            return cls(folder, ProjectSettings.model_validate(content))
         except ValidationError as problem:
             first = problem.errors()[0]
             raise InvalidInput(
@@ -162,7 +162,7 @@ def _clear(folder: Path, *, keep: bool) -> None:
             folder.rmdir()
 
 
-def _settings_text(settings: Settings) -> str:
+def _settings_text(settings: ProjectSettings) -> str:
     lines = [
         "# Settings of a fixel project.",
         yaml.safe_dump({"name": settings.name}, allow_unicode=True).rstrip(),

@@ -13,7 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays, browsing, marks, rows, schema, tables
-from fixel.database.browsing import Conditions, Leaf, View
+from fixel.database.browsing import Conditions, ExperimentView, Leaf
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
@@ -53,7 +53,7 @@ def _damage_named(
     return of
 
 
-class Added(NamedTuple):
+class AddResult(NamedTuple):
     """What became of a record."""
 
     id: int
@@ -131,7 +131,7 @@ class Store:
 
     # --- experiments ----------------------------------------------------------------------------
 
-    def add_experiment(self, experiment: Experiment) -> Added:
+    def add_experiment(self, experiment: Experiment) -> AddResult:
         """Store an experiment in a transaction of its own.
 
         Where its dataset and name are taken, it is a correction of the newest of that name.
@@ -144,10 +144,10 @@ class Store:
         with writing(self._engine) as connection:
             known = self._known(connection, row["content_sha256"])
             if known is not None:
-                return Added(known, False)
-            return Added(self._insert(connection, experiment, row, measured), True)
+                return AddResult(known, False)
+            return AddResult(self._insert(connection, experiment, row, measured), True)
 
-    def add_experiments(self, experiments: Iterable[Experiment]) -> Iterator[Added]:
+    def add_experiments(self, experiments: Iterable[Experiment]) -> Iterator[AddResult]:
         """Store experiments one by one, as they are asked for."""
         for experiment in experiments:
             yield self.add_experiment(experiment)
@@ -374,22 +374,22 @@ class Store:
 
     # --- browsing -------------------------------------------------------------------------------
 
-    def browse(self, view: View) -> Leaf:
+    def browse(self, view: ExperimentView) -> Leaf:
         """One page of a sorted, filtered table of experiments."""
         with reading(self._engine) as connection:
             return browsing.browse(connection, view)
 
-    def browse_ids(self, view: View) -> list[int]:
+    def browse_ids(self, view: ExperimentView) -> list[int]:
         """Ids of all that a view shows, in its order, on this page or not."""
         with reading(self._engine) as connection:
             return browsing.ids(connection, view)
 
-    def browse_unsimulated(self, view: View) -> list[int]:
+    def browse_unsimulated(self, view: ExperimentView) -> list[int]:
         """Ids of all that a view shows, have a scene, and no simulation with nominal values."""
         with reading(self._engine) as connection:
             return browsing.unsimulated(connection, view)
 
-    def browse_tally(self, view: View, names: Sequence[str]) -> list[tuple[Any, ...]]:
+    def browse_tally(self, view: ExperimentView, names: Sequence[str]) -> list[tuple[Any, ...]]:
         """Columns and conditions of all that a view shows: different values, then how many."""
         with reading(self._engine) as connection:
             return browsing.tally(connection, view, names)

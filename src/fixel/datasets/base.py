@@ -14,7 +14,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.raw.base import BoolArray, FloatArray, Table
+from fixel.datasets.raw.base import BoolArray, CsvRows, FloatArray
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import Experiment, Flag, Provenance, Scene
 
@@ -173,7 +173,7 @@ def scene_or_flag(build: Callable[[], Scene]) -> tuple[Scene | None, tuple[Flag,
         return None, (remark("no-scene", str(problem)),)
 
 
-def whole_numbers(table: Table, column: str, largest: int = 2**31) -> NDArray[np.int64]:
+def whole_numbers(table: CsvRows, column: str, largest: int = 2**31) -> NDArray[np.int64]:
     """(n,) one column as whole numbers of at least 0."""
     numbers = table.numbers(column)
     wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
@@ -187,7 +187,7 @@ def whole_numbers(table: Table, column: str, largest: int = 2**31) -> NDArray[np
     return numbers.astype(np.int64)
 
 
-def refuse_giants(table: Table, *columns: str) -> None:
+def refuse_giants(table: CsvRows, *columns: str) -> None:
     """Refuse numbers that no rig measures, before their squares overflow."""
     for column in columns:
         numbers = np.abs(table.numbers(column, blank=True))

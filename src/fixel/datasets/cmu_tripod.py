@@ -28,7 +28,15 @@ from fixel.datasets.contact import (
     correction_flag,
     moved_to_contact,
 )
-from fixel.datasets.raw.base import MM, FloatArray, Table, member, only_file, read_json, read_table
+from fixel.datasets.raw.base import (
+    MM,
+    CsvRows,
+    FloatArray,
+    member,
+    only_file,
+    read_json,
+    read_table,
+)
 from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
@@ -109,10 +117,10 @@ class CmuTripod(Importer):
 
 @final
 @dataclass(frozen=True)
-class _Data:
+class _TripodData:
     """All files of the folder, as numbers."""
 
-    table: Table
+    table: CsvRows
     names: list[str]
     poses: FloatArray  # (n, 6) before and after [m, m, rad]
     gaps: FloatArray  # (n, 2) first and last [m]
@@ -127,7 +135,7 @@ class _Data:
     finger: Disk
 
 
-def _read(folder: Path) -> _Data:
+def _read(folder: Path) -> _TripodData:
     table, setup = read_table(only_file(folder, PUSHES)), read_json(only_file(folder, SETUP))
     force, robot = read_table(only_file(folder, *FORCE)), read_table(only_file(folder, *ROBOT))
     refuse_giants(table, *POSES, "tip_gap0_mm", "tip_gap1_mm")
@@ -136,7 +144,7 @@ def _read(folder: Path) -> _Data:
     names = table.text("push_id").tolist()
     refuse_repeated(names, table.source, "push_id")
     surface, support = table.text("surface").tolist(), table.text("support").tolist()
-    data = _Data(
+    data = _TripodData(
         table=table,
         names=names,
         poses=table.stacked(*POSES),
@@ -162,7 +170,7 @@ def _read(folder: Path) -> _Data:
     return data
 
 
-def _finger_path(robot: Table) -> FloatArray:
+def _finger_path(robot: CsvRows) -> FloatArray:
     angle = 2.0 * np.arctan2(robot.numbers("qz"), robot.numbers("qw"))
     return np.column_stack((robot.numbers("t"), robot.stacked("x_mm", "y_mm") * MM, angle))
 
@@ -188,7 +196,7 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
     )
 
 
-def _push(data: _Data, row: int, provenance: Any) -> Experiment:
+def _push(data: _TripodData, row: int, provenance: Any) -> Experiment:
     name = data.names[row]
     force, path = data.force[data.force_rows[name]], data.robot[data.robot_rows[name]]
     good = advancing(path[:, 0])
@@ -222,7 +230,7 @@ def _push(data: _Data, row: int, provenance: Any) -> Experiment:
     )
 
 
-def _doubts(data: _Data, row: int, dropped: int) -> Iterator[Flag]:
+def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[Flag]:
     yield remark("no-pose-during-push", "poses before and after, once the arm is away")
     gap = float(data.gaps[row, 1])
     if abs(gap) > LARGEST_GAP:
@@ -234,7 +242,7 @@ def _doubts(data: _Data, row: int, dropped: int) -> Iterator[Flag]:
 
 
 def _scene(
-    data: _Data, body: Body, start: FloatArray, path: FloatArray
+    data: _TripodData, body: Body, start: FloatArray, path: FloatArray
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     deep, offset = moved_to_contact(body.shape, data.finger.radius, start[None], path[:1, 1:3])
     gap = float(deep[0])

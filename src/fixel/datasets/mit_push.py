@@ -271,7 +271,7 @@ _TIP = Disk(mit_push.PUSHER_RADIUS)
 # --- single pushes
 
 
-class _Record(NamedTuple):
+class _PushRecord(NamedTuple):
     """One file; instants on the clock of the file."""
 
     conditions: dict[str, str | float]
@@ -369,7 +369,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Expe
     )
 
 
-def _on_one_clock(record: _Record) -> tuple[list[FloatArray], list[Flag]]:
+def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
     """Object, tip and wrench with times from the first pose of the object on."""
     tip = record.tip_pose
     if tip.shape[1] == 3:
@@ -388,7 +388,7 @@ def _on_one_clock(record: _Record) -> tuple[list[FloatArray], list[Flag]]:
 
 
 def _record_scene(
-    record: _Record, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
+    record: _PushRecord, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     name = str(record.conditions["shape"])
     if name not in shapes:
@@ -408,12 +408,12 @@ def _record_scene(
     )
 
 
-def _json(path: Path) -> _Record:
+def _json(path: Path) -> _PushRecord:
     content = read_json(path)
     return _record(path, {key: content.get(key) for key in _KEYS}, content)
 
 
-def _hdf5(path: Path) -> _Record:
+def _hdf5(path: Path) -> _PushRecord:
     h5py = _h5py(path)
     try:
         with h5py.File(path, "r") as file:
@@ -447,9 +447,9 @@ def _h5py(path: Path) -> Any:
     return h5py
 
 
-def _record(path: Path, tables: Mapping[str, Any], about: Mapping[str, Any]) -> _Record:
+def _record(path: Path, tables: Mapping[str, Any], about: Mapping[str, Any]) -> _PushRecord:
     rows = {key: _rows(path, key, tables[key]) for key in _KEYS}
-    return _Record(_conditions(path, about), **rows)
+    return _PushRecord(_conditions(path, about), **rows)
 
 
 def _rows(path: Path, key: str, given: Any) -> FloatArray:

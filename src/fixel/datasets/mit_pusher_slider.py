@@ -24,7 +24,7 @@ from fixel.datasets.contact import (
     moved_to_contact,
 )
 from fixel.datasets.raw import mit_timeseries
-from fixel.datasets.raw.base import MM, FloatArray, Table, read_table
+from fixel.datasets.raw.base import MM, CsvRows, FloatArray, read_table
 from fixel.datasets.raw.mit_timeseries import RUNS, SHAPES, PushRun
 from fixel.errors import DatasetMissing
 from fixel.model import (
@@ -129,7 +129,7 @@ def _experiment(run: PushRun, path: Path, origin: Origin) -> Experiment:
     )
 
 
-def _channels(rows: Table, time: FloatArray) -> Iterator[Channel]:
+def _channels(rows: CsvRows, time: FloatArray) -> Iterator[Channel]:
     if {"pusher_cmd_x", "pusher_cmd_y"} <= set(rows.columns):
         yield Channel(
             name="commanded",
@@ -147,7 +147,7 @@ def _channels(rows: Table, time: FloatArray) -> Iterator[Channel]:
         )
 
 
-def _dropouts(rows: Table) -> Iterator[Flag]:
+def _dropouts(rows: CsvRows) -> Iterator[Flag]:
     if "gap_mm" not in rows.columns:
         return
     gap = rows.numbers("gap_mm", blank=True) * MM

@@ -21,7 +21,7 @@ from fixel.datasets.base import (
     whole_numbers,
 )
 from fixel.datasets.raw import rpi_2dgad
-from fixel.datasets.raw.base import MM, FloatArray, Table, only_file, read_json, read_table
+from fixel.datasets.raw.base import MM, CsvRows, FloatArray, only_file, read_json, read_table
 from fixel.datasets.raw.rpi_2dgad import EXPERIMENTS, FRAME_RATE, RpiTrial
 from fixel.errors import InvalidInput
 from fixel.model import (
@@ -129,7 +129,11 @@ def _complete(folder: Path) -> tuple[RpiTrial, ...]:
 
 
 def _track(
-    listed: Table, row: int, frame: NDArray[np.int64], readings: FloatArray, provenance: Provenance
+    listed: CsvRows,
+    row: int,
+    frame: NDArray[np.int64],
+    readings: FloatArray,
+    provenance: Provenance,
 ) -> Experiment:
     """An experiment of which only the object was kept: x, y, angle, height at frames."""
     number, object_id = (
@@ -160,7 +164,7 @@ def _track(
 
 
 def _whole(
-    folder: Path, listed: Table, row: int, trial: RpiTrial, provenance: Provenance
+    folder: Path, listed: CsvRows, row: int, trial: RpiTrial, provenance: Provenance
 ) -> Experiment:
     """An experiment with actuator, fixels and tactile signals."""
     setup = read_json(only_file(folder, f"exp{trial.experiment_id}_setup.json"))
@@ -274,5 +278,5 @@ def _height(height: float | None) -> float | None:
     return None if height is None else height * MM
 
 
-def _whole_number(table: Table, column: str, row: int) -> int:
+def _whole_number(table: CsvRows, column: str, row: int) -> int:
     return int(whole_numbers(table, column)[row])

@@ -14,7 +14,7 @@ import numpy as np
 from fixel.datasets.base import LARGEST_NUMBER, Importer, ImportPlan, Origin, rate_of, remark
 from fixel.datasets.own_scene import with_scene
 from fixel.datasets.plausible import refuse_implausible
-from fixel.datasets.raw.base import FloatArray, Table, increasing, read_table
+from fixel.datasets.raw.base import CsvRows, FloatArray, increasing, read_table
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Trajectory
 
@@ -22,7 +22,7 @@ DATASET: Final = "csv"
 ENDINGS = (".csv", ".csv.gz")
 
 
-class Unit(NamedTuple):
+class ColumnUnit(NamedTuple):
     """A unit at the end of a column's name."""
 
     kind: str
@@ -30,25 +30,25 @@ class Unit(NamedTuple):
     si: str  # ending of the channel's column
 
 
-UNITS: Final[Mapping[str, Unit]] = {
-    "s": Unit("time", 1.0, "s"),
-    "ms": Unit("time", 1e-3, "s"),
-    "us": Unit("time", 1e-6, "s"),
-    "m": Unit("length", 1.0, "m"),
-    "mm": Unit("length", 1e-3, "m"),
-    "cm": Unit("length", 1e-2, "m"),
-    "um": Unit("length", 1e-6, "m"),
-    "rad": Unit("angle", 1.0, "rad"),
-    "deg": Unit("angle", math.pi / 180.0, "rad"),
-    "n": Unit("force", 1.0, "n"),
-    "nm": Unit("torque", 1.0, "nm"),
-    "m_s": Unit("speed", 1.0, "m_s"),
-    "mm_s": Unit("speed", 1e-3, "m_s"),
-    "rad_s": Unit("turning", 1.0, "rad_s"),
-    "deg_s": Unit("turning", math.pi / 180.0, "rad_s"),
-    "bool": Unit("bool", 1.0, "bool"),
-    "count": Unit("count", 1.0, "count"),
-    "ratio": Unit("ratio", 1.0, "ratio"),
+UNITS: Final[Mapping[str, ColumnUnit]] = {
+    "s": ColumnUnit("time", 1.0, "s"),
+    "ms": ColumnUnit("time", 1e-3, "s"),
+    "us": ColumnUnit("time", 1e-6, "s"),
+    "m": ColumnUnit("length", 1.0, "m"),
+    "mm": ColumnUnit("length", 1e-3, "m"),
+    "cm": ColumnUnit("length", 1e-2, "m"),
+    "um": ColumnUnit("length", 1e-6, "m"),
+    "rad": ColumnUnit("angle", 1.0, "rad"),
+    "deg": ColumnUnit("angle", math.pi / 180.0, "rad"),
+    "n": ColumnUnit("force", 1.0, "n"),
+    "nm": ColumnUnit("torque", 1.0, "nm"),
+    "m_s": ColumnUnit("speed", 1.0, "m_s"),
+    "mm_s": ColumnUnit("speed", 1e-3, "m_s"),
+    "rad_s": ColumnUnit("turning", 1.0, "rad_s"),
+    "deg_s": ColumnUnit("turning", math.pi / 180.0, "rad_s"),
+    "bool": ColumnUnit("bool", 1.0, "bool"),
+    "count": ColumnUnit("count", 1.0, "count"),
+    "ratio": ColumnUnit("ratio", 1.0, "ratio"),
 }
 
 # What columns may be called; the role they have; and what kind of unit it asks for.
@@ -129,28 +129,28 @@ def _text_option(name: str, value: object) -> str:
 
 
 @dataclass
-class _Column:
+class _TableColumn:
     """One column: how it is called in the file, what it is, and its unit once that is known."""
 
     title: str
     stem: str
     role: str | None
-    unit: Unit | None
+    unit: ColumnUnit | None
     unknown: str = ""  # an ending that is no known unit
 
 
 @dataclass
-class _Reading:
+class _TableReading:
     """What is found out on the way."""
 
-    table: Table
-    roles: dict[str, _Column]
-    others: list[_Column]
+    table: CsvRows
+    roles: dict[str, _TableColumn]
+    others: list[_TableColumn]
     options: Mapping[str, str]
     guesses: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def numbers(self, column: _Column, *, blank: bool = True) -> FloatArray:
+    def numbers(self, column: _TableColumn, *, blank: bool = True) -> FloatArray:
         """(n,) as they stand; blank cells are NaN."""
         numbers = self.table.numbers(column.title, blank=blank)
         if (np.abs(numbers) > LARGEST_NUMBER).any():
@@ -169,7 +169,7 @@ class _Reading:
 
 
 def _experiment(
-    path: Path, table: Table, options: Mapping[str, str]
+    path: Path, table: CsvRows, options: Mapping[str, str]
 ) -> tuple[Experiment, tuple[str, ...]]:
     reading = _columns(table, options)
     _refuse_incomplete(reading)
@@ -210,7 +210,7 @@ def _stem(path: Path) -> str:
 # --- the header
 
 
-def _columns(table: Table, options: Mapping[str, str]) -> _Reading:
+def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
     if len(table.columns) == 1 and ";" in next(iter(table.columns)):
         raise InvalidInput(
             f"{table.source}, header",
@@ -224,7 +224,7 @@ def _columns(table: Table, options: Mapping[str, str]) -> _Reading:
         # x_raw beside x_mm is something else; alone it is x in a unit nobody knows.
         if column.unknown and column.role in named:
             column.role = None
-    roles: dict[str, _Column] = {}
+    roles: dict[str, _TableColumn] = {}
     for column in parsed:
         if column.role in roles:
             raise InvalidInput(
@@ -234,24 +234,24 @@ def _columns(table: Table, options: Mapping[str, str]) -> _Reading:
             )
         if column.role:
             roles[column.role] = column
-    return _Reading(table, roles, [column for column in parsed if not column.role], options)
+    return _TableReading(table, roles, [column for column in parsed if not column.role], options)
 
 
-def _parsed(title: str) -> _Column:
+def _parsed(title: str) -> _TableColumn:
     """`Tip x [mm]` is pusher_x in mm."""
     plain = re.sub(r"\W+", "_", title.strip().lower().lstrip("\ufeff")).strip("_")
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
             stem = plain.removesuffix(f"_{ending}")
-            return _checked(_Column(title, stem, _ROLES.get(stem), UNITS[ending]))
+            return _checked(_TableColumn(title, stem, _ROLES.get(stem), UNITS[ending]))
     if plain in _ROLES:
-        return _Column(title, plain, _ROLES[plain], None)
+        return _TableColumn(title, plain, _ROLES[plain], None)
     stem, _, ending = plain.rpartition("_")
     unknown = ending if stem in _ROLES and re.fullmatch(r"[a-z]{1,4}", ending) else ""
-    return _Column(title, plain, _ROLES[stem] if unknown else None, None, unknown)
+    return _TableColumn(title, plain, _ROLES[stem] if unknown else None, None, unknown)
 
 
-def _checked(column: _Column) -> _Column:
+def _checked(column: _TableColumn) -> _TableColumn:
     if column.role and column.unit and column.unit.kind != _kind(column.role):
         raise InvalidInput(
             f"column {column.title}",
@@ -265,7 +265,7 @@ def _kind(role: str) -> str:
     return _KINDS[role.removeprefix("pusher_")]
 
 
-def _refuse_incomplete(reading: _Reading) -> None:
+def _refuse_incomplete(reading: _TableReading) -> None:
     wanted = ["time", "x", "y"]
     if any(role.startswith("pusher_") for role in reading.roles):
         wanted += ["pusher_x", "pusher_y"]
@@ -283,7 +283,7 @@ def _refuse_incomplete(reading: _Reading) -> None:
 # --- units that the header does not say
 
 
-def _settle_unit(reading: _Reading, role: str) -> None:
+def _settle_unit(reading: _TableReading, role: str) -> None:
     column = reading.roles[role]
     kind = _kind(role)
     given = reading.options.get(f"{kind}_unit")
@@ -308,11 +308,11 @@ def _settle_unit(reading: _Reading, role: str) -> None:
     )
 
 
-def _name(wanted: Unit) -> str:
+def _name(wanted: ColumnUnit) -> str:
     return next(name for name, unit in UNITS.items() if unit == wanted)
 
 
-def _guess(reading: _Reading, kind: str, column: _Column) -> tuple[str, str]:
+def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str, str]:
     """A unit, and why."""
     siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
     if len(siblings) == 1:
@@ -338,7 +338,7 @@ def _guess(reading: _Reading, kind: str, column: _Column) -> tuple[str, str]:
 # --- the rows
 
 
-def _time(reading: _Reading) -> FloatArray:
+def _time(reading: _TableReading) -> FloatArray:
     """(n,) instants from the first row on [s]."""
     column = reading.roles["time"]
     assert column.unit is not None
@@ -347,7 +347,9 @@ def _time(reading: _Reading) -> FloatArray:
     return increasing((numbers - numbers[0]) * column.unit.scale, reading.table.source)
 
 
-def _poses(reading: _Reading, time: FloatArray, whose: str) -> tuple[Trajectory, tuple[Flag, ...]]:
+def _poses(
+    reading: _TableReading, time: FloatArray, whose: str
+) -> tuple[Trajectory, tuple[Flag, ...]]:
     """Of the object, or with `pusher_` of the pusher, without the rows that lack something."""
     columns = [reading.si(f"{whose}x"), reading.si(f"{whose}y")]
     what = whose.removesuffix("_") or "object"
@@ -374,7 +376,7 @@ def _poses(reading: _Reading, time: FloatArray, whose: str) -> tuple[Trajectory,
     return Trajectory(time=time[there], pose=kept), flags
 
 
-def _check_units(reading: _Reading, track: Trajectory, pusher: Trajectory | None) -> None:
+def _check_units(reading: _TableReading, track: Trajectory, pusher: Trajectory | None) -> None:
     """Refuse units in which nothing on a plate moves so; the angles as the file has them."""
     column = reading.roles.get("theta")
     unit = None if column is None or column.unit is None else _name(column.unit)
@@ -386,7 +388,7 @@ def _check_units(reading: _Reading, track: Trajectory, pusher: Trajectory | None
     refuse_implausible(turned, pusher, reading.table.source, where, unit)
 
 
-def _channels(reading: _Reading, time: FloatArray) -> tuple[Channel, ...]:
+def _channels(reading: _TableReading, time: FloatArray) -> tuple[Channel, ...]:
     groups: dict[str, dict[str, FloatArray]] = {}
     for column in reading.others:
         if column.unit is None or not column.stem:
@@ -409,7 +411,7 @@ def _channels(reading: _Reading, time: FloatArray) -> tuple[Channel, ...]:
     )
 
 
-def _values(reading: _Reading, column: _Column, unit: Unit) -> FloatArray:
+def _values(reading: _TableReading, column: _TableColumn, unit: ColumnUnit) -> FloatArray:
     if unit.kind != "bool":
         return reading.numbers(column) * unit.scale
     words = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "1.0": 1.0, "0.0": 0.0, "": math.nan}
@@ -424,7 +426,7 @@ def _values(reading: _Reading, column: _Column, unit: Unit) -> FloatArray:
     return np.array([words[cell] for cell in cells])
 
 
-def _conditions(reading: _Reading) -> dict[str, str | float]:
+def _conditions(reading: _TableReading) -> dict[str, str | float]:
     """Columns without a unit that say the same in every row."""
     conditions: dict[str, str | float] = {}
     for column in reading.others:
@@ -438,7 +440,9 @@ def _conditions(reading: _Reading) -> dict[str, str | float]:
     return conditions
 
 
-def _understood(reading: _Reading, experiment: Experiment, time: FloatArray) -> tuple[str, ...]:
+def _understood(
+    reading: _TableReading, experiment: Experiment, time: FloatArray
+) -> tuple[str, ...]:
     def lines() -> Iterator[str]:
         rate = rate_of(time)
         yield (

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.objective import Evaluated
-from fixel.domain.growth import NONE, OneSet, Singles, Wanted, one_set
-from fixel.domain.places import AXES, Group, along, interval
+from fixel.calibration.objective import Evaluation
+from fixel.domain.growth import NONE, OneSet, RolloutQueue, Singles, one_set
+from fixel.domain.places import AXES, ExperimentGroup, along, interval
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
 
@@ -22,7 +22,7 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = {"x": (2, 4), "y": (3, 5), "theta"
 MOST_SAMPLES: Final = 5
 
 
-class Edges(NamedTuple):
+class AxisEdges(NamedTuple):
     """How far from the nominal experiment an error stays within a threshold, in steps."""
 
     low: float | None  # none where it is beyond at the nominal experiment already
@@ -31,7 +31,7 @@ class Edges(NamedTuple):
     high_open: bool = False
 
 
-def edges(steps: IntArray, errors: FloatArray, threshold: float) -> Edges:
+def edges(steps: IntArray, errors: FloatArray, threshold: float) -> AxisEdges:
     """Where a curve through the nominal experiment first meets a threshold, on either side.
 
     Between two experiments the error is taken to change in proportion. What comes back below the
@@ -48,10 +48,10 @@ def edges(steps: IntArray, errors: FloatArray, threshold: float) -> Edges:
     """
     start = int(np.flatnonzero(steps == 0)[0])
     if not errors[start] <= threshold:
-        return Edges(None, None)
+        return AxisEdges(None, None)
     low, low_open = _walked(steps[start::-1], errors[start::-1], threshold)
     high, high_open = _walked(steps[start:], errors[start:], threshold)
-    return Edges(low, high, low_open, high_open)
+    return AxisEdges(low, high, low_open, high_open)
 
 
 def _walked(steps: IntArray, errors: FloatArray, threshold: float) -> tuple[float, bool]:
@@ -128,11 +128,11 @@ class AxisStudy:
         """(n_step,) layouts in the average."""
         return np.asarray((~np.isnan(self.error)).sum(axis=0))
 
-    def edges(self, threshold: float) -> Edges:
+    def edges(self, threshold: float) -> AxisEdges:
         """Of the average."""
         return edges(self.steps, self.average, threshold)
 
-    def relative_edges(self, threshold: float) -> Edges:
+    def relative_edges(self, threshold: float) -> AxisEdges:
         """Of the average excess."""
         return edges(self.steps, self.average_excess, threshold)
 
@@ -159,7 +159,7 @@ class AxisStudies:
 
     Parameters
     ----------
-    groups : sequence of Group
+    groups : sequence of ExperimentGroup
     singles : Singles
     sizes : mapping from axis to sizes, optional
         Samples of the intervals; the thesis's where left out.
@@ -167,18 +167,18 @@ class AxisStudies:
 
     def __init__(
         self,
-        groups: Sequence[Group],
+        groups: Sequence[ExperimentGroup],
         singles: Singles,
         sizes: Mapping[str, Sequence[int]] = SIZES,
     ) -> None:
         self.singles = singles
-        self._layouts: dict[str, list[Group]] = {}
+        self._layouts: dict[str, list[ExperimentGroup]] = {}
         for group in groups:
             self._layouts.setdefault(group.shape, []).append(group)
         self._sizes = _checked(sizes)
-        self._plan: list[_Planned] = []
+        self._plan: list[_PlannedStep] = []
 
-    def ask(self, wanted: Wanted) -> None:
+    def ask(self, wanted: RolloutQueue) -> None:
         """Collect the rollouts."""
         self._plan = [
             self._planned(shape, axis, size, wanted)
@@ -188,7 +188,7 @@ class AxisStudies:
             for size in self._sizes[axis]
         ]
 
-    def _planned(self, shape: str, axis: str, size: int, wanted: Wanted) -> _Planned:
+    def _planned(self, shape: str, axis: str, size: int, wanted: RolloutQueue) -> _PlannedStep:
         groups, (low, high) = self._layouts[shape], interval(axis, size)
         on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
         steps = np.array(sorted(on_axis | {0}))
@@ -207,13 +207,13 @@ class AxisStudies:
                 place = along(axis, step)
                 if point is not None and place in group.at:
                     places[row, column] = wanted.add(group.at[place], point)
-        return _Planned(shape, axis, size, steps, tuple(sets), places)
+        return _PlannedStep(shape, axis, size, steps, tuple(sets), places)
 
-    def read(self, answer: Evaluated) -> list[AxisStudy]:
+    def read(self, answer: Evaluation) -> list[AxisStudy]:
         """The studies, of the answers to what was collected."""
         return [self._study(planned, answer) for planned in self._plan]
 
-    def _study(self, planned: _Planned, answer: Evaluated) -> AxisStudy:
+    def _study(self, planned: _PlannedStep, answer: Evaluation) -> AxisStudy:
         groups = self._layouts[planned.shape]
         error = np.where(planned.places >= 0, answer.error[planned.places], np.nan)
         own = np.full(error.shape, np.nan)
@@ -235,7 +235,7 @@ class AxisStudies:
         )
 
 
-class _Planned(NamedTuple):
+class _PlannedStep(NamedTuple):
     shape: str
     axis: str
     size: int

@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.domain.evidence import Evidence, Value, unit_in
+from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
 
@@ -188,7 +188,7 @@ class Cells:
         ]
         return np.concatenate(columns, axis=1)
 
-    def find(self, evidence: Evidence) -> IntArray:
+    def find(self, evidence: HeldOutErrors) -> IntArray:
         """(n,) cell of every experiment; -1 for none."""
         columns = [axis.find(evidence.column(axis.name)) for axis in self.axes]
         number = {index: k for k, index in enumerate(self.index)}
@@ -227,7 +227,7 @@ class Cells:
 
 
 def cells_of(
-    evidence: Evidence,
+    evidence: HeldOutErrors,
     axes: Sequence[str],
     nominal: Mapping[str, str | float] | None = None,
     steps: Mapping[str, float] | None = None,
@@ -236,7 +236,7 @@ def cells_of(
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : HeldOutErrors
     axes : sequence of str
         Names of coordinates. More than two only where every experiment differs from the nominal
         along one of them at most, as in a plan of offsets axis by axis.
@@ -280,7 +280,7 @@ def _arms(axes: Sequence[CellAxis], centre: tuple[int, ...]) -> list[tuple[int, 
     return sorted(found)
 
 
-def _nominal(axis: CellAxis, evidence: Evidence, wanted: str | float | None) -> int:
+def _nominal(axis: CellAxis, evidence: HeldOutErrors, wanted: str | float | None) -> int:
     values = evidence.column(axis.name)
     if wanted is None:
         places = axis.find(values)
@@ -299,7 +299,7 @@ def _nominal(axis: CellAxis, evidence: Evidence, wanted: str | float | None) -> 
     return found
 
 
-def varying(evidence: Evidence, names: Sequence[str]) -> list[str]:
+def varying(evidence: HeldOutErrors, names: Sequence[str]) -> list[str]:
     """Those of the coordinates that take more than one value."""
     return [
         name

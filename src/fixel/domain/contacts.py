@@ -31,7 +31,7 @@ BOTH: Final = "side and speed"
 PART: Final = "part"
 
 
-class Contacts(NamedTuple):
+class TouchedPlaces(NamedTuple):
     """Places and speeds at which pushers touch parts.
 
     Attributes
@@ -49,17 +49,17 @@ class Contacts(NamedTuple):
     place: FloatArray
     speed: FloatArray
 
-    def rows(self, which: IntArray) -> Contacts:
+    def rows(self, which: IntArray) -> TouchedPlaces:
         """Return some of them."""
-        return Contacts(self.normal[which], self.place[which], self.speed[which])
+        return TouchedPlaces(self.normal[which], self.place[which], self.speed[which])
 
     @classmethod
-    def joined(cls, parts: Sequence[Contacts]) -> Contacts:
+    def joined(cls, parts: Sequence[TouchedPlaces]) -> TouchedPlaces:
         """Return several tables as one."""
         return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def contacts_of(asked: Configurations, speed: FloatArray) -> Contacts:
+def contacts_of(asked: Configurations, speed: FloatArray) -> TouchedPlaces:
     """Return the first contact of straight pushes.
 
     Parameters
@@ -73,7 +73,7 @@ def contacts_of(asked: Configurations, speed: FloatArray) -> Contacts:
     c, s = np.cos(asked.start[:, 2]), np.sin(asked.start[:, 2])
     turned = [np.column_stack((c * x + s * y, c * y - s * x)) for x, y in (normal.T, point.T)]
     place = (turned[1] - np.asarray(asked.shape.centroid)) / np.sqrt(asked.shape.area / np.pi)
-    return Contacts(np.arctan2(turned[0][:, 1], turned[0][:, 0]), place, np.asarray(speed))
+    return TouchedPlaces(np.arctan2(turned[0][:, 1], turned[0][:, 0]), place, np.asarray(speed))
 
 
 class Novelty(NamedTuple):
@@ -97,25 +97,25 @@ class PushedContacts:
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : TouchedPlaces
     parts : (n,) sequence
         Label of the part of each: what was pushed of one part says nothing about another.
     """
 
-    def __init__(self, contacts: Contacts, parts: Sequence[Hashable]) -> None:
+    def __init__(self, contacts: TouchedPlaces, parts: Sequence[Hashable]) -> None:
         _check(contacts, len(parts))
         rows: dict[Hashable, list[int]] = {}
         for k, part in enumerate(parts):
             rows.setdefault(part, []).append(k)
         self._known = {part: contacts.rows(np.array(own)) for part, own in rows.items()}
 
-    def novelty(self, contacts: Contacts, parts: Sequence[Hashable]) -> Novelty:
+    def novelty(self, contacts: TouchedPlaces, parts: Sequence[Hashable]) -> Novelty:
         """Return what is new about other contacts."""
         _check(contacts, len(parts))
         found = [self._one(contacts.rows(np.array([k])), part) for k, part in enumerate(parts)]
         return Novelty(tuple(kind for kind, _ in found), tuple(reason for _, reason in found))
 
-    def _one(self, asked: Contacts, part: Hashable) -> tuple[str, str]:
+    def _one(self, asked: TouchedPlaces, part: Hashable) -> tuple[str, str]:
         known = self._known.get(part)
         if known is None:
             return PART, "no push of this part"
@@ -146,7 +146,7 @@ class PushedContacts:
         return kind, "; ".join(said)
 
 
-def _check(contacts: Contacts, n: int) -> None:
+def _check(contacts: TouchedPlaces, n: int) -> None:
     shapes = (contacts.normal.shape, contacts.place.shape, contacts.speed.shape)
     if shapes != ((n,), (n, 2), (n,)):
         raise InvalidInput(

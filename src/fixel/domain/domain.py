@@ -15,9 +15,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.domain.cells import Cells
-from fixel.domain.evidence import Evidence, Measure, threshold_score, value_of
+from fixel.domain.evidence import HeldOutErrors, Measure, threshold_score, value_of
 from fixel.domain.promised_cells import untried
-from fixel.domain.surface import Seen, Surface, fit_surface
+from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import BoolArray
@@ -81,7 +81,7 @@ class Claim:
         return f"{100.0 * value:.3g} % above the own best"
 
 
-class Verdict(NamedTuple):
+class CellVerdict(NamedTuple):
     """What is said of one cell."""
 
     colour: str
@@ -96,7 +96,7 @@ class DomainMap:
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : HeldOutErrors
         All of it, also what lies in no cell.
     cells : Cells
     groups : tuple of str
@@ -109,7 +109,7 @@ class DomainMap:
         Bounds that something else promises for configurations nobody tried; nan for none.
     """
 
-    evidence: Evidence
+    evidence: HeldOutErrors
     cells: Cells
     groups: tuple[str, ...]
     place: IntArray
@@ -166,7 +166,7 @@ class DomainMap:
                     found[g, c] = value_of(score, self.measure) if np.isfinite(score) else np.inf
         return found
 
-    def verdicts(self, claim: Claim) -> list[list[Verdict]]:
+    def verdicts(self, claim: Claim) -> list[list[CellVerdict]]:
         """Of every cell of every map."""
         confidence, statistic = self.confidence(claim), self.statistic(claim.level)
         return [
@@ -177,29 +177,33 @@ class DomainMap:
             for g in range(len(self.groups))
         ]
 
-    def _verdict(self, claim: Claim, g: int, c: int, sure: float, seen: float) -> Verdict:
+    def _verdict(self, claim: Claim, g: int, c: int, sure: float, seen: float) -> CellVerdict:
         n = int(self.counts[g, c])
         if n == 0:
             return self._without_data(claim, g, c)
         said = f"{n} member{'s' if n > 1 else ''}, {claim.text(seen)}"
         below = seen <= claim.threshold
         if below and sure >= claim.confidence:
-            return Verdict(TRUSTED, sure, f"{said}; {100.0 * sure:.0f} % sure")
+            return CellVerdict(TRUSTED, sure, f"{said}; {100.0 * sure:.0f} % sure")
         if not below and sure <= 1.0 - claim.confidence:
-            return Verdict(NOT_TRUSTED, sure, f"{said}; {100.0 * (1.0 - sure):.0f} % sure of that")
+            return CellVerdict(
+                NOT_TRUSTED, sure, f"{said}; {100.0 * (1.0 - sure):.0f} % sure of that"
+            )
         if below and sure <= 1.0 - claim.confidence:
             why = "its neighbours disagree"
         elif below:
             why = f"too little evidence, {100.0 * sure:.0f} % sure"
         else:
             why = "above the threshold, but not surely so"
-        return Verdict(DOUBTFUL, sure, f"{said}; {why}")
+        return CellVerdict(DOUBTFUL, sure, f"{said}; {why}")
 
-    def _without_data(self, claim: Claim, g: int, c: int) -> Verdict:
+    def _without_data(self, claim: Claim, g: int, c: int) -> CellVerdict:
         bound = np.nan if self.predicted_mm is None else float(self.predicted_mm[g, c])
         if bound <= claim.threshold:
-            return Verdict(PREDICTED, np.nan, f"no experiment; promised {claim.text(bound)}")
-        return Verdict(NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment here")
+            return CellVerdict(PREDICTED, np.nan, f"no experiment; promised {claim.text(bound)}")
+        return CellVerdict(
+            NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment here"
+        )
 
     @cached_property
     def _untried(self) -> dict[str, list[str]]:
@@ -277,7 +281,7 @@ def _quantile(scores: FloatArray, level: float) -> float:
     return float(ordered[min(len(ordered) - 1, math.ceil(level * len(ordered) - 1e-9) - 1)])
 
 
-def usual_threshold(evidence: Evidence, measure: Measure = "absolute") -> float:
+def usual_threshold(evidence: HeldOutErrors, measure: Measure = "absolute") -> float:
     """Twice the median error, to two digits: where one looks first."""
     scores = evidence.scores(measure)
     good = scores[np.isfinite(scores)]
@@ -288,7 +292,7 @@ def usual_threshold(evidence: Evidence, measure: Measure = "absolute") -> float:
 
 
 def domain_map(
-    evidence: Evidence,
+    evidence: HeldOutErrors,
     cells: Cells,
     measure: Measure = "absolute",
     seed: int = 0,
@@ -299,7 +303,7 @@ def domain_map(
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : HeldOutErrors
     cells : Cells
     measure : str
     seed : int
@@ -334,7 +338,9 @@ def domain_map(
     return DomainMap(evidence, cells, groups, place, measure, surface, predicted_mm)
 
 
-def _seen(place: IntArray, group: IntArray, scores: FloatArray, usable: BoolArray) -> Seen:
+def _seen(
+    place: IntArray, group: IntArray, scores: FloatArray, usable: BoolArray
+) -> CellObservations:
     """Counts, means and squares of the cells that have members.
 
     A failed simulation counts as three times the largest error: far above whatever matters.
@@ -346,7 +352,7 @@ def _seen(place: IntArray, group: IntArray, scores: FloatArray, usable: BoolArra
     for k in np.flatnonzero(usable).tolist():
         slots.setdefault((int(group[k]), int(place[k])), []).append(float(score[k]))
     rows = sorted(slots.items())
-    return Seen(
+    return CellObservations(
         np.array([g for (g, _), _ in rows]),
         np.array([c for (_, c), _ in rows]),
         np.array([len(own) for _, own in rows]),

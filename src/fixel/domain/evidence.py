@@ -30,7 +30,7 @@ def unit_in(name: str) -> str:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Evidence(Comparable):
+class HeldOutErrors(Comparable):
     """Held-out errors, one row an experiment.
 
     Parameters
@@ -107,7 +107,7 @@ class Evidence(Comparable):
             )
         return self.coordinates[name]
 
-    def rows(self, which: Sequence[int] | IntArray) -> Evidence:
+    def rows(self, which: Sequence[int] | IntArray) -> HeldOutErrors:
         """Some of the experiments."""
         own = np.asarray(which, np.int64)
         pick = own.tolist()

@@ -16,9 +16,9 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.objective import Evaluated
+from fixel.calibration.objective import Evaluation
 from fixel.calibration.study import LEAST_ERROR, weighted_mean
-from fixel.domain.places import PRINTED_STEPS, Group, Index, domain
+from fixel.domain.places import PRINTED_STEPS, ExperimentGroup, Index, domain
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import settle
@@ -103,10 +103,10 @@ def weights(members: Sequence[int], singles: Singles) -> FloatArray:
 
 # --- one batch of rollouts ----------------------------------------------------------------------
 
-Evaluate = Callable[[IntArray, FloatArray], Evaluated]
+Evaluate = Callable[[IntArray, FloatArray], Evaluation]
 
 
-class Wanted:
+class RolloutQueue:
     """Collects rollouts of several askers, each pair of experiment and set once, and runs them all
     in one call."""
 
@@ -130,7 +130,7 @@ class Wanted:
         """(n,) experiment of each rollout."""
         return np.array([sample for sample, _ in self._place], np.int64)
 
-    def run(self, evaluate: Evaluate) -> Evaluated:
+    def run(self, evaluate: Evaluate) -> Evaluation:
         """The answers."""
         return evaluate(self.which, np.array(self._points))
 
@@ -145,7 +145,7 @@ class Step:
 
     Attributes
     ----------
-    group : Group
+    group : ExperimentGroup
     step : int
     used : OneSet
         The set of parameters, and the members.
@@ -155,7 +155,7 @@ class Step:
         Why there is no largest error; empty where there is one.
     """
 
-    group: Group
+    group: ExperimentGroup
     step: int
     used: OneSet
     errors: FloatArray
@@ -174,13 +174,13 @@ class Growth:
 
     Attributes
     ----------
-    groups : tuple of Group
+    groups : tuple of ExperimentGroup
     index : str
     steps : tuple of tuple of Step
         By group, from step 0.
     """
 
-    groups: tuple[Group, ...]
+    groups: tuple[ExperimentGroup, ...]
     index: Index
     steps: tuple[tuple[Step, ...], ...]
 
@@ -190,7 +190,7 @@ class Growth:
         return [[step.largest for step in row] for row in self.steps]
 
 
-def n_steps_of(groups: Sequence[Group], index: Index) -> int:
+def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
     """Steps that the experiments allow.
 
     Raises
@@ -221,27 +221,29 @@ class Grower:
 
     Parameters
     ----------
-    groups : sequence of Group
+    groups : sequence of ExperimentGroup
     singles : Singles
     index : str
         `"corrected"`, or `"printed"` for the thesis's code as it is printed.
     """
 
     def __init__(
-        self, groups: Sequence[Group], singles: Singles, index: Index = "corrected"
+        self, groups: Sequence[ExperimentGroup], singles: Singles, index: Index = "corrected"
     ) -> None:
         self.groups, self.singles, self.index = tuple(groups), singles, index
         self.n_steps = n_steps_of(self.groups, index)
         self._plan: list[list[tuple[OneSet, list[int], str]]] = []
 
-    def ask(self, wanted: Wanted) -> None:
+    def ask(self, wanted: RolloutQueue) -> None:
         """Collect the rollouts."""
         self._plan = [
             [self._planned(group, step, wanted) for step in range(self.n_steps + 1)]
             for group in self.groups
         ]
 
-    def _planned(self, group: Group, step: int, wanted: Wanted) -> tuple[OneSet, list[int], str]:
+    def _planned(
+        self, group: ExperimentGroup, step: int, wanted: RolloutQueue
+    ) -> tuple[OneSet, list[int], str]:
         places = domain(step, self.index)
         missing = group.missing(places)
         if missing:
@@ -252,7 +254,7 @@ class Grower:
             return used, [], used.reason
         return used, [wanted.add(member, used.point) for member in used.members], ""
 
-    def read(self, answer: Evaluated) -> Growth:
+    def read(self, answer: Evaluation) -> Growth:
         """The growth, of the answers to what was collected."""
         rows = [
             tuple(
@@ -264,7 +266,11 @@ class Grower:
         return Growth(groups=self.groups, index=self.index, steps=tuple(rows))
 
     def _step(
-        self, group: Group, step: int, planned: tuple[OneSet, list[int], str], answer: Evaluated
+        self,
+        group: ExperimentGroup,
+        step: int,
+        planned: tuple[OneSet, list[int], str],
+        answer: Evaluation,
     ) -> Step:
         used, places, reason = planned
         errors = answer.error[np.array(places, np.int64)]
@@ -276,7 +282,10 @@ class Grower:
 
 
 def grow(
-    groups: Sequence[Group], singles: Singles, evaluate: Evaluate, index: Index = "corrected"
+    groups: Sequence[ExperimentGroup],
+    singles: Singles,
+    evaluate: Evaluate,
+    index: Index = "corrected",
 ) -> Growth:
     """Grow the domains of groups, all rollouts in one call.
 
@@ -287,6 +296,6 @@ def grow(
     evaluate : callable
         (n,) experiments and (n, n_parameter) points -> their errors; `Comparer.errors`.
     """
-    grower, wanted = Grower(groups, singles, index), Wanted()
+    grower, wanted = Grower(groups, singles, index), RolloutQueue()
     grower.ask(wanted)
     return grower.read(wanted.run(evaluate))

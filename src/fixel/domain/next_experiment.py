@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, Claim, DomainMap, Verdict
+from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim, DomainMap
 from fixel.kernels.arrays import FloatArray
 
 NODES: Final = 9  # of the quadrature over how the experiment might turn out
@@ -44,7 +44,7 @@ class Proposal:
 
 
 def proposals(
-    domain: DomainMap, claim: Claim, most: int = 5, verdicts: list[list[Verdict]] | None = None
+    domain: DomainMap, claim: Claim, most: int = 5, verdicts: list[list[CellVerdict]] | None = None
 ) -> list[Proposal]:
     """The most instructive experiments over all maps, the best first; one a map at most once each.
 
@@ -54,7 +54,7 @@ def proposals(
     claim : Claim
     most : int
         How many.
-    verdicts : list of list of Verdict, optional
+    verdicts : list of list of CellVerdict, optional
         Of the claim, where they are at hand.
     """
     verdicts = domain.verdicts(claim) if verdicts is None else verdicts
@@ -76,7 +76,7 @@ def proposals(
     return sorted(found, key=lambda one: -one.bits)[:most]
 
 
-def _candidates(domain: DomainMap, verdicts: list[Verdict], inside: list[int]) -> list[int]:
+def _candidates(domain: DomainMap, verdicts: list[CellVerdict], inside: list[int]) -> list[int]:
     """Doubtful cells, those without data that touch the domain, a nominal without data."""
     near = {b for a, b in domain.cells.edges if a in inside}
     near |= {a for a, b in domain.cells.edges if b in inside}
@@ -121,7 +121,7 @@ def _entropy(chance: FloatArray) -> FloatArray:
     return np.asarray(-(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)))
 
 
-def _reason(domain: DomainMap, verdict: Verdict, inside: list[int], c: int) -> str:
+def _reason(domain: DomainMap, verdict: CellVerdict, inside: list[int], c: int) -> str:
     if verdict.colour != DOUBTFUL:
         nominal = c == domain.cells.nominal
         return "no experiment at the nominal" if nominal else "no experiment there; it touches D"

@@ -18,7 +18,7 @@ AXES: Final = ("x", "y", "theta")
 INDEXES: Final = ("corrected", "printed")
 
 
-class Place(NamedTuple):
+class AxisPlace(NamedTuple):
     """Steps from the nominal pose along one axis."""
 
     axis: str
@@ -30,27 +30,32 @@ class Place(NamedTuple):
         return self.axis if self == NOMINAL else f"{self.axis}{self.step}"
 
 
-NOMINAL: Final = Place("nominal", 0)
+NOMINAL: Final = AxisPlace("nominal", 0)
 
 # The 21 rows of a group in the order in which the printed code numbers them, from 1.
 ROWS: Final = (
     NOMINAL,
-    *(Place("x", k) for k in range(1, 6)),
-    *(Place("y", k) for k in range(5, 0, -1)),
-    *(Place("y", -k) for k in range(1, 6)),
-    *(Place("theta", k) for k in range(1, 6)),
+    *(AxisPlace("x", k) for k in range(1, 6)),
+    *(AxisPlace("y", k) for k in range(5, 0, -1)),
+    *(AxisPlace("y", -k) for k in range(1, 6)),
+    *(AxisPlace("theta", k) for k in range(1, 6)),
 )
 PRINTED_STEPS: Final = 5
 
 
-def joining(step: int, index: Index = "corrected") -> tuple[Place, ...]:
+def joining(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
     """Places that join the domain at a step, from 1: x+i, y+i, y-i, theta+i.
 
     The printed code takes theta from row 15 + i, one too early: at step 1 that is y-5, which comes
     again at step 5, and theta+5, row 21, never joins. `"printed"` does the same.
     """
     if index == "corrected":
-        return (Place("x", step), Place("y", step), Place("y", -step), Place("theta", step))
+        return (
+            AxisPlace("x", step),
+            AxisPlace("y", step),
+            AxisPlace("y", -step),
+            AxisPlace("theta", step),
+        )
     if index not in INDEXES:
         raise InvalidInput("index", found=repr(index), expected="corrected or printed")
     if not 1 <= step <= PRINTED_STEPS:
@@ -58,7 +63,7 @@ def joining(step: int, index: Index = "corrected") -> tuple[Place, ...]:
     return tuple(ROWS[row - 1] for row in (1 + step, 12 - step, 11 + step, 15 + step))
 
 
-def domain(step: int, index: Index = "corrected") -> tuple[Place, ...]:
+def domain(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
     """Places in the domain after a step, in the order they joined; 4 a step and the nominal one."""
     joined = (place for k in range(1, step + 1) for place in joining(k, index))
     return (NOMINAL, *joined)
@@ -79,14 +84,14 @@ def interval(axis: str, size: int) -> tuple[int, int]:
     return low, low + size - 1
 
 
-def along(axis: str, step: int) -> Place:
+def along(axis: str, step: int) -> AxisPlace:
     """A place on an axis; the nominal one is on all of them."""
-    return Place(axis, step) if step else NOMINAL
+    return AxisPlace(axis, step) if step else NOMINAL
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
+class ExperimentGroup:
     """Experiments of one shape and layout.
 
     Parameters
@@ -98,7 +103,7 @@ class Group:
 
     shape: str
     layout: str
-    at: Mapping[Place, int] = field(default_factory=dict)
+    at: Mapping[AxisPlace, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         settle(self, at=MappingProxyType(dict(self.at)))
@@ -120,10 +125,10 @@ class Group:
         """Largest step at which any experiment would join."""
         return max(abs(place.step) for place in self.at)
 
-    def found(self, places: Sequence[Place]) -> tuple[int, ...]:
+    def found(self, places: Sequence[AxisPlace]) -> tuple[int, ...]:
         """Experiments at places, those without left out."""
         return tuple(self.at[place] for place in places if place in self.at)
 
-    def missing(self, places: Sequence[Place]) -> list[Place]:
+    def missing(self, places: Sequence[AxisPlace]) -> list[AxisPlace]:
         """Places without an experiment, each once."""
         return [place for place in dict.fromkeys(places) if place not in self.at]

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.domain.contacts import SIDE, SPEED, Contacts, Novelty, PushedContacts
+from fixel.domain.contacts import SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
 from fixel.domain.scale_model import (
     Scale,
     ScaleModel,
@@ -152,13 +152,13 @@ class Promise:
         return cls(level, name, len(off), tuple(models), fold, score, group, known, near, unit)
 
     def for_contacts(
-        self, contacts: Contacts, groups: Labels | None = None, beyond: Promise | None = None
+        self, contacts: TouchedPlaces, groups: Labels | None = None, beyond: Promise | None = None
     ) -> Promise:
         """Return the promise that has no data on sides and at speeds that were never pushed.
 
         Parameters
         ----------
-        contacts : Contacts
+        contacts : TouchedPlaces
             Of experiments.
         groups : (k,) sequence, optional
             Labels of these; a group is one part.
@@ -173,7 +173,10 @@ class Promise:
         return replace(self, _pushed=pushed, _beyond=beyond)
 
     def bounds(
-        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+        self,
+        features: ArrayLike,
+        groups: Labels | None = None,
+        contacts: TouchedPlaces | None = None,
     ) -> FloatArray:
         """Return bounds on the errors of new configurations (m,).
 
@@ -183,7 +186,10 @@ class Promise:
         return np.asarray(self.quantiles(features, groups, (self.level,), contacts)[0])
 
     def expected(
-        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+        self,
+        features: ArrayLike,
+        groups: Labels | None = None,
+        contacts: TouchedPlaces | None = None,
     ) -> FloatArray:
         """Return medians of the errors of new configurations (m,); infinite without data."""
         return np.asarray(self.quantiles(features, groups, (0.5,), contacts)[0])
@@ -193,7 +199,7 @@ class Promise:
         features: ArrayLike,
         groups: Labels | None,
         levels: Sequence[float],
-        contacts: Contacts | None = None,
+        contacts: TouchedPlaces | None = None,
     ) -> FloatArray:
         """Return bounds at several levels (n_level, m).
 
@@ -202,7 +208,7 @@ class Promise:
         features : (m, f) array_like
         groups : (m,) sequence or None
         levels : (n_level,) sequence of float
-        contacts : Contacts, optional
+        contacts : TouchedPlaces, optional
             Of the new configurations; required of a promise `for_contacts`.
         """
         table = self._table(features)
@@ -218,7 +224,10 @@ class Promise:
         return answer
 
     def reasons(
-        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+        self,
+        features: ArrayLike,
+        groups: Labels | None = None,
+        contacts: TouchedPlaces | None = None,
     ) -> tuple[str, ...]:
         """Return why there is no data for new configurations (m,); empty where there is."""
         table = self._table(features)
@@ -232,12 +241,15 @@ class Promise:
         return tuple(answer)
 
     def near(
-        self, features: ArrayLike, groups: Labels | None = None, contacts: Contacts | None = None
+        self,
+        features: ArrayLike,
+        groups: Labels | None = None,
+        contacts: TouchedPlaces | None = None,
     ) -> BoolArray:
         """Return whether there is data for a bound (m,)."""
         return np.array([not reason for reason in self.reasons(features, groups, contacts)], bool)
 
-    def _novelty(self, contacts: Contacts | None, labels: list[Hashable]) -> Novelty:
+    def _novelty(self, contacts: TouchedPlaces | None, labels: list[Hashable]) -> Novelty:
         if (self._pushed is None) != (contacts is None):
             found = "none" if contacts is None else "some, of a promise that knows none"
             raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
@@ -319,7 +331,7 @@ def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: floa
     return np.array(COLOURS)[np.where(near, chosen, 3)]
 
 
-class Promised(NamedTuple):
+class PredictedBounds(NamedTuple):
     """What is promised of configurations never tried."""
 
     bound: FloatArray  # (m,) inf where nothing is
@@ -339,8 +351,8 @@ def promised(
     level: float = LEVEL,
     *,
     seed: int = 0,
-    contacts: tuple[Contacts, Contacts] | None = None,
-) -> Promised:
+    contacts: tuple[TouchedPlaces, TouchedPlaces] | None = None,
+) -> PredictedBounds:
     """Bounds for new configurations of one part in one call.
 
     Parameters
@@ -364,7 +376,7 @@ def promised(
     bound, expected = promise.quantiles(new, None, (level, 0.5), asked)
     reasons = promise.reasons(new, None, asked)
     near = np.array([not reason for reason in reasons], bool)
-    return Promised(bound, expected, near, reasons)
+    return PredictedBounds(bound, expected, near, reasons)
 
 
 # --- how ----------------------------------------------------------------------------------------

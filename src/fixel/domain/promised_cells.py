@@ -6,14 +6,14 @@ import numpy as np
 
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
-from fixel.domain.evidence import Evidence, Value, unit_in
+from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.domain.promise import Promise, least_experiments
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 
 
 def promised_cells(
-    evidence: Evidence, cells: Cells, level: float, seed: int = 0
+    evidence: HeldOutErrors, cells: Cells, level: float, seed: int = 0
 ) -> FloatArray | None:
     """(n_group, n_cell) bounds that new experiments stay within with a probability [mm].
 
@@ -22,7 +22,7 @@ def promised_cells(
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : HeldOutErrors
     cells : Cells
     level : float
         The probability.
@@ -49,7 +49,7 @@ def promised_cells(
     return np.where(tried | far, bounds, np.inf if new is None else new)
 
 
-def untried(evidence: Evidence, cells: Cells) -> dict[str, list[str]]:
+def untried(evidence: HeldOutErrors, cells: Cells) -> dict[str, list[str]]:
     """Return by map which coordinate of each cell was never tried; empty for none.
 
     New are a text that no experiment of the map has, a contact angle or a speed unlike all of the
@@ -97,7 +97,7 @@ def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
 
 
 def _bounds(
-    evidence: Evidence, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
+    evidence: HeldOutErrors, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
 ) -> FloatArray | None:
     """Of all cells, from some of the experiments; none from too few."""
     if len(rows) < least_experiments(level):

@@ -31,7 +31,7 @@ NODES: Final = 7
 NAMES: Final = ("reach", "shared", "own", "offset", "cell", "scatter")
 
 
-class Seen(NamedTuple):
+class CellObservations(NamedTuple):
     """What members say, cell by cell."""
 
     group: IntArray  # (m,) map of each cell that has members
@@ -86,7 +86,7 @@ class Surface:
         return np.asarray(self.mean.mean(axis=0))
 
 
-def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> Surface:
+def fit_surface(places: FloatArray, n_group: int, seen: CellObservations, seed: int = 0) -> Surface:
     """Find the surface that members most likely lie on, and how far others are as likely.
 
     Parameters
@@ -95,13 +95,13 @@ def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> 
         Where the cells are, as shares of the axes.
     n_group : int
         Maps.
-    seen : Seen
+    seen : CellObservations
         One cell at least.
     seed : int
         Of the versions.
     """
-    best, spread = _likeliest(_Model(places, n_group, _some(seen, seed)))
-    model = _Model(places, n_group, seen)
+    best, spread = _likeliest(_SurfaceModel(places, n_group, _some(seen, seed)))
+    model = _SurfaceModel(places, n_group, seen)
     draws = _versions(best, spread, seed)
     mean, variance, scatter = [], [], []
     for values in draws:
@@ -121,7 +121,7 @@ def fit_surface(places: FloatArray, n_group: int, seen: Seen, seed: int = 0) -> 
 
 
 def _uneven(
-    scatter: FloatArray, seen: Seen, n_group: int, n_cell: int
+    scatter: FloatArray, seen: CellObservations, n_group: int, n_cell: int
 ) -> tuple[FloatArray, FloatArray]:
     """Factors of the scatter, and how probable each is in every cell (by Bayes's rule)."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
@@ -135,19 +135,19 @@ def _uneven(
     return factors, np.asarray(found / found.sum(axis=1, keepdims=True))
 
 
-def _some(seen: Seen, seed: int) -> Seen:
+def _some(seen: CellObservations, seed: int) -> CellObservations:
     """At most so many of the cells, at random, for what a few tell as well as all."""
     n = len(seen.mean)
     if n <= MOST_LEARNT:
         return seen
     own = np.sort(np.random.default_rng(seed).choice(n, MOST_LEARNT, replace=False))
-    return Seen._make(np.asarray(column)[own] for column in seen)
+    return CellObservations._make(np.asarray(column)[own] for column in seen)
 
 
-class _Model:
+class _SurfaceModel:
     """Prior and data; parameters are logarithms, in the order of `NAMES`."""
 
-    def __init__(self, places: FloatArray, n_group: int, seen: Seen) -> None:
+    def __init__(self, places: FloatArray, n_group: int, seen: CellObservations) -> None:
         self.distance = np.linalg.norm(places[:, None] - places[None], axis=-1)
         self.n_group = n_group
         self.seen = seen
@@ -209,7 +209,7 @@ class _Model:
         return mean, left
 
 
-def _likeliest(model: _Model) -> tuple[FloatArray, FloatArray]:
+def _likeliest(model: _SurfaceModel) -> tuple[FloatArray, FloatArray]:
     """The most probable parameters, and the covariance about them (Laplace)."""
     from scipy.optimize import minimize
 
@@ -225,7 +225,7 @@ def _likeliest(model: _Model) -> tuple[FloatArray, FloatArray]:
     return best, _spread(model, best)
 
 
-def _spread(model: _Model, best: FloatArray) -> FloatArray:
+def _spread(model: _SurfaceModel, best: FloatArray) -> FloatArray:
     """Inverse of the loss's curvature, at least that of the prior in no direction."""
     n, h = len(best), 0.1
     eye = h * np.eye(n)

@@ -17,8 +17,8 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.picture import force_text, frame_axes, refuse_ending, tint
 from fixel.drawing.view import (
-    Box,
-    Unit,
+    LengthUnit,
+    Rectangle,
     arrow_length_per_newton,
     carried,
     centre_path,
@@ -231,7 +231,7 @@ class _Stage:
         self.touched.set_verts([placed(f.shape.outline, f.pose) * scale for f in fixels])
 
 
-def _figure(box: Box, unit: Unit) -> tuple[Figure, Any]:
+def _figure(box: Rectangle, unit: LengthUnit) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
     left, right, bottom, top = 0.55, 0.12, 0.42, 0.28

@@ -13,8 +13,8 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    ChartTable,
     Style,
-    Table,
     clean,
     column,
     legend_below,
@@ -76,11 +76,13 @@ class ErrorsChart(AbstractChart):
         legend_below(figure, (axes,))
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         unit = column(self.unit)
         columns = ("experiment", *(f"{_column_name(name)}_{unit}" for name in self.series))
         values = [plain(errors) for errors in self.series.values()]
-        return Table(columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order])
+        return ChartTable(
+            columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order]
+        )
 
 
 def _column_name(name: str) -> str:
@@ -189,7 +191,7 @@ class SecondsChart(AbstractChart):
     def _text(seconds: float) -> str:
         return f"{seconds / 3600.0:.3g} h" if seconds >= 7200.0 else f"{seconds:.3g} s"
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("experiment", "seconds", "evaluations")
         rows = zip(self.keys, self.seconds.tolist(), self.evaluations, strict=True)
-        return Table(columns, list(rows))
+        return ChartTable(columns, list(rows))

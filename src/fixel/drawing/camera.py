@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Table, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, sheet
 from fixel.kernels.arrays import FloatArray
 from fixel.vision.plane_errors import PlaneErrors
 
@@ -44,7 +44,7 @@ class CameraErrorChart(AbstractChart):
         self._seen(figure, right)
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         e = self.errors
         rows: list[tuple[Any, ...]] = [
             (*pixel, *place, e.height, camera, whole)
@@ -56,7 +56,7 @@ class CameraErrorChart(AbstractChart):
                 strict=True,
             )
         ]
-        return Table(
+        return ChartTable(
             ("u_px", "v_px", "x_m", "y_m", "height_m", "camera_95_m", "with_noise_95_m"), rows
         )
 

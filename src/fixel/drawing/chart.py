@@ -26,7 +26,7 @@ WIDE: Final = 7.16  # [inch], two columns of text
 HEAD: Final = 0.22  # [inch]
 
 
-class Table(NamedTuple):
+class ChartTable(NamedTuple):
     """The numbers of a picture, in SI units; units are in the names or in a column of their own."""
 
     columns: tuple[str, ...]
@@ -41,7 +41,7 @@ class AbstractChart(abc.ABC):
         """The picture, without a banner."""
 
     @abc.abstractmethod
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         """All that the picture shows."""
 
 

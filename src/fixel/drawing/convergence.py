@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, Table, Value, log_scale, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Style, Value, log_scale, sheet
 from fixel.drawing.picture import tint
 from fixel.kernels.arrays import FloatArray, IntArray
 
@@ -21,7 +21,7 @@ HEIGHT: Final = 3.4  # [inch]
 UM: Final = 1e6
 
 
-class Descent(NamedTuple):
+class BestSoFar(NamedTuple):
     """The best of a search after each of its steps."""
 
     label: str
@@ -43,12 +43,12 @@ class ConvergenceChart(AbstractChart):
         Of the part [m].
     truth : (3, 2) float64
         Support points that made the data [m].
-    descents : sequence of Descent
+    descents : sequence of BestSoFar
     """
 
     outline: FloatArray
     truth: FloatArray
-    descents: Sequence[Descent]
+    descents: Sequence[BestSoFar]
 
     def figure(self) -> Figure:
         page = sheet(WIDE, HEIGHT)
@@ -76,7 +76,7 @@ class ConvergenceChart(AbstractChart):
         page.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
         return page
 
-    def _trails(self, axes: Axes, one: Descent) -> None:
+    def _trails(self, axes: Axes, one: BestSoFar) -> None:
         closed = np.vstack((self.outline, self.outline[:1])) * UM
         axes.fill(*closed.T, color=tint(palette.BODY, 0.10))
         axes.plot(*closed.T, color=palette.BODY, linewidth=0.8)
@@ -100,7 +100,7 @@ class ConvergenceChart(AbstractChart):
         axes.set_xlabel("x [µm]")
         axes.set_ylabel("y [µm]")
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("search", "evaluations", "error_m", "simplex_size",
                    *(f"support_{k}_{axis}_m" for k in (1, 2, 3) for axis in "xy"))  # fmt: skip
         rows: list[tuple[Value, ...]] = [
@@ -110,7 +110,7 @@ class ConvergenceChart(AbstractChart):
                 one.evaluations, one.error, one.size, one.points, strict=True
             )
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 _COLOURS: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.PUSHER)

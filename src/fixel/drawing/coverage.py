@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from fixel.drawing import palette
-from fixel.drawing.chart import AbstractChart, Table, clean, sheet
+from fixel.drawing.chart import AbstractChart, ChartTable, clean, sheet
 from fixel.kernels.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ class CoverageChart(AbstractChart):
         _fill(figure, self._panels)
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         rows: list[tuple[str | float | int | None, ...]] = []
         for panel in self._panels:
             told = zip(panel.levels, panel.held, panel.low, panel.high, strict=True)
             rows += [(panel.title, *map(float, row), panel.outcomes) for row in told]
-        return Table(
+        return ChartTable(
             ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes"), rows
         )
 

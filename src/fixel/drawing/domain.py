@@ -13,8 +13,8 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    ChartTable,
     Style,
-    Table,
     clean,
     log_scale,
     plain,
@@ -52,7 +52,7 @@ class Strip(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Panel:
+class MapPanel:
     """One map, of one or two axes.
 
     Attributes
@@ -84,7 +84,7 @@ class MapChart(AbstractChart):
     ----------
     across, up : Strip
         Axes of the columns and the rows; the rows have no name in a map of one axis.
-    panels : tuple of Panel
+    panels : tuple of MapPanel
         The first 30 are drawn.
     heading : str
         The claim that blue cells meet.
@@ -95,7 +95,7 @@ class MapChart(AbstractChart):
 
     across: Strip
     up: Strip
-    panels: tuple[Panel, ...]
+    panels: tuple[MapPanel, ...]
     heading: str
     head: tuple[str, ...]
     rows: Sequence[tuple[Any, ...]] = field(default=())
@@ -134,15 +134,15 @@ class MapChart(AbstractChart):
         longest = max(len(self.across.ticks), 4)
         return max(1, min(COLUMNS, 28 // longest))
 
-    def _title(self, shown: Sequence[Panel]) -> str:
+    def _title(self, shown: Sequence[MapPanel]) -> str:
         more = len(self.panels) - len(shown)
         return self.heading + (f" (and {more} more)" if more else "")
 
-    def table(self) -> Table:
-        return Table(self.head, list(self.rows))
+    def table(self) -> ChartTable:
+        return ChartTable(self.head, list(self.rows))
 
 
-def _draw_panel(axes: Axes, panel: Panel, chart: MapChart, *, first: bool, last: bool) -> None:
+def _draw_panel(axes: Axes, panel: MapPanel, chart: MapChart, *, first: bool, last: bool) -> None:
     from matplotlib.patches import Rectangle
 
     n_up, n_across = len(chart.up.ticks), len(chart.across.ticks)
@@ -197,7 +197,7 @@ def _outline(axes: Axes, inside: Any) -> None:
                           solid_capstyle="projecting")  # fmt: skip
 
 
-def _legend(figure: Figure, panels: Sequence[Panel]) -> None:
+def _legend(figure: Figure, panels: Sequence[MapPanel]) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -264,10 +264,10 @@ class SizeChart(AbstractChart):
         clean(axes)
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         head = (self.column, *(f"cells_{name or 'all'}".replace(" ", "_") for name in self.sizes))
         columns = [plain(np.asarray(own, np.float64)) for own in self.sizes.values()]
         rows = [
             (tau, *(own[k] for own in columns)) for k, tau in enumerate(self.thresholds.tolist())
         ]
-        return Table(head, rows)
+        return ChartTable(head, rows)

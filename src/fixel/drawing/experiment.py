@@ -11,7 +11,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.banner import BANNER, add_simulated_band, cut_short
 from fixel.drawing.picture import frame_axes, save_made, tint
-from fixel.drawing.view import UNITS, Box, ghosts
+from fixel.drawing.view import UNITS, Rectangle, ghosts
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Channel, Experiment, Fixel, Shape, Trajectory, placed, pose_error
@@ -156,7 +156,7 @@ def _swept(shape: Shape | None, track: Trajectory) -> list[FloatArray]:
     return [placed(shape.outline, pose) for pose in track.pose[some]]
 
 
-def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Box:
+def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Rectangle:
     """Everything drawn from above."""
     corners = [placed(f.shape.outline, f.pose) for f in _fixels(experiment)]
     for track in tracks:
@@ -167,17 +167,17 @@ def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Box:
     low, high = points.min(axis=0), points.max(axis=0)
     short = np.maximum(LEAST_SIDE - (high - low), 0.0) / 2.0
     (left, bottom), (right, top) = (low - short).tolist(), (high + short).tolist()
-    return _with_names(experiment, Box((left, right), (bottom, top)).widened(MARGIN))
+    return _with_names(experiment, Rectangle((left, right), (bottom, top)).widened(MARGIN))
 
 
-def _with_names(experiment: Experiment, box: Box) -> Box:
+def _with_names(experiment: Experiment, box: Rectangle) -> Rectangle:
     """Room on the right for the names of fixels."""
     right = box.x[1]
     per_inch = (box.x[1] - box.x[0]) / (palette.COLUMN - LEFT - RIGHT)
     for fixel in _fixels(experiment)[:MOST_NAMES]:
         reach = fixel.shape.radius + (LETTER * len(fixel.name) + 0.1) * per_inch
         right = max(right, float(fixel.pose[0]) + reach)
-    return Box((box.x[0], right), box.y)
+    return Rectangle((box.x[0], right), box.y)
 
 
 def _plate(axes: Axes, experiment: Experiment) -> list[Artist]:
@@ -355,21 +355,23 @@ def _patches(axes: Axes, outlines: Sequence[FloatArray], label: str, **style: An
 # --- what is against time ---------------------------------------------------------------------
 
 
-class _Run(NamedTuple):
+class _TouchSpan(NamedTuple):
     """When a fixel was touched: (start, length) in [s]."""
 
     name: str
     spans: list[tuple[float, float]]
 
 
-def _readings(experiment: Experiment) -> tuple[_Run, ...]:
+def _readings(experiment: Experiment) -> tuple[_TouchSpan, ...]:
     channel = experiment.channel("tactile")
     return () if channel is None else _runs(channel)
 
 
-def _runs(channel: Channel) -> tuple[_Run, ...]:
+def _runs(channel: Channel) -> tuple[_TouchSpan, ...]:
     return tuple(
-        _Run(column.removesuffix("_bool").replace("_", "-"), _spans(channel.time, values > 0.5))
+        _TouchSpan(
+            column.removesuffix("_bool").replace("_", "-"), _spans(channel.time, values > 0.5)
+        )
         for column, values in zip(channel.columns, channel.values.T, strict=True)
         if column.endswith("_bool")
     )
@@ -402,8 +404,8 @@ def _errors(panels: Sequence[Axes], measured: Trajectory, simulated: Trajectory)
 
 
 def _strip(
-    sheet: _Sheet,
-    runs: Sequence[_Run],
+    sheet: _ExperimentSheet,
+    runs: Sequence[_TouchSpan],
     colour: str,
     band: tuple[float, float] = (-0.35, 0.35),
 ) -> None:
@@ -415,7 +417,7 @@ def _strip(
         sheet.strip.broken_barh(run.spans, place, facecolor=colour, linewidth=0.0)
 
 
-def _time_axes(sheet: _Sheet, experiment: Experiment) -> None:
+def _time_axes(sheet: _ExperimentSheet, experiment: Experiment) -> None:
     """What all panels share: limits, grids, and a shade over what is not useful."""
     time = experiment.trajectory.time
     margin = 0.02 * float(time[-1] - time[0]) or 0.5
@@ -444,7 +446,7 @@ def _time_axes(sheet: _Sheet, experiment: Experiment) -> None:
 # --- the sheet --------------------------------------------------------------------------------
 
 
-class _Sheet(NamedTuple):
+class _ExperimentSheet(NamedTuple):
     """Axes of one column, from above to below."""
 
     figure: Figure
@@ -454,7 +456,7 @@ class _Sheet(NamedTuple):
     n_run: int
 
 
-def _sheet(labels: Sequence[str], runs: Sequence[_Run]) -> _Sheet:
+def _sheet(labels: Sequence[str], runs: Sequence[_TouchSpan]) -> _ExperimentSheet:
     from matplotlib.figure import Figure
 
     figure = Figure()
@@ -468,10 +470,12 @@ def _sheet(labels: Sequence[str], runs: Sequence[_Run]) -> _Sheet:
         strip.set_yticks(range(len(runs)), [run.name for run in runs])
         strip.set_ylim(len(runs) - 0.5, -0.5)
         strip.tick_params(axis="y", labelsize=palette.FONT_SIZE - 1.5, length=0.0)
-    return _Sheet(figure, view, panels, strip, len(runs))
+    return _ExperimentSheet(figure, view, panels, strip, len(runs))
 
 
-def _laid_out(sheet: _Sheet, experiment: Experiment, box: Box, handles: Sequence[Artist]) -> Figure:
+def _laid_out(
+    sheet: _ExperimentSheet, experiment: Experiment, box: Rectangle, handles: Sequence[Artist]
+) -> Figure:
     """Axes placed in inches, so that nothing overlaps or is cut."""
     width = palette.COLUMN - LEFT - RIGHT
     height = width * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
@@ -523,7 +527,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
     )
 
 
-def _heading(sheet: _Sheet, experiment: Experiment, total: float) -> None:
+def _heading(sheet: _ExperimentSheet, experiment: Experiment, total: float) -> None:
     """The name of the experiment, and a banner over what no camera has seen."""
     sheet.view.set_title(cut_short(experiment.key, 52), loc="left", pad=3.5)
     if experiment.real:

@@ -27,7 +27,7 @@ from fixel.drawing.experiment import (
     VIEW_LABELS,
 )
 from fixel.drawing.picture import frame_axes, save_made, tint
-from fixel.drawing.view import Box
+from fixel.drawing.view import Rectangle
 from fixel.filtering.recorded import FilterEstimates
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
 from fixel.model.fields import BoolArray, FloatArray
@@ -82,7 +82,7 @@ def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:
     return _laid_out(sheet, experiment, _extent(experiment, estimates), handles)
 
 
-class _Sheet(NamedTuple):
+class _FilterSheet(NamedTuple):
     """Axes of one column, from above to below."""
 
     figure: Figure
@@ -97,7 +97,7 @@ class _Sheet(NamedTuple):
         return [*self.poses, *self.parameters, *([] if self.strip is None else [self.strip])]
 
 
-def _sheet(experiment: Experiment, estimates: FilterEstimates) -> _Sheet:
+def _sheet(experiment: Experiment, estimates: FilterEstimates) -> _FilterSheet:
     from matplotlib.figure import Figure
 
     figure = Figure()
@@ -117,7 +117,7 @@ def _sheet(experiment: Experiment, estimates: FilterEstimates) -> _Sheet:
         strip.set_yticks(range(n_fixel), [f.name for f in _scene(experiment).fixels])
         strip.set_ylim(n_fixel - 0.5, -0.5)
         strip.tick_params(axis="y", labelsize=palette.FONT_SIZE - 1.5, length=0.0)
-    return _Sheet(figure, view, poses, parameters, strip, n_fixel)
+    return _FilterSheet(figure, view, poses, parameters, strip, n_fixel)
 
 
 def _scene(experiment: Experiment) -> Scene:
@@ -128,7 +128,7 @@ def _scene(experiment: Experiment) -> Scene:
 # --- from above -------------------------------------------------------------------------------
 
 
-def _extent(experiment: Experiment, estimates: FilterEstimates) -> Box:
+def _extent(experiment: Experiment, estimates: FilterEstimates) -> Rectangle:
     """Everything drawn from above [m]."""
     scene = _scene(experiment)
     corners = [placed(f.shape.outline, f.pose) for f in scene.fixels]
@@ -141,7 +141,7 @@ def _extent(experiment: Experiment, estimates: FilterEstimates) -> Box:
         corners += [placed(shape.outline, pose) for pose in track.pose[some]]
     points = np.concatenate(corners)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Box((left, right), (bottom, top)).widened(MARGIN)
+    return Rectangle((left, right), (bottom, top)).widened(MARGIN)
 
 
 def _measured(experiment: Experiment, estimates: FilterEstimates) -> Trajectory:
@@ -303,7 +303,7 @@ def _spans(time: FloatArray, on: BoolArray) -> list[tuple[float, float]]:
     return [(float(ends[a]), float(ends[b] - ends[a])) for a, b in edges.reshape(-1, 2)]
 
 
-def _time_axes(sheet: _Sheet, estimates: FilterEstimates) -> None:
+def _time_axes(sheet: _FilterSheet, estimates: FilterEstimates) -> None:
     """What all panels share: limits, grids, and a shade while the object is hidden."""
     time, every = estimates.time, sheet.against_time
     margin = 0.02 * float(time[-1] - time[0])
@@ -326,7 +326,9 @@ def _time_axes(sheet: _Sheet, estimates: FilterEstimates) -> None:
 # --- the sheet --------------------------------------------------------------------------------
 
 
-def _laid_out(sheet: _Sheet, experiment: Experiment, box: Box, handles: list[Artist]) -> Figure:
+def _laid_out(
+    sheet: _FilterSheet, experiment: Experiment, box: Rectangle, handles: list[Artist]
+) -> Figure:
     """Axes placed in inches, so that nothing overlaps or is cut."""
     from matplotlib.patches import Patch
 
@@ -377,7 +379,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
     )
 
 
-def _heading(sheet: _Sheet, experiment: Experiment, total: float) -> None:
+def _heading(sheet: _FilterSheet, experiment: Experiment, total: float) -> None:
     """The name of the experiment, and a banner over what no camera has seen."""
     sheet.view.set_title(cut_short(f"{experiment.key}, filtered", 52), loc="left", pad=3.5)
     if experiment.real:

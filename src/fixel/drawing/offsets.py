@@ -12,7 +12,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    Table,
+    ChartTable,
     Value,
     clean,
     log_scale,
@@ -31,7 +31,7 @@ MOST_LINES: Final = 8  # layouts whose points are joined; more would be a thicke
 BINS: Final = 14
 
 
-class Axis(NamedTuple):
+class OffsetSeries(NamedTuple):
     """Experiments that differ along one axis."""
 
     name: str
@@ -64,7 +64,7 @@ class OffsetsChart(AbstractChart):
         Of the experiments.
     groups : sequence of str
         What an experiment was offset from: its shape and layout.
-    axes : sequence of Axis
+    axes : sequence of OffsetSeries
         Without any, values are drawn in the order of the experiments.
     quantities : sequence of Quantity
     """
@@ -72,14 +72,16 @@ class OffsetsChart(AbstractChart):
     title: str
     keys: Sequence[str]
     groups: Sequence[str]
-    axes: Sequence[Axis]
+    axes: Sequence[OffsetSeries]
     quantities: Sequence[Quantity]
 
     @property
-    def columns(self) -> Sequence[Axis]:
+    def columns(self) -> Sequence[OffsetSeries]:
         """What values are drawn against."""
         place = np.arange(len(self.keys))
-        return self.axes or [Axis("experiment", "", place, np.asarray(place + 1.0, np.float64))]
+        return self.axes or [
+            OffsetSeries("experiment", "", place, np.asarray(place + 1.0, np.float64))
+        ]
 
     def figure(self) -> Figure:
         n, m = len(self.quantities), len(self.columns)
@@ -103,7 +105,7 @@ class OffsetsChart(AbstractChart):
         self._legend(figure, grid[0, 0])
         return figure
 
-    def _draw(self, axes: Axes, axis: Axis, quantity: Quantity) -> None:
+    def _draw(self, axes: Axes, axis: OffsetSeries, quantity: Quantity) -> None:
         """Every experiment a dot, joined within a layout, and their mean."""
         clean(axes)
         unit, scale = readable(axis.unit or "-"), readable(quantity.unit).factor
@@ -134,7 +136,7 @@ class OffsetsChart(AbstractChart):
         if len(labels) > 1:
             figure.legend(handles, labels, frameon=False, ncols=2, loc="outside lower center")
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("experiment", "group", "axis", "offset", "offset_unit",
                    *(f"{q.label} [{q.unit}]" for q in self.quantities))  # fmt: skip
         values = [plain(quantity.values) for quantity in self.quantities]
@@ -143,7 +145,7 @@ class OffsetsChart(AbstractChart):
             for axis in self.columns
             for m, offset in zip(axis.members.tolist(), axis.offsets.tolist(), strict=True)
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 def _broken(label: str) -> str:

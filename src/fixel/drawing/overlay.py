@@ -12,15 +12,15 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    ChartTable,
     Style,
-    Table,
     Value,
     clean,
     shortened,
     written,
 )
 from fixel.drawing.picture import frame_axes, tint
-from fixel.drawing.view import UNITS, Box
+from fixel.drawing.view import UNITS, Rectangle
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
@@ -132,14 +132,14 @@ class OverlayChart(AbstractChart):
         )
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("curve", "time_s", "x_m", "y_m", "theta_rad")
         rows: list[tuple[Value, ...]] = [
             (name, time, *pose)
             for name, track, _ in self.tracks
             for time, pose in zip(track.time.tolist(), track.pose.tolist(), strict=True)
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 # Broad and pale, so that it shows below a simulation that meets it.
@@ -183,14 +183,14 @@ def _closed(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-def _extent(chart: OverlayChart) -> Box:
+def _extent(chart: OverlayChart) -> Rectangle:
     corners = [*chart.fixels, *chart.pusher]
     for _, track, _ in chart.tracks:
         some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
         corners += [placed(chart.outline, pose) for pose in track.pose[some]]
     points = np.concatenate(corners)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Box((left, right), (bottom, top)).widened(0.04)
+    return Rectangle((left, right), (bottom, top)).widened(0.04)
 
 
 def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:

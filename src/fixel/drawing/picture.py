@@ -11,8 +11,8 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.view import (
-    Box,
-    Unit,
+    LengthUnit,
+    Rectangle,
     arrow_length_per_newton,
     carried,
     centre_path,
@@ -149,7 +149,7 @@ def _figure(simulation: Simulation) -> Any:
     return figure
 
 
-def _draw(simulation: Simulation, axes: Axes, box: Box) -> list[Artist]:
+def _draw(simulation: Simulation, axes: Axes, box: Rectangle) -> list[Artist]:
     unit = unit_for(box.size)
     crowd = len(simulation.scene.bodies) >= CROWD
     frame_axes(axes, box, unit)
@@ -163,7 +163,7 @@ def _draw(simulation: Simulation, axes: Axes, box: Box) -> list[Artist]:
     return handles
 
 
-def frame_axes(axes: Axes, box: Box, unit: Unit) -> None:
+def frame_axes(axes: Axes, box: Rectangle, unit: LengthUnit) -> None:
     """Limits and labels of a top view."""
     axes.set_xlim(box.x[0] * unit.per_metre, box.x[1] * unit.per_metre)
     axes.set_ylim(box.y[0] * unit.per_metre, box.y[1] * unit.per_metre)
@@ -180,7 +180,7 @@ def _heading(simulation: Simulation, axes: Axes) -> None:
     axes.set_title(sentence(simulation), loc="left", color=colour, pad=4.0)
 
 
-def _outlines(shape: Any, poses: Any, unit: Unit) -> list[FloatArray]:
+def _outlines(shape: Any, poses: Any, unit: LengthUnit) -> list[FloatArray]:
     return [placed(shape.outline, pose) * unit.per_metre for pose in poses]
 
 
@@ -202,7 +202,7 @@ def _line(**style: Any) -> Artist:
     return Line2D([], [], **style)
 
 
-def _fixels(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
+def _fixels(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
     handles: list[Artist] = []
     touched = ever_touched(simulation)
     fixels = simulation.scene.fixels
@@ -235,7 +235,7 @@ def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
     return sides
 
 
-def _with_names(simulation: Simulation, box: Box, width: float) -> Box:
+def _with_names(simulation: Simulation, box: Rectangle, width: float) -> Rectangle:
     """Room beside fixels for their names; `width` of the axes [inch]."""
     (left, right), per_inch = box.x, (box.x[1] - box.x[0]) / width
     for fixel, (side, _) in _named_fixels(simulation):
@@ -244,10 +244,10 @@ def _with_names(simulation: Simulation, box: Box, width: float) -> Box:
             right = max(right, float(fixel.pose[0]) + reach)
         elif side < 0.0:
             left = min(left, float(fixel.pose[0]) - reach)
-    return Box((left, right), box.y)
+    return Rectangle((left, right), box.y)
 
 
-def _fixel_names(simulation: Simulation, axes: Axes, unit: Unit) -> None:
+def _fixel_names(simulation: Simulation, axes: Axes, unit: LengthUnit) -> None:
     """Beside each fixel."""
     for fixel, away in _named_fixels(simulation):
         outline = placed(fixel.shape.outline, fixel.pose)
@@ -267,7 +267,7 @@ def _fixel_names(simulation: Simulation, axes: Axes, unit: Unit) -> None:
         )
 
 
-def _pushers(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
+def _pushers(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
     pushers = simulation.scene.pushers
     if not pushers:
         return []
@@ -302,7 +302,7 @@ def _pushers(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
     return [_patch(label=names, **style)]
 
 
-def _bodies(simulation: Simulation, axes: Axes, unit: Unit, crowd: bool) -> list[Artist]:
+def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, crowd: bool) -> list[Artist]:
     from matplotlib.collections import LineCollection
 
     shapes = shapes_of(simulation)
@@ -350,7 +350,7 @@ def _ghosts(axes: Axes, outlines: list[FloatArray]) -> None:
         _patches(axes, [outline], alpha=float(strength), zorder=1.2, **style)
 
 
-def _supports(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
+def _supports(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
     points = []
     for body in simulation.scene.bodies:
         at, _, _ = support_points(
@@ -368,7 +368,9 @@ def _supports(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
     return [_line(label="support points" if few else "support pressure", **style)]
 
 
-def _forces(simulation: Simulation, axes: Axes, unit: Unit, box: Box, crowd: bool) -> list[Artist]:
+def _forces(
+    simulation: Simulation, axes: Axes, unit: LengthUnit, box: Rectangle, crowd: bool
+) -> list[Artist]:
     end = float(simulation.time[-1])
     rows = contacts_at(simulation, end)
     contacts = carried(simulation, rows, end)
@@ -491,7 +493,7 @@ def _force_chains(
     return [_line(label=label, color=palette.FORCE, linewidth=2.0)]
 
 
-def _stop(simulation: Simulation, axes: Axes, unit: Unit) -> list[Artist]:
+def _stop(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
     """Crosses where the bodies were when a simulation stopped before its time."""
     if simulation.converged:
         return []

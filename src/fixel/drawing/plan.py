@@ -11,10 +11,10 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.picture import frame_axes, save_made, tint
-from fixel.drawing.view import Box, Unit, unit_for
+from fixel.drawing.view import LengthUnit, Rectangle, unit_for
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, SupportPoints, placed
-from fixel.sampling import Layout, Offset, Plan, PlannedShape
+from fixel.sampling import FixelLayout, Offset, Plan, PlannedShape
 from fixel.sampling.plan import object_pose
 from fixel.sampling.rig import shape_of
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Panel = tuple[PlannedShape, Layout]
+Panel = tuple[PlannedShape, FixelLayout]
 Style = dict[str, Any]
 
 COLUMNS: Final = 5
@@ -108,7 +108,7 @@ def _begins_shape(rows: list[list[Panel]], k: int) -> bool:
     return k == 0 or rows[k][0][0].name != rows[k - 1][0][0].name
 
 
-def _extent(plan: Plan, panels: list[Panel]) -> Box:
+def _extent(plan: Plan, panels: list[Panel]) -> Rectangle:
     """Everything any panel shows."""
     corners = [_head_outline(plan, 0.0), _head_outline(plan, plan.rig.travel)]
     shapes = {shape.name: shape for shape, _ in panels}
@@ -121,10 +121,10 @@ def _extent(plan: Plan, panels: list[Panel]) -> Box:
     margin = 0.03 * (right - left)
     # Even about the line of motion, so that the head moves through the middle of every panel.
     side = max(high, -low) + margin
-    return Box((left - margin, right + margin), (-side, side))
+    return Rectangle((left - margin, right + margin), (-side, side))
 
 
-def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Box) -> list[Artist]:
+def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Rectangle) -> list[Artist]:
     unit = unit_for(box.size)
     frame_axes(axes, box, unit)
     shape, layout = panel
@@ -138,14 +138,14 @@ def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Box) -> list[Artist]:
     return handles
 
 
-def _draw_zone(plan: Plan, shape: PlannedShape, axes: Axes, unit: Unit) -> Artist:
+def _draw_zone(plan: Plan, shape: PlannedShape, axes: Axes, unit: LengthUnit) -> Artist:
     style: Style = {"facecolor": "#F4F4F4", "edgecolor": palette.FIXEL, "linewidth": 0.4}
     style |= {"linestyle": (0, (4, 2))}
     _patches(axes, [_zone(plan, shape)], unit, zorder=0.5, **style)
     return _key("fixel zone", style)
 
 
-def _draw_head(plan: Plan, axes: Axes, unit: Unit) -> list[Artist]:
+def _draw_head(plan: Plan, axes: Axes, unit: LengthUnit) -> list[Artist]:
     start: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK, "linewidth": 0.4}
     end: Style = {"facecolor": "none", "edgecolor": palette.PUSHER, "linewidth": 0.7}
     end |= {"linestyle": (0, (3, 2))}
@@ -167,7 +167,7 @@ def _draw_head(plan: Plan, axes: Axes, unit: Unit) -> list[Artist]:
     return [_key("head, start", start), _key("head, end of travel", end)]
 
 
-def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: Unit) -> list[Artist]:
+def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: LengthUnit) -> list[Artist]:
     ghost: Style = {"facecolor": "none", "edgecolor": tint(palette.BODY, 0.45), "linewidth": 0.3}
     nominal: Style = {"edgecolor": palette.BODY, "linewidth": 0.9}
     nominal |= {"facecolor": (*tint(palette.BODY, 0.25), 0.55)}
@@ -188,7 +188,7 @@ def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: Unit) -> lis
     return handles
 
 
-def _draw_pegs(plan: Plan, panel: Panel, axes: Axes, unit: Unit) -> None:
+def _draw_pegs(plan: Plan, panel: Panel, axes: Axes, unit: LengthUnit) -> None:
     disk = Disk(plan.rig.fixel_radius)
     places = plan.rig.peg_places(*panel)
     outlines = [disk.outline + place for place in places]
@@ -204,7 +204,7 @@ def _peg_key() -> Artist:
     )
 
 
-def _patches(axes: Axes, outlines: list[FloatArray], unit: Unit, **style: Any) -> None:
+def _patches(axes: Axes, outlines: list[FloatArray], unit: LengthUnit, **style: Any) -> None:
     from matplotlib.collections import PolyCollection
 
     style.setdefault("zorder", 3)

@@ -37,7 +37,7 @@ LETTERS: Final = 0.0032  # [m]
 
 @final
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class PrintSheet:
     """What is black on one sheet.
 
     Attributes
@@ -55,7 +55,7 @@ class Sheet:
     words: tuple[tuple[float, float, str], ...]
 
 
-def board_sheet(board: Board, title: str, paper: str = "a4") -> Sheet:
+def board_sheet(board: Board, title: str, paper: str = "a4") -> PrintSheet:
     """A board in the middle of a sheet of paper, upright or lying, with a ruler below."""
     page = _page(paper, board.size)
     left, top = 0.5 * (page[0] - board.size[0]), 0.5 * (page[1] - FOOT - board.size[1])
@@ -64,10 +64,10 @@ def board_sheet(board: Board, title: str, paper: str = "a4") -> Sheet:
 
 def tag_sheets(
     tags: Sequence[tuple[Tag, str]], paper: str = "a4", title: str = "tags"
-) -> tuple[Sheet, ...]:
+) -> tuple[PrintSheet, ...]:
     """Tags row by row, each with its number and a word below, on as many sheets as they need."""
     page = _page(paper, (0.0, 0.0))
-    sheets: list[Sheet] = []
+    sheets: list[PrintSheet] = []
     black: list[FloatArray] = []
     words: list[tuple[float, float, str]] = []
     x, y, row = EDGE, EDGE, 0.0
@@ -96,7 +96,7 @@ def tag_sheets(
     return tuple(sheets)
 
 
-def save_sheets(sheets: Sequence[Sheet], path: str | Path) -> None:
+def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
     """Write sheets as a PDF, or a single one as a PNG that knows its size."""
     refuse_ending(path, PRINT_ENDINGS, "print")
     images = [rastered(sheet) for sheet in sheets]
@@ -111,7 +111,7 @@ def save_sheets(sheets: Sequence[Sheet], path: str | Path) -> None:
     images[0].save(path, "PNG", dpi=(dots, dots))
 
 
-def rastered(sheet: Sheet, per_metre: float = PER_METRE) -> Image:
+def rastered(sheet: PrintSheet, per_metre: float = PER_METRE) -> Image:
     """A sheet as a picture of black and white."""
     from PIL import Image, ImageDraw, ImageFont
 
@@ -196,7 +196,7 @@ def _with_foot(
     black: FloatArray,
     words: Sequence[tuple[float, float, str]],
     title: str,
-) -> Sheet:
+) -> PrintSheet:
     left, low = EDGE, page[1] - EDGE
     thin = 0.0003
     ruler = [
@@ -207,7 +207,7 @@ def _with_foot(
         ),
     ]
     text = f"100 mm: measure it, print at 100 %.  {title}"
-    return Sheet(
+    return PrintSheet(
         page,
         np.concatenate([black, np.array(ruler)]),
         (*words, (left, low - 0.0035 - 1.3 * LETTERS, text)),

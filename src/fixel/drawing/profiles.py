@@ -12,8 +12,8 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    ChartTable,
     Style,
-    Table,
     Value,
     clean,
     plain,
@@ -128,7 +128,7 @@ class ParametersChart(AbstractChart):
             loc="outside lower left",
         )
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
                    "interval_low", "interval_high", "best_fit", "verdict",
                    *self.others)  # fmt: skip
@@ -137,7 +137,7 @@ class ParametersChart(AbstractChart):
              row.best_fit, row.verdict, *row.others)
             for row in self.rows
         ]  # fmt: skip
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 def _broken(label: str) -> str:
@@ -276,7 +276,7 @@ class ProfilesChart(AbstractChart):
         )
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
                    "interval_low", "interval_high")  # fmt: skip
         rows: list[tuple[Value, ...]] = []
@@ -289,7 +289,7 @@ class ProfilesChart(AbstractChart):
                     (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
                     for value, rise in zip(values.tolist(), plain(rises), strict=True)
                 ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 def _draw_profile(axes: Axes, panel: ProfilePanel, interval: str) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Table, clean, log_scale, positive, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, clean, log_scale, positive, sheet
 from fixel.kernels.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -65,9 +65,9 @@ class NewSidesChart(AbstractChart):
             axes.set_axis_off()
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         names = ("left_out", "error", "group", "counted", "blind_coverage", "bound_coverage")
-        return Table(names, [tuple(row.get(name) for name in names) for row in self.groups])
+        return ChartTable(names, [tuple(row.get(name) for name in names) for row in self.groups])
 
 
 @final
@@ -104,7 +104,7 @@ class PromiseChart(AbstractChart):
         self._reliability(panels[1, 1])
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         rows: list[tuple[Any, ...]] = [
             (row["group"], None, row["coverage"], row["coverage_constant"], None, None)
             for row in self.groups
@@ -116,7 +116,7 @@ class PromiseChart(AbstractChart):
             ("push", self.level, None, None, e, b)
             for e, b in zip(self.error.tolist(), self.bound.tolist(), strict=True)
         ]
-        return Table(
+        return ChartTable(
             ("what", "level", "coverage", "coverage_constant", "error_mm", "bound_mm"), rows
         )
 
@@ -229,12 +229,12 @@ class RatesChart(AbstractChart):
                       loc="outside lower center")  # fmt: skip
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = (
             "dataset", "simulator", "rms_over_motion", "median_over_motion", "angle_deg_rms",
             "angle_deg_median",
         )  # fmt: skip
-        return Table(columns, [tuple(row[name] for name in columns) for row in self.rows])
+        return ChartTable(columns, [tuple(row[name] for name in columns) for row in self.rows])
 
 
 def _two_lines(row: Mapping[str, Any]) -> str:

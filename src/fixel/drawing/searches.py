@@ -13,8 +13,8 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    ChartTable,
     Style,
-    Table,
     Value,
     clean,
     column,
@@ -85,7 +85,7 @@ class SearchChart(AbstractChart):
         legend_below(figure, row)
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         unit = column(self.unit)
         columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
         rows: list[tuple[Value, ...]] = [
@@ -95,7 +95,7 @@ class SearchChart(AbstractChart):
                 zip(panel.iteration.tolist(), plain(panel.errors), plain(panel.best), strict=True)
             )
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
@@ -225,7 +225,7 @@ class StartsChart(AbstractChart):
         legend_below(figure, (left,))
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
         names = tuple(
             f"{label} [{unit}]" for label, unit in zip(self.labels, self.units, strict=True)
@@ -236,7 +236,7 @@ class StartsChart(AbstractChart):
              *self.points[k].tolist())
             for rank, k in enumerate(self.order, 1)
         ]  # fmt: skip
-        return Table((*first, *names), rows)
+        return ChartTable((*first, *names), rows)
 
 
 def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:

@@ -13,7 +13,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    Table,
+    ChartTable,
     Value,
     clean,
     legend_below,
@@ -94,7 +94,7 @@ class FanChart(AbstractChart):
         legend_below(figure, [panels["scene"]])
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = (
             "start_error_x_m", "start_error_y_m", "start_error_theta_rad",
             "end_x_m", "end_y_m", "end_theta_rad", "outcome",
@@ -103,7 +103,7 @@ class FanChart(AbstractChart):
             (*map(float, drawn), *map(float, end), int(k) + 1)
             for drawn, end, k in zip(self.drawn, self.end, self.outcome, strict=True)
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 def _colour(k: int) -> str:
@@ -225,7 +225,7 @@ class IndicesChart(AbstractChart):
         legend_below(figure, row[:1])
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("outcome", "input", "first", "first_error", "total", "total_error")
         rows: list[tuple[Value, ...]] = [
             (
@@ -236,4 +236,4 @@ class IndicesChart(AbstractChart):
             for b in self.bars
             for k, name in enumerate(self.names)
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)

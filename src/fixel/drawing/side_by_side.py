@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Table, Value, clean, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, sheet
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed, pose_error
 
@@ -80,7 +80,7 @@ class SideBySide(AbstractChart):
         grid[-1, 2].set_xlabel("time [s]")
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         columns = ("run", "time_s", *(f"{who}_{k}" for who in ("true", "tracked") for k in _POSE))
         rows: list[tuple[Value, ...]] = [
             (run.name, time, *true, *tracked)
@@ -89,7 +89,7 @@ class SideBySide(AbstractChart):
                 run.time.tolist(), run.true.tolist(), run.tracked.tolist(), strict=True
             )
         ]
-        return Table(columns, rows)
+        return ChartTable(columns, rows)
 
 
 _POSE: Final = ("x_m", "y_m", "angle_rad")

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.view import Box
+from fixel.drawing.view import Rectangle
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, Shape, placed
 
@@ -64,7 +64,7 @@ def thumbnail(experiment: Experiment) -> str:
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     if right == left and high == low:
         right, high = left + 1e-3, low + 1e-3
-    box = Box((left, right), (low, high)).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
+    box = Rectangle((left, right), (low, high)).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
     scale = WIDTH / (box.x[1] - box.x[0])
 
     def path(world: FloatArray, end: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.picture import save_made
-from fixel.vision.tracking.tracked import PartTrack, Tracked
+from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,13 +19,13 @@ HEIGHT = 5.2  # [inch]
 
 
 def draw_track(
-    tracked: Tracked, path: str | Path, effective: tuple[float, float] | None = None
+    tracked: FilmTracks, path: str | Path, effective: tuple[float, float] | None = None
 ) -> None:
     """Draw what was tracked, and how well.
 
     Parameters
     ----------
-    tracked : Tracked
+    tracked : FilmTracks
     path : str or Path
         File (`.pdf`, `.svg` or `.png`).
     effective : (float, float), optional
@@ -34,7 +34,7 @@ def draw_track(
     save_made(lambda: track_figure(tracked, effective), path)
 
 
-def track_figure(tracked: Tracked, effective: tuple[float, float] | None = None) -> Figure:
+def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
     """The figure that `draw_track` saves."""
     from matplotlib.figure import Figure
 
@@ -77,6 +77,6 @@ def _part(panels: Any, part: PartTrack, colour: str, zero: float, factor: float)
             axes.axvspan(first - zero, last - zero, color=colour, alpha=0.15, linewidth=0)
 
 
-def _is_small(tracked: Tracked) -> bool:
+def _is_small(tracked: FilmTracks) -> bool:
     places = [part.pose[part.good, :2] for part in tracked.parts.values() if part.good.any()]
     return bool(places) and max(float(np.ptp(own, axis=0).max()) for own in places) < 5e-3

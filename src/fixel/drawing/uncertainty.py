@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Table, Value, clean, readable, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, readable, sheet
 from fixel.drawing.picture import tint
 from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
@@ -25,7 +25,7 @@ MODES: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.CONE, pale
 BINS: Final = 30
 
 
-class Axis(NamedTuple):
+class CornerAxis(NamedTuple):
     """One unknown of a corner, in its own unit."""
 
     label: str
@@ -43,7 +43,7 @@ class CornerChart(AbstractChart):
 
     Parameters
     ----------
-    axes : sequence of Axis
+    axes : sequence of CornerAxis
     samples : (k, n) float64
     mode : (k,) int
         Which mode each belongs to, the heaviest being 0.
@@ -52,7 +52,7 @@ class CornerChart(AbstractChart):
     title : str
     """
 
-    axes: Sequence[Axis]
+    axes: Sequence[CornerAxis]
     samples: FloatArray
     mode: np.ndarray
     weights: Sequence[float]
@@ -175,14 +175,14 @@ class CornerChart(AbstractChart):
         figure.legend(handles=entries, frameon=False, loc="upper right",
                       bbox_to_anchor=(0.98, 0.93))  # fmt: skip
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         units = [f"{axis.label}_{axis.unit}" if axis.unit != "-" else axis.label
                  for axis in self.axes]  # fmt: skip
         rows: list[tuple[Value, ...]] = [
             (*map(float, sample), int(mode) + 1)
             for sample, mode in zip(self.samples, self.mode, strict=True)
         ]
-        return Table((*units, "mode"), rows)
+        return ChartTable((*units, "mode"), rows)
 
 
 class PathBand(NamedTuple):
@@ -249,7 +249,7 @@ class BandsChart(AbstractChart):
                   linewidth=0.6, linestyle=(0, (2, 1.2)), label="measured")  # fmt: skip
         clean(axes)
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         names = ("x_m", "y_m", "theta_rad")
         columns = ["time_s", *(f"measured_{n}" for n in names), *(f"likeliest_{n}" for n in names)]
         parts = [self.time[:, None], self.measured, self.best]
@@ -258,7 +258,7 @@ class BandsChart(AbstractChart):
                 columns += [f"{side}_{100.0 * band.level:.0f}_{n}" for n in names]
                 parts.append(ends)
         rows = [tuple(map(float, row)) for row in np.concatenate(parts, axis=1)]
-        return Table(tuple(columns), list(rows))
+        return ChartTable(tuple(columns), list(rows))
 
 
 class FinalRegion(NamedTuple):
@@ -352,7 +352,7 @@ class FinalPoseChart(AbstractChart):
         axes.locator_params(axis="x", nbins=5)
         clean(axes)
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         rows: list[tuple[Value, ...]] = [("measured", *map(float, self.measured))]
         rows += [("draw", *map(float, pose)) for pose in self.draws]
-        return Table(("what", "x_m", "y_m", "theta_rad"), rows)
+        return ChartTable(("what", "x_m", "y_m", "theta_rad"), rows)

@@ -17,17 +17,17 @@ MARGIN = 0.06  # of the larger side, around everything drawn
 LONGEST_ARROW = 0.22  # of the larger side
 
 
-class Unit(NamedTuple):
+class LengthUnit(NamedTuple):
     """A unit of length for the axes."""
 
     name: str
     per_metre: float
 
 
-UNITS = (Unit("µm", 1e6), Unit("mm", 1e3), Unit("m", 1.0))
+UNITS = (LengthUnit("µm", 1e6), LengthUnit("mm", 1e3), LengthUnit("m", 1.0))
 
 
-def unit_for(size: float) -> Unit:
+def unit_for(size: float) -> LengthUnit:
     """The unit in which a size [m] has about one to four digits before the point."""
     if size < 5e-3:
         return UNITS[0]
@@ -36,7 +36,7 @@ def unit_for(size: float) -> Unit:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Box:
+class Rectangle:
     """A rectangle in the world [m]."""
 
     x: tuple[float, float]
@@ -47,17 +47,17 @@ class Box:
         """The larger side [m]."""
         return max(self.x[1] - self.x[0], self.y[1] - self.y[0])
 
-    def widened(self, share: float) -> Box:
+    def widened(self, share: float) -> Rectangle:
         """With a margin of `share` of the larger side on all sides."""
         m = share * self.size
-        return Box((self.x[0] - m, self.x[1] + m), (self.y[0] - m, self.y[1] + m))
+        return Rectangle((self.x[0] - m, self.x[1] + m), (self.y[0] - m, self.y[1] + m))
 
-    def with_aspect(self, aspect: float) -> Box:
+    def with_aspect(self, aspect: float) -> Rectangle:
         """Grown about its centre until height over width is `aspect`."""
         width, height = self.x[1] - self.x[0], self.y[1] - self.y[0]
         extra_width = max(0.0, height / aspect - width) / 2.0
         extra_height = max(0.0, aspect * width - height) / 2.0
-        return Box(
+        return Rectangle(
             (self.x[0] - extra_width, self.x[1] + extra_width),
             (self.y[0] - extra_height, self.y[1] + extra_height),
         )
@@ -70,7 +70,7 @@ def shapes_of(simulation: Simulation) -> dict[str, Shape]:
     return {thing.name: thing.shape for thing in things}
 
 
-def extent(simulation: Simulation) -> Box:
+def extent(simulation: Simulation) -> Rectangle:
     """Everything that is ever anywhere: bodies and pushers over the whole time, and fixels."""
     shapes = shapes_of(simulation)
     corners = [placed(f.shape.outline, f.pose) for f in simulation.scene.fixels]
@@ -82,7 +82,7 @@ def extent(simulation: Simulation) -> Box:
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     if right == left and top == bottom:
         right, top = left + 1.0, bottom + 1.0
-    return Box((left, right), (bottom, top)).widened(MARGIN)
+    return Rectangle((left, right), (bottom, top)).widened(MARGIN)
 
 
 def _thinned(n: int, most: int = 50) -> NDArray[np.int64]:
@@ -137,7 +137,7 @@ def forces(rows: NDArray[np.void]) -> FloatArray:
     return np.asarray(along, dtype=np.float64).reshape(-1, 2)
 
 
-class Carried(NamedTuple):
+class MovedContacts(NamedTuple):
     """Contacts of a step, moved on with their bodies to another moment of that step."""
 
     point: FloatArray  # (n, 2) [m]
@@ -150,7 +150,7 @@ def pose_at(time: FloatArray, poses: FloatArray, moment: float) -> FloatArray:
     return np.array([np.interp(moment, time, column) for column in poses.T])
 
 
-def carried(simulation: Simulation, rows: NDArray[np.void], moment: float) -> Carried:
+def carried(simulation: Simulation, rows: NDArray[np.void], moment: float) -> MovedContacts:
     """Rows of the contact table where they are at a moment [s].
 
     The table says where contacts were when the equations of their step were written: at its start,
@@ -158,7 +158,9 @@ def carried(simulation: Simulation, rows: NDArray[np.void], moment: float) -> Ca
     """
     lead = 0.0 if simulation.method["stepper"] == "stewart-trinkle" else 0.5
     time, force = simulation.time, forces(rows)
-    answer = Carried(np.zeros((len(rows), 2)), np.zeros((len(rows), 2)), np.zeros((len(rows), 2)))
+    answer = MovedContacts(
+        np.zeros((len(rows), 2)), np.zeros((len(rows), 2)), np.zeros((len(rows), 2))
+    )
     for k, row in enumerate(rows):
         poses = simulation.pose[simulation.names[row["body"]]]
         then = pose_at(time, poses, float(row["time"] - (1.0 - lead) * row["step"]))

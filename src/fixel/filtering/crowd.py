@@ -38,7 +38,7 @@ MOST_CONTACTS: Final = 24  # in one rollout
 FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was not pushed there
 
 
-class Sight(NamedTuple):
+class FrameMeasurement(NamedTuple):
     """What was measured in one frame, or in a few of them together, apart from the pusher."""
 
     time: float  # [s] of the last frame
@@ -50,11 +50,11 @@ class Sight(NamedTuple):
     fold: bool = False  # whether the camera's correction goes into the simulated pose now
 
 
-def gathered(sights: Sequence[Sight]) -> Sight:
+def gathered(sights: Sequence[FrameMeasurement]) -> FrameMeasurement:
     """Return sights in a row as one."""
     seen = [(sight.seen, sight.seen_at) for sight in sights if sight.seen is not None]
     felt = [(s.ones, s.zeros) for s in sights if s.ones is not None and s.zeros is not None]
-    last = Sight(sights[-1].time, fold=sights[-1].fold)
+    last = FrameMeasurement(sights[-1].time, fold=sights[-1].fold)
     if seen:
         pose = np.array([pose for pose, _ in seen])
         pose[:, 2] = pose[0, 2] + wrapped(pose[:, 2] - pose[0, 2])
@@ -177,7 +177,7 @@ class Mechanics:
         self,
         crowd: Crowd,
         unknowns: Unknowns,
-        sights: Sequence[Sight],
+        sights: Sequence[FrameMeasurement],
         path: FloatArray,
         shake: FloatArray,
         coarse: bool = False,
@@ -189,7 +189,7 @@ class Mechanics:
         crowd : Crowd
             At frame `first`; changed in place.
         unknowns : Unknowns
-        sights : sequence of Sight
+        sights : sequence of FrameMeasurement
             At the frame where the particles are, and at those to come.
         path : (n, n_sight, 3) float64
             Of the pusher [m, m, rad], likewise.
@@ -252,7 +252,7 @@ class Mechanics:
         pusher = np.where(crowd.pushed[:, None], shake, 0.0)
         crowd.variance = crowd.variance + seconds * (model + pusher)
 
-    def _weigh(self, crowd: Crowd, sight: Sight, behind: FloatArray) -> None:
+    def _weigh(self, crowd: Crowd, sight: FrameMeasurement, behind: FloatArray) -> None:
         """Weigh by a sight that lies `behind` the poses (n, 3) on their way."""
         options = self.options
         crowd.expected, crowd.doubt = crowd.place, crowd.variance

@@ -15,7 +15,7 @@ from fixel.filtering.running import RunningFilter
 from fixel.model import Scene, Trajectory, wrapped
 from fixel.model.fields import FloatArray
 from fixel.simulation import StewartTrinkle, simulate_batch
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 
 TRIES: Final = 64  # simulations, of which the best counts
 STEP: Final = 5e-4  # [m] of the pusher's way in one step of these simulations
@@ -24,7 +24,7 @@ KNOWN: Final = 1e-9  # [m], [rad]: deviations below it say that the noise is not
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Misfit:
+class FilterMisfit:
     """Residuals of a simulation that the camera does not correct, beside the camera's noise.
 
     Attributes
@@ -57,12 +57,14 @@ def noise_of(scene: Scene, track: Trajectory) -> FloatArray:
     """(2,) standard deviations of white noise [m, rad]; zeros where they cannot be told."""
     if len(track.time) < 2:
         return np.zeros(2)
-    case = Case(scene, track.time[1:] - track.time[0])
+    case = RolloutCase(scene, track.time[1:] - track.time[0])
     found = noise_from_differences([Target("", {}, case, track.pose[1:])])
     return np.zeros(2) if found is None else np.array([found.position_m, found.angle_rad])
 
 
-def misfit_of(running: RunningFilter, track: Trajectory, pusher: Trajectory, seed: int) -> Misfit:
+def misfit_of(
+    running: RunningFilter, track: Trajectory, pusher: Trajectory, seed: int
+) -> FilterMisfit:
     """Measure the misfit of a filter's scene with the parameters that it ended with.
 
     Parameters
@@ -104,7 +106,7 @@ def misfit_of(running: RunningFilter, track: Trajectory, pusher: Trajectory, see
     angle = np.sqrt(np.mean(wrapped(away[:, :, 2]) ** 2, axis=1))
     scale = np.where(noise > KNOWN, noise, 1.0)
     best = int(np.argmin((position / scale[0]) ** 2 + (angle / scale[1]) ** 2))
-    return Misfit(
+    return FilterMisfit(
         residual_m=float(position[best]),
         residual_rad=float(angle[best]),
         noise_m=float(noise[0]),

@@ -34,7 +34,7 @@ NARROWED: Final = 0.7
 
 @final
 @dataclass(frozen=True, slots=True)
-class Prior:
+class UniformPrior:
     """Independent uniform beliefs about parameters.
 
     Bounded values are moved on a *free* scale, the logarithm of the distances to the two bounds,
@@ -106,7 +106,7 @@ def _range(where: str, name: str, bounds: tuple[float, float]) -> tuple[float, f
     return low, high
 
 
-def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) -> Prior:
+def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) -> UniformPrior:
     """The beliefs that make sense in a scene.
 
     Parameters
@@ -127,7 +127,7 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
             )
     kept = {n: bounds for n, bounds in chosen.items() if bounds is not None and n not in idle}
     bounds = np.array([*kept.values()], np.float64).reshape(-1, 2)
-    return Prior(tuple(kept), bounds[:, 0].copy(), bounds[:, 1].copy())
+    return UniformPrior(tuple(kept), bounds[:, 0].copy(), bounds[:, 1].copy())
 
 
 def _idle(scene: Scene) -> dict[str, str]:
@@ -143,12 +143,12 @@ def _idle(scene: Scene) -> dict[str, str]:
     return idle
 
 
-def excited(prior: Prior, low: FloatArray, high: FloatArray) -> list[bool]:
+def excited(prior: UniformPrior, low: FloatArray, high: FloatArray) -> list[bool]:
     """Which parameters a run has told something about: the 90 % interval has become narrower.
 
     Parameters
     ----------
-    prior : Prior
+    prior : UniformPrior
     low, high : (n_name,) float64
         The 5 % and 95 % quantiles afterwards.
     """
@@ -157,14 +157,14 @@ def excited(prior: Prior, low: FloatArray, high: FloatArray) -> list[bool]:
     return [bool(a and not math.isclose(b, 0.0)) for a, b in zip(narrow, before, strict=True)]
 
 
-def touches_bound(prior: Prior, low: FloatArray, high: FloatArray) -> list[bool]:
+def touches_bound(prior: UniformPrior, low: FloatArray, high: FloatArray) -> list[bool]:
     """Return which 90 % intervals end at a bound of the prior.
 
     Nearer to it than half of what lies outside of the interval of a uniform belief.
 
     Parameters
     ----------
-    prior : Prior
+    prior : UniformPrior
     low, high : (n_name,) float64
         The 5 % and 95 % quantiles.
     """

@@ -11,10 +11,10 @@ import numpy as np
 
 from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
-from fixel.filtering.misfit import Misfit, misfit_of
+from fixel.filtering.misfit import FilterMisfit, misfit_of
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import Prior, excited, touches_bound
-from fixel.filtering.running import Estimate, Frame
+from fixel.filtering.prior import UniformPrior, excited, touches_bound
+from fixel.filtering.running import FilterEstimate, FilterFrame
 from fixel.kernels.arrays import IntArray
 from fixel.model import Experiment, Scene, Trajectory, pose_error
 from fixel.model.fields import BoolArray, FloatArray
@@ -35,7 +35,7 @@ class FilterEstimates:
     ----------
     options : ParticleFilter
     seed : int
-    prior : Prior
+    prior : UniformPrior
         As it applied to the scene.
     occlusion : (float, float) or None
         First and last instant in which the object was hidden [s].
@@ -56,12 +56,12 @@ class FilterEstimates:
     failed : (n,) int64
         Particles that could not be simulated.
     surprise : (n,) float64
-        See `Estimate.surprise`.
+        See `FilterEstimate.surprise`.
     seen, recovered : (n,) bool
         Whether the camera saw the object, and whether the filter had lost it.
     draws : (n_draw, n_name) float64
         Parameters of the particles at the end, drawn as often as their weights say.
-    misfit : Misfit
+    misfit : FilterMisfit
         How far the model alone is from what the camera saw.
     busy : (n,) float64
         Wall time each frame took [s]; the only thing that is not the same every time.
@@ -69,7 +69,7 @@ class FilterEstimates:
 
     options: ParticleFilter
     seed: int
-    prior: Prior
+    prior: UniformPrior
     occlusion: tuple[float, float] | None
     uses_tactile: bool
     time: FloatArray
@@ -84,7 +84,7 @@ class FilterEstimates:
     seen: BoolArray
     recovered: BoolArray
     draws: FloatArray
-    misfit: Misfit
+    misfit: FilterMisfit
     busy: FloatArray
 
     @property
@@ -195,7 +195,7 @@ def run_filter(
     )
 
 
-def _within_run(experiment: Experiment, frames: list[Frame]) -> tuple[Trajectory, Trajectory]:
+def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Trajectory, Trajectory]:
     """Measured paths of the object and the pusher while the filter ran."""
     first, last = frames[0].time - SAME_INSTANT, frames[-1].time + SAME_INSTANT
     found = []
@@ -205,7 +205,7 @@ def _within_run(experiment: Experiment, frames: list[Frame]) -> tuple[Trajectory
     return found[0], found[1]
 
 
-def _gathered(estimates: list[Estimate], **rest: object) -> FilterEstimates:
+def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterEstimates:
     columns = {
         name: np.array([getattr(estimate, name) for estimate in estimates])
         for name in (
@@ -221,7 +221,7 @@ def _frames(
     scene: Scene,
     use_tactile: bool,
     occlusion: tuple[float, float] | None,
-) -> list[Frame]:
+) -> list[FilterFrame]:
     """What a filter would have been told, in order. The first frame always sees the object."""
     track, pusher = experiment.trajectory, _pusher(experiment)
     first, last = experiment.effective or (track.time[0], track.time[-1])
@@ -240,7 +240,7 @@ def _frames(
     touches = _touches(experiment, scene, instants) if use_tactile else [None] * len(instants)
     driven = pusher.at(instants)
     frames = [
-        Frame(
+        FilterFrame(
             float(instant),
             driven[k],
             track.pose[nearest[k]] if in_view[k] and not hidden[k] else None,

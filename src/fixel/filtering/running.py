@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, Mechanics, Sight, gathered
+from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, FrameMeasurement, Mechanics, gathered
 from fixel.filtering.head_path import smoothed
-from fixel.filtering.prior import Prior, prior_for
+from fixel.filtering.prior import UniformPrior, prior_for
 from fixel.filtering.resampling import (
     COARSE,
     Indices,
@@ -43,7 +43,7 @@ LONGEST: Final = 600  # frames of the pusher's path that are smoothed again with
 POSE: Final = "x [m], y [m], angle [rad]"
 
 
-class Frame(NamedTuple):
+class FilterFrame(NamedTuple):
     """What is known at one instant."""
 
     time: float  # [s]
@@ -54,7 +54,7 @@ class Frame(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Estimate:
+class FilterEstimate:
     """What the particles say at one instant.
 
     Attributes
@@ -150,7 +150,7 @@ class RunningFilter:
     ) -> None:
         self.options = options
         self.scene = scene
-        self.prior: Prior = prior_for(scene, options.priors)
+        self.prior: UniformPrior = prior_for(scene, options.priors)
         self._mechanics = Mechanics(options, scene)
         self._random = np.random.default_rng(seed)
         n_island = -(-options.n_particles // ISLAND)
@@ -162,7 +162,7 @@ class RunningFilter:
         self._begin(free, time, pusher)
         self.estimate = self._estimated(0.0, 0, False)
         # Compiled code is loaded now, so that the first frame takes no longer than the others.
-        sights = [Sight(time), Sight(time + FRAME)]
+        sights = [FrameMeasurement(time), FrameMeasurement(time + FRAME)]
         copy = self._crowd.take(np.arange(options.n_particles))
         path = np.tile(pusher, (options.n_particles, 2, 1))
         self._mechanics.advance(copy, self._unknowns, sights, path, self._shake)
@@ -181,7 +181,7 @@ class RunningFilter:
             values[np.minimum(np.searchsorted(np.cumsum(weight), place), len(values) - 1)]
         )
 
-    def step(self, frame: Frame) -> Estimate:
+    def step(self, frame: FilterFrame) -> FilterEstimate:
         """Move all particles to a frame, and weigh them by what was seen and felt there.
 
         Raises
@@ -218,7 +218,7 @@ class RunningFilter:
 
     # --- the parts of a step --------------------------------------------------------------------
 
-    def _checked(self, frame: Frame) -> tuple[FloatArray, Sight]:
+    def _checked(self, frame: FilterFrame) -> tuple[FloatArray, FrameMeasurement]:
         before = self._sights[-1].time
         if not before < frame.time < math.inf:
             raise InvalidInput(
@@ -231,7 +231,7 @@ class RunningFilter:
         pusher = np.array([pusher[0], pusher[1], last + turn])
         seen = None if frame.seen is None else vector(frame.seen, "frame.seen", POSE)
         now = len(self._sights)
-        sight = Sight(float(frame.time), fold=now % FOLD == 0)
+        sight = FrameMeasurement(float(frame.time), fold=now % FOLD == 0)
         if seen is not None:
             sight = sight._replace(seen=seen, seen_at=sight.time, number=1)
         if frame.touches is not None:
@@ -249,7 +249,7 @@ class RunningFilter:
 
     def _begin(self, free: FloatArray, time: float, pusher: FloatArray) -> None:
         """Place particles at the start, before anything was measured."""
-        self._sights = [Sight(time)]
+        self._sights = [FrameMeasurement(time)]
         self._measured = [pusher]
         self._path = np.array([pusher])
         self._shake = np.zeros(2)
@@ -365,7 +365,7 @@ class RunningFilter:
         options = self.options
         return options.start_position_deviation, options.start_angle_deviation
 
-    def _start_again(self, sight: Sight, pusher: FloatArray) -> None:
+    def _start_again(self, sight: FrameMeasurement, pusher: FloatArray) -> None:
         random, options = self._random, self.options
         weight = normalised(self._log_weight)
         n = len(weight)
@@ -396,14 +396,14 @@ class RunningFilter:
             weight[island] = normalised(log_weight[island]) / len(self._islands)
         return weight
 
-    def _estimated(self, surprise: float, failed: int, recovered: bool) -> Estimate:
+    def _estimated(self, surprise: float, failed: int, recovered: bool) -> FilterEstimate:
         crowd, weight = self._crowd, normalised(self._log_weight)
         values = self._unknowns.values(crowd.free)
         whole = self._whole_weight()
         pose = mean_pose(crowd.place, whole, self._angle)
         self._angle = float(pose[2])
         own = np.sum(whole[:, None] * crowd.variance, axis=0)[[0, 0, 1]]
-        return Estimate(
+        return FilterEstimate(
             time=self._sights[-1].time,
             pose=pose,
             covariance=pose_covariance(crowd.place, whole, pose) + np.diag(own),

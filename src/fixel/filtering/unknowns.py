@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.filtering.prior import Prior
+from fixel.filtering.prior import UniformPrior
 from fixel.model.fields import BoolArray, FloatArray
 
 N_POSE: Final = 3
@@ -26,20 +26,20 @@ RIGHT: Final = 0.5  # [-]
 class Unknowns:
     """Parameters, start pose and model error of a particle, and the belief about them.
 
-    One row of numbers on the *free* scale for each particle: the parameters (`Prior.free`), the
-    start pose in standard deviations from its centre, and the model error's logarithm, stretched
-    like a parameter.
+    One row of numbers on the *free* scale for each particle: the parameters
+    (`UniformPrior.free`), the start pose in standard deviations from its centre, and the
+    logarithm of the model error, stretched like a parameter.
 
     Attributes
     ----------
-    prior : Prior
+    prior : UniformPrior
     centre : (3,) float64
         Of the start pose [m, m, rad].
     deviation : (3,) float64
         Of the start pose [m, m, rad].
     """
 
-    prior: Prior
+    prior: UniformPrior
     centre: FloatArray
     deviation: FloatArray
 

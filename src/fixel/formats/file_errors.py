@@ -10,10 +10,10 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.formats.scene_schema import Record, written
+from fixel.formats.scene_schema import SceneLevel, written
 
 
-def explained(problems: ValidationError, root: type[Record], name: str) -> InvalidInput:
+def explained(problems: ValidationError, root: type[SceneLevel], name: str) -> InvalidInput:
     """The first complaint of a schema without unions as a sentence; `name` is the whole file's."""
     first = problems.errors(include_url=False)[0]
     path, kind = first["loc"], first["type"]
@@ -35,7 +35,7 @@ def explained(problems: ValidationError, root: type[Record], name: str) -> Inval
     )
 
 
-def only_form(record: Record, path: str) -> str:
+def only_form(record: SceneLevel, path: str) -> str:
     """The one form that is given, or a refusal."""
     forms = list(type(record).model_fields)
     given = [form for form in forms if getattr(record, form) is not None]
@@ -62,7 +62,7 @@ def within(path: str, *prefixes: str) -> Iterator[None]:
         ).within(path) from None
 
 
-def _unknown_key(root: type[Record], path: Sequence[str | int]) -> InvalidInput:
+def _unknown_key(root: type[SceneLevel], path: Sequence[str | int]) -> InvalidInput:
     record = _record_at(root, path[:-1])
     known = list(record.model_fields) if record else []
     close = difflib.get_close_matches(str(path[-1]), known, n=1)
@@ -74,9 +74,9 @@ def _unknown_key(root: type[Record], path: Sequence[str | int]) -> InvalidInput:
     )
 
 
-def _record_at(root: type[Record], path: Sequence[str | int]) -> type[Record] | None:
+def _record_at(root: type[SceneLevel], path: Sequence[str | int]) -> type[SceneLevel] | None:
     """The kind of record that stands at a path, if a record does."""
-    record: type[Record] | None = root
+    record: type[SceneLevel] | None = root
     for key in path:
         if isinstance(key, str):
             field = record.model_fields.get(key) if record else None
@@ -84,14 +84,14 @@ def _record_at(root: type[Record], path: Sequence[str | int]) -> type[Record] | 
     return record
 
 
-def _record_in(annotation: Any) -> type[Record] | None:
-    if isinstance(annotation, type) and issubclass(annotation, Record):
+def _record_in(annotation: Any) -> type[SceneLevel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, SceneLevel):
         return annotation
     inner = (_record_in(argument) for argument in get_args(annotation))
     return next((record for record in inner if record), None)
 
 
-def _description(root: type[Record], path: Sequence[str | int]) -> str | None:
+def _description(root: type[SceneLevel], path: Sequence[str | int]) -> str | None:
     names = [k for k, key in enumerate(path) if isinstance(key, str)]
     record = _record_at(root, path[: names[-1]]) if names else None
     field = record.model_fields.get(str(path[names[-1]])) if record else None

@@ -37,7 +37,7 @@ _ORDER: Final = sorted(
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class JpegLayout:
     """What the head of a JPEG says about its data.
 
     Attributes
@@ -75,14 +75,14 @@ class JpegBlocks:
 
     Parameters
     ----------
-    layout : Layout
+    layout : JpegLayout
     data : bytes
         What comes after its head.
     """
 
     __slots__ = ("_end", "_layout", "_level", "_place", "_state", "_words")
 
-    def __init__(self, layout: Layout, data: bytes) -> None:
+    def __init__(self, layout: JpegLayout, data: bytes) -> None:
         plain = np.frombuffer(data, np.uint8)
         self._words = np.empty(len(plain) // 4 + SLACK, np.uint32)
         self._end = fill_words(plain, self._words) + AHEAD
@@ -206,14 +206,14 @@ def _scan(data: bytes) -> int | None:
 
 
 @functools.lru_cache(maxsize=8)
-def _layout(head: bytes) -> Layout | None:
+def _layout(head: bytes) -> JpegLayout | None:
     try:
         return _read_head(head)
     except (IndexError, KeyError, ValueError):
         return None
 
 
-def _read_head(head: bytes) -> Layout | None:
+def _read_head(head: bytes) -> JpegLayout | None:
     quanta: dict[int, NDArray[np.int64]] = {}
     tables: dict[int, bytes] = {}
     frame = scan = b""
@@ -265,7 +265,7 @@ def _read_head(head: bytes) -> Layout | None:
         part[2:5] = first, units[0] * part[0], units[1] * part[1]
         first += int(part[3] * part[4])
     codes, strides = _codes(tuple(sorted(tables.items())))
-    return Layout((width, height), parts, quantum, codes, strides, units, interval)
+    return JpegLayout((width, height), parts, quantum, codes, strides, units, interval)
 
 
 def _quanta(content: bytes) -> dict[int, NDArray[np.int64]]:

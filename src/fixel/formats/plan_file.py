@@ -21,7 +21,7 @@ from fixel.formats.scene_schema import (
     Point,
     PointsRecord,
     Positive,
-    Record,
+    SceneLevel,
     Triple,
     TripodRecord,
     UniformRecord,
@@ -37,17 +37,17 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.sampling import (
-    Axis,
+    FixelLayout,
     Grid,
-    Layout,
-    Listed,
     Nominal,
+    OffsetAxis,
+    OffsetList,
+    OffsetSample,
     OffsetScheme,
     Plan,
     PlannedShape,
     RegularPolygon,
-    Rig,
-    Sampled,
+    SamplingRig,
 )
 from fixel.sampling.rig import Outline
 
@@ -56,12 +56,12 @@ Rows = Annotated[list[Triple], Field(min_length=1)]
 Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class RegularRecord(Record):
+class RegularRecord(SceneLevel):
     sides: int = Field(description="how many")
     side: Positive = Field(description="length of a side [m]")
 
 
-class OutlineRecord(Record):
+class OutlineRecord(SceneLevel):
     """Exactly one form."""
 
     polygon: list[Point] | None = Field(None, description="corners x, y [m]")
@@ -69,7 +69,7 @@ class OutlineRecord(Record):
     regular: RegularRecord | None = Field(None, description="regular polygon, a side facing -x")
 
 
-class RestRecord(Record):
+class RestRecord(SceneLevel):
     """Exactly one form."""
 
     tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
@@ -78,7 +78,7 @@ class RestRecord(Record):
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
 
-class HeadRecord(Record):
+class HeadRecord(SceneLevel):
     shape: OutlineRecord
     speed: Positive = Field(description="[m/s]")
     travel: Positive = Field(description="[m]")
@@ -86,18 +86,18 @@ class HeadRecord(Record):
     friction: NonNegative = Field(description="coefficient against the object")
 
 
-class FixelsRecord(Record):
+class FixelsRecord(SceneLevel):
     radius: Positive = Field(description="of each [m]")
     friction: NonNegative = Field(description="coefficient against the object")
     zone_side: Positive = Field(description="of the square zone they stand in [m]")
 
 
-class NominalPoseRecord(Record):
+class NominalPoseRecord(SceneLevel):
     gap: Number = Field(description="from head to object along the motion [m]")
     angle: Number = Field(0.0, description="of the object [rad]")
 
 
-class ShapeRecord(Record):
+class PlanShapeRecord(SceneLevel):
     name: str
     shape: OutlineRecord
     mass: Positive = Field(description="[kg]")
@@ -105,26 +105,26 @@ class ShapeRecord(Record):
     zone_start: Number = Field(description="from the head's start to the fixel zone [m]")
 
 
-class LayoutRecord(Record):
+class LayoutRecord(SceneLevel):
     name: str
     pegs: list[Point] = Field(description="u, v in the unit square of the zone, from 0 to 1")
     number: int | None = Field(None, description="by which a publication calls it")
 
 
-class AxisRecord(Record):
+class AxisRecord(SceneLevel):
     name: Literal["x", "y", "theta"]
     step: Positive = Field(description="[m], or [rad] for theta")
     first: int = Field(description="count of the first step, may be negative")
     last: int = Field(description="count of the last step")
 
 
-class GridRecord(Record):
+class GridRecord(SceneLevel):
     x: Values = Field([0.0], description="[m]")
     y: Values = Field([0.0], description="[m]")
     theta: Values = Field([0.0], description="[rad]")
 
 
-class SampleRecord(Record):
+class SampleRecord(SceneLevel):
     method: Literal["sobol", "halton", "uniform"] = "sobol"
     count: int = Field(description="of points")
     seed: int = Field(0, description="of the scrambling or the random numbers")
@@ -133,7 +133,7 @@ class SampleRecord(Record):
     theta: Bounds = Field([0.0, 0.0], description="least, largest [rad]")
 
 
-class OffsetsRecord(Record):
+class OffsetsRecord(SceneLevel):
     """Exactly one form."""
 
     nominal: NoneRecord | None = Field(None, description="the nominal pose: {}")
@@ -143,7 +143,7 @@ class OffsetsRecord(Record):
     sample: SampleRecord | None = Field(None, description="points that fill a box")
 
 
-class PlanRecord(Record):
+class PlanRecord(SceneLevel):
     """A plan file."""
 
     fixel_plan: Literal[1] = Field(description="version of the format")
@@ -151,7 +151,7 @@ class PlanRecord(Record):
     head: HeadRecord = Field(description="starts at the origin, moves along +x")
     fixels: FixelsRecord
     nominal: NominalPoseRecord = Field(description="pose from which offsets count")
-    shapes: list[ShapeRecord] = Field(description="objects")
+    shapes: list[PlanShapeRecord] = Field(description="objects")
     layouts: list[LayoutRecord] = Field(description="of the fixels")
     offsets: list[OffsetsRecord] = Field(description="of the object, one scheme after the other")
     repetitions: int = Field(1, description="runs of every configuration")
@@ -187,7 +187,7 @@ def _plan(raw: Any) -> Plan:
     except ValidationError as problems:
         raise explained(problems, PlanRecord, "plan") from None
     head, fixels, nominal = record.head, record.fixels, record.nominal
-    rig = Rig(
+    rig = SamplingRig(
         head=_outline(head.shape, "head.shape"),
         speed=head.speed,
         travel=head.travel,
@@ -209,7 +209,7 @@ def _plan(raw: Any) -> Plan:
     )
 
 
-def _shape(record: ShapeRecord, path: str) -> PlannedShape:
+def _shape(record: PlanShapeRecord, path: str) -> PlannedShape:
     outline = _outline(record.shape, f"{path}.shape")
     support = _support(record.support, f"{path}.support")
     with within(path, f"shape {record.name!r}.", "shape."):
@@ -247,23 +247,23 @@ def _support(record: RestRecord | None, path: str) -> Support:
     return NoSupport()
 
 
-def _layout(record: LayoutRecord, path: str) -> Layout:
+def _layout(record: LayoutRecord, path: str) -> FixelLayout:
     with within(path, f"layout {record.name!r}.", "layout."):
         pegs = tuple((u, v) for u, v in record.pegs)
-        return Layout(name=record.name, pegs=pegs, number=record.number)
+        return FixelLayout(name=record.name, pegs=pegs, number=record.number)
 
 
 def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
     only_form(record, path)
     with within(path):
         if record.axis:
-            return Axis(**record.axis.model_dump())
+            return OffsetAxis(**record.axis.model_dump())
         if record.grid:
             return Grid(**{name: tuple(v) for name, v in record.grid.model_dump().items()})
         if record.list:
-            return Listed(tuple((x, y, theta) for x, y, theta in record.list))
+            return OffsetList(tuple((x, y, theta) for x, y, theta in record.list))
         if record.sample:
-            return Sampled(**record.sample.model_dump())
+            return OffsetSample(**record.sample.model_dump())
     return Nominal()
 
 
@@ -345,12 +345,12 @@ def _scheme_content(scheme: OffsetScheme) -> dict[str, Any]:
     match scheme:
         case Nominal():
             return {"nominal": {}}
-        case Axis(name=name, step=step, first=first, last=last):
+        case OffsetAxis(name=name, step=step, first=first, last=last):
             return {"axis": {"name": name, "step": step, "first": first, "last": last}}
         case Grid(x=x, y=y, theta=theta):
             return {"grid": {"x": list(x), "y": list(y), "theta": list(theta)}}
-        case Listed(rows=rows):
+        case OffsetList(rows=rows):
             return {"list": [list(row) for row in rows]}
-        case Sampled(method=method, count=count, seed=seed):
+        case OffsetSample(method=method, count=count, seed=seed):
             bounds = {name: list(getattr(scheme, name)) for name in ("x", "y", "theta")}
             return {"sample": {"method": method, "count": count, "seed": seed, **bounds}}

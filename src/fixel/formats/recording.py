@@ -34,7 +34,7 @@ from fixel.formats.recording_header import (
     read_header,
     write_end,
 )
-from fixel.formats.recording_rows import MICRO, Row, Rows, read_rows
+from fixel.formats.recording_rows import MICRO, RecordingRow, RecordingRows, read_rows
 from fixel.formats.recording_video import Packet, PictureDecoder, packets
 from fixel.formats.recording_writer import RESERVE, RecordingWriter
 from fixel.model.fields import FloatArray
@@ -128,10 +128,10 @@ class Recording:
             yield frame
 
 
-class _Check(NamedTuple):
+class _Agreement(NamedTuple):
     """How far rows and pictures agree."""
 
-    rows: Rows
+    rows: RecordingRows
     matched: int
     seen: int  # pictures in the video
 
@@ -212,7 +212,7 @@ def repair_recording(folder: str | Path) -> Recording:
     return open_recording(folder)
 
 
-def _checked(folder: Path) -> _Check:
+def _checked(folder: Path) -> _Agreement:
     """How far rows and pictures agree, or a refusal where it is not just the end that is torn."""
     rows = read_rows(folder / ROWS)
     matched = seen = 0
@@ -234,16 +234,16 @@ def _checked(folder: Path) -> _Check:
             found="a recording that ended before its first frame was whole",
             expected="one frame at least",
         )
-    return _Check(rows, matched, seen)
+    return _Agreement(rows, matched, seen)
 
 
-def _belong(row: Row, packet: Packet) -> bool:
+def _belong(row: RecordingRow, packet: Packet) -> bool:
     return (row.time_us, row.size) == (packet.time_us, len(packet.data)) and row.crc == zlib.crc32(
         packet.data
     )
 
 
-def _problems(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
+def _problems(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
     """What a reader should know, in sentences."""
     yield from _broken_off(check, end)
     if end is not None:
@@ -252,7 +252,7 @@ def _problems(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
             yield f"{_frames(end.lost)} lost while recording"
 
 
-def _broken_off(check: _Check, end: RecordingEnd | None) -> Iterator[str]:
+def _broken_off(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
     """What is missing at the end."""
     n, n_rows = check.matched, len(check.rows.rows)
     seconds = check.rows.rows[n - 1].time_us / MICRO

@@ -16,7 +16,7 @@ HEAD: Final = "frame,time_s,reading,reading_time_s,bytes,video_bytes,picture_crc
 MICRO: Final = 1_000_000
 
 
-class Row(NamedTuple):
+class RecordingRow(NamedTuple):
     """One frame.
 
     Attributes
@@ -46,12 +46,12 @@ class Row(NamedTuple):
     crc: int
 
 
-class Rows(NamedTuple):
+class RecordingRows(NamedTuple):
     """The rows of a file.
 
     Attributes
     ----------
-    rows : list of Row
+    rows : list of RecordingRow
         All that are whole.
     ends : list of int
         Where each ends in the file [bytes].
@@ -59,12 +59,12 @@ class Rows(NamedTuple):
         Whether something that is no whole row stands at the end.
     """
 
-    rows: list[Row]
+    rows: list[RecordingRow]
     ends: list[int]
     torn: bool
 
 
-def row_text(row: Row) -> bytes:
+def row_text(row: RecordingRow) -> bytes:
     """A row as it stands in the file."""
     reading = "" if row.reading < 0 else str(row.reading)
     text = (
@@ -74,7 +74,7 @@ def row_text(row: Row) -> bytes:
     return b"%s,%08x\n" % (text, zlib.crc32(text))
 
 
-def read_rows(path: Path) -> Rows:
+def read_rows(path: Path) -> RecordingRows:
     """Read all whole rows.
 
     Raises
@@ -92,7 +92,7 @@ def read_rows(path: Path) -> Rows:
             "another first line" if lines and lines[0].endswith(b"\n") else "no whole first line"
         )
         raise InvalidInput(str(path), found=found, expected=HEAD.strip())
-    rows: list[Row] = []
+    rows: list[RecordingRow] = []
     ends: list[int] = []
     end = len(lines[0])
     broken = 0
@@ -112,7 +112,7 @@ def read_rows(path: Path) -> Rows:
         _refuse_disorder(path, number, row, rows)
         rows.append(row)
         ends.append(end)
-    return Rows(rows, ends, bool(broken))
+    return RecordingRows(rows, ends, bool(broken))
 
 
 def _seconds(micro: int) -> str:
@@ -126,7 +126,7 @@ def _micro(seconds: bytes) -> int:
     return int(whole) * MICRO + int(part)
 
 
-def _row(line: bytes) -> Row | None:
+def _row(line: bytes) -> RecordingRow | None:
     """The row of a line, None where it is torn or damaged."""
     text, comma, crc = line.rstrip(b"\n").rpartition(b",")
     if not line.endswith(b"\n") or not comma or b"%08x" % zlib.crc32(text) != crc:
@@ -135,7 +135,7 @@ def _row(line: bytes) -> Row | None:
         frame, time, reading, reading_time, size, video_end, picture = text.split(b",")
     except ValueError:
         return None
-    return Row(
+    return RecordingRow(
         int(frame),
         _micro(time),
         int(reading or -1),
@@ -146,7 +146,7 @@ def _row(line: bytes) -> Row | None:
     )
 
 
-def _refuse_disorder(path: Path, number: int, row: Row, rows: list[Row]) -> None:
+def _refuse_disorder(path: Path, number: int, row: RecordingRow, rows: list[RecordingRow]) -> None:
     if row.frame != len(rows):
         raise InvalidInput(
             f"{path}, line {number}",

@@ -24,7 +24,7 @@ MICROSECOND: Final = Fraction(1, MICRO)
 LOSSLESS: Final = "magicyuv"
 
 
-class Written(NamedTuple):
+class FrameFate(NamedTuple):
     """What a picture became in the video.
 
     Attributes
@@ -93,7 +93,7 @@ class VideoSink:
             )
         self._stream.time_base = MICROSECOND
 
-    def append_picture(self, time_us: int, picture: Picture) -> Written:
+    def append_picture(self, time_us: int, picture: Picture) -> FrameFate:
         """Encode and append a picture, in the manner of this video."""
         import av
 
@@ -104,7 +104,7 @@ class VideoSink:
         (packet,) = self._encoded.encode(frame)
         return self._append(packet)
 
-    def append_jpeg(self, time_us: int, jpeg: bytes) -> Written:
+    def append_jpeg(self, time_us: int, jpeg: bytes) -> FrameFate:
         """Append a JPEG picture as it is."""
         import av
 
@@ -115,14 +115,14 @@ class VideoSink:
         packet.is_keyframe = True
         return self._append(packet)
 
-    def _append(self, packet: av.Packet[Any]) -> Written:
+    def _append(self, packet: av.Packet[Any]) -> FrameFate:
         size, crc = packet.size, zlib.crc32(packet)
         try:
             self._container.mux(packet)
         except OSError:
             self._lost = True
             raise
-        return Written(size, crc, self.path.stat().st_size)
+        return FrameFate(size, crc, self.path.stat().st_size)
 
     def close(self) -> None:
         """Let go of the file; there is nothing left to write."""

@@ -20,8 +20,8 @@ from fixel.formats.recording_header import (
     write_end,
     write_header,
 )
-from fixel.formats.recording_rows import HEAD, MICRO, Row, row_text
-from fixel.formats.recording_video import VideoSink, Written
+from fixel.formats.recording_rows import HEAD, MICRO, RecordingRow, row_text
+from fixel.formats.recording_video import FrameFate, VideoSink
 from fixel.vision.frame import Frame
 
 LARGEST_READING: Final = 255
@@ -158,10 +158,10 @@ class RecordingWriter:
             self.abandon()
 
     def _note(
-        self, time_us: int, reading: int | None, reading_time: float | None, written: Written
+        self, time_us: int, reading: int | None, reading_time: float | None, written: FrameFate
     ) -> None:
         """The row of a picture that is in the video: a picture without one does not count."""
-        row = Row(
+        row = RecordingRow(
             frame=self.frames,
             time_us=time_us,
             reading=-1 if reading is None else reading,

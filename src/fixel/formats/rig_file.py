@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 from fixel.errors import InvalidInput
 from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera, plain
 from fixel.formats.file_errors import explained, within
-from fixel.formats.scene_schema import NonNegative, Point, Positive, Record, Triple
+from fixel.formats.scene_schema import NonNegative, Point, Positive, SceneLevel, Triple
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
@@ -25,7 +25,7 @@ from fixel.vision.measured_camera import MeasuredCamera
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
 
-class TagRecord(Record):
+class TagRecord(SceneLevel):
     id: int = Field(ge=0, description="which of its family")
     size_mm: Positive = Field(description="side of the black square [mm]")
     pose_mm_deg: Triple = Field([0.0] * 3, description="of its middle: x, y [mm], angle [deg]")
@@ -33,25 +33,25 @@ class TagRecord(Record):
     family: str = Field(FAMILIES[0], description=", ".join(FAMILIES))
 
 
-class StickerRecord(Record):
+class StickerRecord(SceneLevel):
     colour: str = Field(description=", ".join(COLOURS))
     diameter_mm: Positive = Field(description="[mm]")
     place_mm: Point = Field(description="of its middle: x, y [mm]")
     height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
 
 
-class PartRecord(Record):
+class PartRecord(SceneLevel):
     height_mm: Positive = Field(description="of its upper face above the plate [mm]")
     tags: list[TagRecord] = Field([], description="in the frame of the part")
     stickers: list[StickerRecord] = Field([], description="in the frame of the part")
 
 
-class PlacementRecord(Record):
+class PlacementRecord(SceneLevel):
     position_mm: Positive = Field(1.0, description="[mm]")
     angle_deg: Positive = Field(1.0, description="[deg]")
 
 
-class RigRecord(Record):
+class RigRecord(SceneLevel):
     """A rig file."""
 
     fixel_rig: Literal[1] = Field(description="version of the format")

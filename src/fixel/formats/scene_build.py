@@ -176,7 +176,7 @@ def _plane(record: schema.PlaneRecord | None) -> Plane:
         )
 
 
-def _only_form(record: schema.Record, forms: Sequence[str], path: str) -> None:
+def _only_form(record: schema.SceneLevel, forms: Sequence[str], path: str) -> None:
     """Refuse a record that has none of its forms, or more than one."""
     given = [form for form in forms if getattr(record, form) is not None]
     if len(given) != 1:

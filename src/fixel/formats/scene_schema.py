@@ -33,13 +33,13 @@ def _one_of(*forms: str) -> dict[str, Any]:
     return {"oneOf": [{"required": [form]} for form in forms]}
 
 
-class Record(BaseModel):
+class SceneLevel(BaseModel):
     """A level of the file: exactly these keys, numbers written as numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-class ShapeRecord(Record):
+class ShapeRecord(SceneLevel):
     """Exactly one form."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("polygon", "disk"))
@@ -47,34 +47,34 @@ class ShapeRecord(Record):
     disk: Positive | None = Field(None, description="radius [m]")
 
 
-class TripodRecord(Record):
+class TripodRecord(SceneLevel):
     radius: Positive = Field(description="distance of the points from the centre of mass [m]")
     friction: NonNegative = Field(description="coefficient against the plane")
     angle: Number = Field(0.0, description="of the first point from body x [rad]")
 
 
-class PointsRecord(Record):
+class PointsRecord(SceneLevel):
     at: list[Point] = Field(description="points in the frame of the shape [m]")
     friction: NonNegative | list[NonNegative] = Field(description="coefficients against the plane")
     loads: list[NonNegative] | None = Field(None, description="normal force at each point [N]")
 
 
-class UniformRecord(Record):
+class UniformRecord(SceneLevel):
     friction: NonNegative = Field(description="coefficient against the plane")
     n_points: int = Field(64, ge=3, le=100_000, description="about how many quadrature points")
 
 
-class EllipsoidRecord(Record):
+class EllipsoidRecord(SceneLevel):
     force: Positive = Field(description="largest friction force [N]")
     torque: Positive = Field(description="largest friction torque [N m]")
     centre: Point = Field([0.0, 0.0], description="centre of friction in the shape's frame [m]")
 
 
-class NoneRecord(Record):
+class NoneRecord(SceneLevel):
     """Empty."""
 
 
-class SupportRecord(Record):
+class SupportRecord(SceneLevel):
     """Exactly one form."""
 
     model_config = ConfigDict(
@@ -87,12 +87,12 @@ class SupportRecord(Record):
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
 
-class SpringRecord(Record):
+class SpringRecord(SceneLevel):
     stiffness: Positive = Field(description="[N/m]")
     anchor: Point = Field(description="in the world [m]")
 
 
-class BodyRecord(Record):
+class BodyRecord(SceneLevel):
     name: str
     shape: ShapeRecord
     mass: Positive = Field(description="[kg]")
@@ -105,7 +105,7 @@ class BodyRecord(Record):
     spring: SpringRecord | None = Field(None, description="pulls the centre of mass to a point")
 
 
-class DriveRecord(Record):
+class DriveRecord(SceneLevel):
     """Either a direction with a speed, or waypoints."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("direction", "waypoints"))
@@ -116,7 +116,7 @@ class DriveRecord(Record):
     force_limit: Positive | None = Field(None, description="at which the drive stalls [N]")
 
 
-class PusherRecord(Record):
+class PusherRecord(SceneLevel):
     name: str
     shape: ShapeRecord
     pose: Triple | None = Field(None, description="x [m], y [m], angle [rad] at t = 0")
@@ -125,7 +125,7 @@ class PusherRecord(Record):
     restitution: Fraction = Field(0.0, description="share of the approach speed given back")
 
 
-class FixelRecord(Record):
+class FixelRecord(SceneLevel):
     name: str
     shape: ShapeRecord
     pose: Triple = Field(description="x [m], y [m], angle [rad]")
@@ -133,7 +133,7 @@ class FixelRecord(Record):
     restitution: Fraction = Field(0.0, description="share of the approach speed given back")
 
 
-class PairRecord(Record):
+class PairRecord(SceneLevel):
     pair: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
         description="two names; * and ? match as in a shell"
     )
@@ -141,7 +141,7 @@ class PairRecord(Record):
     restitution: Fraction | None = Field(None, description="share of the approach speed given back")
 
 
-class FrictionMapRecord(Record):
+class FrictionMapRecord(SceneLevel):
     origin: Point = Field(description="world position of node [0, 0] [m]")
     cell: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         description="distance of neighbouring nodes along x and y [m]"
@@ -149,7 +149,7 @@ class FrictionMapRecord(Record):
     factor: list[list[Positive]] = Field(description="multiplier at each node, row by row")
 
 
-class PlaneRecord(Record):
+class PlaneRecord(SceneLevel):
     anisotropy: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         [1.0, 1.0], description="factors along the axis and across it"
     )
@@ -157,7 +157,7 @@ class PlaneRecord(Record):
     friction_map: FrictionMapRecord | None = Field(None, description="multiplier by place")
 
 
-class SceneRecord(Record):
+class SceneRecord(SceneLevel):
     """A scene file."""
 
     fixel: Literal[1] = Field(1, description="version of the format")
@@ -202,9 +202,9 @@ def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
             _refuse_many_keys(value, where)
 
 
-def record_at(path: Path) -> type[Record] | None:
+def record_at(path: Path) -> type[SceneLevel] | None:
     """The kind of record that stands at a path, if a record does."""
-    record: type[Record] | None = SceneRecord
+    record: type[SceneLevel] | None = SceneRecord
     for key in path:
         if isinstance(key, str):
             field = record.model_fields.get(key) if record else None
@@ -239,8 +239,8 @@ def unknown_key(path: Path, key: str) -> InvalidInput:
     )
 
 
-def _record_in(annotation: Any) -> type[Record] | None:
-    if isinstance(annotation, type) and issubclass(annotation, Record):
+def _record_in(annotation: Any) -> type[SceneLevel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, SceneLevel):
         return annotation
     inner = (_record_in(argument) for argument in get_args(annotation))
     return next((record for record in inner if record), None)

@@ -74,7 +74,7 @@ class VideoFile:
             Frames without time stamps, or time standing still or going back.
         """
         self.remarks.clear()
-        clock = _Clock(self.path)
+        clock = _StampReader(self.path)
         spoilt = _Spoilt()
         with _opened(self.path) as container:
             stream = container.streams.video[0]
@@ -226,7 +226,7 @@ class VideoWriter:
 
 
 @final
-class _Clock:
+class _StampReader:
     """Reads time stamps, and refuses what cannot be a time."""
 
     def __init__(self, path: Path) -> None:

@@ -31,14 +31,14 @@ _FRONT: Final = _MARK + _LENGTHS.size + _CRC.size
 _PIECE: Final = 1 << 20  # [bytes] read at once
 
 
-class _Place(NamedTuple):
+class _Position(NamedTuple):
     start: int
     length: int
 
 
 class _Contents(NamedTuple):
     mark: bytes
-    places: dict[str, _Place]
+    places: dict[str, _Position]
     end: int  # where the next block goes
     damaged: int  # stretches that no block could be read from, but blocks beyond them
 
@@ -113,7 +113,7 @@ class Journal:
         places, pieces, end = {}, [], self._end
         for name, data in new.items():
             framed = _framed(self._mark, name, data)
-            places[name] = _Place(end + len(framed) - len(data), len(data))
+            places[name] = _Position(end + len(framed) - len(data), len(data))
             pieces.append(framed)
             end += len(framed)
         self._write(b"".join(pieces))
@@ -221,11 +221,11 @@ def _framed(mark: bytes, name: str, data: bytes) -> bytes:
 
 def _contents(stream: BinaryIO, path: Path) -> _Contents:
     size = stream.seek(0, os.SEEK_END)
-    header = _read(stream, _Place(0, _HEADER))
+    header = _read(stream, _Position(0, _HEADER))
     if header[: len(MAGIC)] != MAGIC or len(header) < _HEADER:
         raise _other(path)
     mark = header[len(MAGIC) :]
-    places: dict[str, _Place] = {}
+    places: dict[str, _Position] = {}
     position = end = _HEADER
     damaged = 0
     while position < size:
@@ -240,8 +240,8 @@ def _contents(stream: BinaryIO, path: Path) -> _Contents:
     return _Contents(mark, places, end, damaged)
 
 
-def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str, _Place] | None:
-    front = _read(stream, _Place(position, _FRONT))
+def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str, _Position] | None:
+    front = _read(stream, _Position(position, _FRONT))
     if len(front) < _FRONT or not front.startswith(mark):
         return None
     lengths = front[_MARK : _MARK + _LENGTHS.size]
@@ -250,8 +250,8 @@ def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str
     start = position + _FRONT
     if start + n_label + n_data > size:
         return None
-    label = _read(stream, _Place(start, n_label))
-    place = _Place(start + n_label, n_data)
+    label = _read(stream, _Position(start, n_label))
+    place = _Position(start + n_label, n_data)
     crc = zlib.crc32(label, zlib.crc32(lengths))
     for piece in _pieces(stream, place):
         crc = zlib.crc32(piece, crc)
@@ -261,7 +261,7 @@ def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str
 def _next_mark(stream: BinaryIO, mark: bytes, position: int, size: int) -> int:
     """Where the mark stands next, or the end of the file."""
     while position < size:
-        piece = _read(stream, _Place(position, _PIECE))
+        piece = _read(stream, _Position(position, _PIECE))
         found = piece.find(mark)
         if found >= 0:
             return position + found
@@ -271,12 +271,12 @@ def _next_mark(stream: BinaryIO, mark: bytes, position: int, size: int) -> int:
     return size
 
 
-def _pieces(stream: BinaryIO, place: _Place) -> Iterator[bytes]:
+def _pieces(stream: BinaryIO, place: _Position) -> Iterator[bytes]:
     for start in range(place.start, place.start + place.length, _PIECE):
-        yield _read(stream, _Place(start, min(_PIECE, place.start + place.length - start)))
+        yield _read(stream, _Position(start, min(_PIECE, place.start + place.length - start)))
 
 
-def _read(stream: BinaryIO, place: _Place) -> bytes:
+def _read(stream: BinaryIO, place: _Position) -> bytes:
     """What stands at a place; shorter where the file ends."""
     stream.seek(place.start)
     parts, left = [], place.length

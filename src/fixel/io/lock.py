@@ -36,7 +36,7 @@ class Owner(NamedTuple):
 UNKNOWN: Final = Owner("", 0)
 
 
-class _Taken(Exception):
+class _LockTaken(Exception):
     """Somebody else holds it."""
 
 
@@ -65,7 +65,7 @@ class FileLock:
             try:
                 self._descriptor = self._take()
                 return
-            except _Taken:
+            except _LockTaken:
                 if time.monotonic() > deadline:
                     raise JobRefused(
                         f"{what} is in use by {_owner(path)}", hint="wait for it, or end it"
@@ -113,7 +113,7 @@ def holder(path: Path) -> Owner | None:
             return None
         substitute = _read_owner(_substitute_of(path))
         return substitute if substitute and not _gone(substitute) else None
-    except _Taken:
+    except _LockTaken:
         return _owner(path)
     finally:
         os.close(descriptor)
@@ -140,7 +140,7 @@ if sys.platform == "win32":
         try:
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
         except OSError:
-            raise _Taken from None
+            raise _LockTaken from None
         return True
 
 else:
@@ -151,7 +151,7 @@ else:
         try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise _Taken from None
+            raise _LockTaken from None
         except OSError as problem:
             if problem.errno in _UNSUPPORTED:
                 return False
@@ -172,7 +172,7 @@ def _substitute(path: Path) -> Path:
     try:
         descriptor = os.open(held, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     except FileExistsError:
-        raise _Taken from None
+        raise _LockTaken from None
     with os.fdopen(descriptor, "w") as stream:
         json.dump({"host": socket.gethostname(), "pid": os.getpid()}, stream)
     return held

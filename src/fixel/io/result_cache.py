@@ -18,7 +18,7 @@ VERSION: Final = 1
 
 
 @final
-class Finished:
+class ResultCache:
     """Answers by name, each kept with a mark of what it was computed from.
 
     Parameters

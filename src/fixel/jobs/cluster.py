@@ -38,7 +38,7 @@ class Task(NamedTuple):
     payload: bytes
 
 
-class Killed(NamedTuple):
+class WorkerKilled(NamedTuple):
     """The worker died."""
 
     worker: str
@@ -50,24 +50,24 @@ class OtherVersion(NamedTuple):
     found: str
 
 
-Outcome = Answer | Killed | OtherVersion | None  # None: to be tried again
+Outcome = Answer | WorkerKilled | OtherVersion | None  # None: to be tried again
 
 
-class Landed(NamedTuple):
+class ChunkReturn(NamedTuple):
     """A chunk is with no worker any more."""
 
     name: str
     future: Any
 
 
-class Fetched(NamedTuple):
+class ChunkEnd(NamedTuple):
     """How a chunk that has landed has ended."""
 
     name: str
     outcome: Outcome
 
 
-Event = Landed | Fetched
+Event = ChunkReturn | ChunkEnd
 
 
 @final
@@ -139,7 +139,7 @@ class Cluster:
                 key=f"chunk-{self._count}",
                 pure=False,
             )
-            future.add_done_callback(lambda done: self._events.put(Landed(task.name, done)))
+            future.add_done_callback(lambda done: self._events.put(ChunkReturn(task.name, done)))
         except Exception as problem:
             raise ClusterLost(f"the scheduler takes no work: {problem!r}") from None
         return future
@@ -160,11 +160,11 @@ class Cluster:
             self._refuse_dead()
         return happened
 
-    def fetch(self, landed: Landed) -> None:
+    def fetch(self, landed: ChunkReturn) -> None:
         """Get an answer from the worker that has it; an event when it is here."""
         self._fetchers.submit(self._fetch, landed)
 
-    def _fetch(self, landed: Landed) -> None:
+    def _fetch(self, landed: ChunkReturn) -> None:
         try:
             outcome = self._outcome(landed.future)
         # Lost on the way, cancelled with the scheduler, unreadable for a worker or for us: whatever
@@ -172,7 +172,7 @@ class Cluster:
         except BaseException:
             outcome = None
         self._strange = self._strange + 1 if outcome is None else 0
-        self._events.put(Fetched(landed.name, outcome))
+        self._events.put(ChunkEnd(landed.name, outcome))
 
     def _outcome(self, future: Any) -> Outcome:
         """How a chunk has ended."""
@@ -181,7 +181,7 @@ class Cluster:
         try:
             framed = self._fetched(future)
         except KilledWorker as killed:
-            return Killed(str(killed.last_worker.address))
+            return WorkerKilled(str(killed.last_worker.address))
         if framed[:1] == OTHER_VERSION:
             return OtherVersion(framed[1:].decode())
         return unframed(framed)

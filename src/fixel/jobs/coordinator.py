@@ -21,17 +21,17 @@ from fixel.io.atomic import written_whole
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.engine import LocalEngine
-from fixel.jobs.folder import Job, Run, Status
+from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.functions import named_function
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import AbstractEngine, Progress, Show, Stopped, run_work
+from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 
 BETWEEN_WORDS_S: Final = 1.0  # [s] state.json is written at most so often
 
 Say = Callable[[str], None]
 
 
-def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = None) -> Status:
+def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = None) -> JobState:
     """Run a job until it is done, or has to stop.
 
     Parameters
@@ -43,7 +43,7 @@ def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = 
 
     Returns
     -------
-    Status
+    JobState
         `done`, or `cancelled` if somebody asked for that meanwhile.
 
     Raises
@@ -64,7 +64,7 @@ def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = 
             desk.enter("collecting")
             _write_result(folder, result)
             desk.enter("done")
-        except Stopped:
+        except StopRequest:
             desk.enter("cancelled")
         except KeyboardInterrupt:
             if not (folder / files.CANCEL).exists():
@@ -108,7 +108,7 @@ def interrupt_on_termination() -> None:
     signal.signal(signal.SIGTERM, interrupt)
 
 
-def _run(folder: Path, job: Job, run: Run, journal: Journal, desk: _Clerk) -> bytes:
+def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, desk: _Clerk) -> bytes:
     inputs = folder / "inputs"
     work = named_function(job.maker)(inputs, job.options)
     with _engine(folder, job, run, desk.say) as engine:
@@ -119,7 +119,7 @@ def _run(folder: Path, job: Job, run: Run, journal: Journal, desk: _Clerk) -> by
         )
 
 
-def _engine(folder: Path, job: Job, run: Run, say: Say) -> AbstractEngine:
+def _engine(folder: Path, job: Job, run: RunSettings, say: Say) -> AbstractEngine:
     if run.workers == 0:
         return LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
@@ -136,7 +136,7 @@ def _engine(folder: Path, job: Job, run: Run, say: Say) -> AbstractEngine:
     return DaskEngine(folder, pool, say=say, lease_s=run.lease_s, max_deaths=run.max_deaths)
 
 
-def _refuse_changed(folder: Path, job: Job, run: Run) -> None:
+def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
     allowed = run.stamp or job.stamp
     if allowed != stamp():
         raise JobRefused(
@@ -174,7 +174,7 @@ class _Clerk:
         self._written = 0.0
         self._before = files.read_status(folder)
         self.engine: AbstractEngine | None = None
-        self.status = Status(
+        self.status = JobState(
             host=socket.gethostname(),
             pid=os.getpid(),
             started_utc=files.utc(),
@@ -197,7 +197,7 @@ class _Clerk:
         if self._say is not None:
             self._say(sentence)
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: JobProgress) -> None:
         """The job has got on."""
         if self._progress is not None:
             self._progress(progress)

@@ -17,14 +17,14 @@ from typing import Any, Final, Self, final
 from fixel.errors import JobRefused
 from fixel.jobs import link
 from fixel.jobs.cluster import (
+    ChunkEnd,
+    ChunkReturn,
     Cluster,
     ClusterLost,
-    Fetched,
-    Killed,
-    Landed,
     OtherVersion,
     Outcome,
     Task,
+    WorkerKilled,
 )
 from fixel.jobs.pool import AbstractPool
 from fixel.jobs.stamp import stamp
@@ -98,7 +98,7 @@ class DaskEngine(AbstractEngine):
         return None if self._cluster is None else self._cluster.process.pid
 
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        desk = _Desk(function, inputs, chunks)
+        desk = _RoundState(function, inputs, chunks)
         while desk.open:
             try:
                 batch = self._turn(desk)
@@ -112,28 +112,28 @@ class DaskEngine(AbstractEngine):
                 self._rebuilds = 0
             yield batch
 
-    def _turn(self, desk: _Desk) -> Batch:
+    def _turn(self, desk: _RoundState) -> Batch:
         """Send what can be computed now, take what has been."""
         cluster = self._cluster or self._start()
         self._tick(cluster)
         desk.top_up(cluster, self.workers)
         events = cluster.events(timeout_s=TICK_S)
-        landed = [e for e in events if isinstance(e, Landed) and desk.lands(e.name, e.future)]
+        landed = [e for e in events if isinstance(e, ChunkReturn) and desk.lands(e.name, e.future)]
         if all(event.future.status == "finished" for event in landed):
             # Before their answers are fetched and on disk: the workers wait for this.
             desk.top_up(cluster, self.workers)
         for arrival in landed:
             cluster.fetch(arrival)
         batch: Batch = []
-        for fetched in (e for e in events if isinstance(e, Fetched)):
+        for fetched in (e for e in events if isinstance(e, ChunkEnd)):
             answer = self._judged(desk, fetched.name, fetched.outcome)
             if answer is not None and desk.close(fetched.name):
                 batch.append((fetched.name, answer))
         return batch
 
-    def _judged(self, desk: _Desk, name: str, outcome: Outcome) -> Answer | None:
+    def _judged(self, desk: _RoundState, name: str, outcome: Outcome) -> Answer | None:
         """The answer of a chunk, or None if it is to be tried again."""
-        if isinstance(outcome, Killed):
+        if isinstance(outcome, WorkerKilled):
             return self._survived(desk, name, outcome)
         if isinstance(outcome, OtherVersion):
             self._refusals += 1
@@ -145,7 +145,7 @@ class DaskEngine(AbstractEngine):
         self._again(desk, name)
         return None
 
-    def _survived(self, desk: _Desk, name: str, killed: Killed) -> Answer | None:
+    def _survived(self, desk: _RoundState, name: str, killed: WorkerKilled) -> Answer | None:
         desk.deaths[name] += 1
         self.deaths += 1
         deaths = desk.deaths[name]
@@ -155,7 +155,7 @@ class DaskEngine(AbstractEngine):
         self._again(desk, name)
         return None
 
-    def _again(self, desk: _Desk, name: str) -> None:
+    def _again(self, desk: _RoundState, name: str) -> None:
         desk.again(name)
         self.again += 1
 
@@ -174,7 +174,7 @@ class DaskEngine(AbstractEngine):
         if len(reasons) >= MAX_REFUSALS or (reasons and not self._answered and not self.workers):
             raise _other_version(reasons[-1])
 
-    def _late(self, desk: _Desk) -> Batch:
+    def _late(self, desk: _RoundState) -> Batch:
         """Answers that workers have left in the folder."""
         batch = []
         for late in link.late_answers(self._folder):
@@ -207,7 +207,7 @@ class DaskEngine(AbstractEngine):
 
 
 @final
-class _Desk:
+class _RoundState:
     """The chunks of a round: which wait, which are with workers, which still miss an answer."""
 
     def __init__(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> None:

@@ -52,11 +52,11 @@ STATE: Final = "state.json"
 UNFINISHED: Final = ".inputs."  # how the name of a folder of inputs begins until it has all
 
 
-class _Record(BaseModel):
+class _JobRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Job(_Record):
+class Job(_JobRecord):
     """What `job.json` says.
 
     Attributes
@@ -83,7 +83,7 @@ class Job(_Record):
     made_utc: str
 
 
-class Run(_Record):
+class RunSettings(_JobRecord):
     """What `run.json` says: how the job is run.
 
     Attributes
@@ -107,7 +107,7 @@ class Run(_Record):
     stamp: str | None = None
 
 
-class Status(_Record):
+class JobState(_JobRecord):
     """What `state.json` says: written by the coordinator, read by anybody.
 
     Attributes
@@ -169,7 +169,7 @@ def prepare(
     try:
         for name, content in inputs.items():
             _add_input(unfinished, name, content)
-        write_status(folder, Status())
+        write_status(folder, JobState())
         unfinished.rename(folder / "inputs")
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -204,26 +204,26 @@ def made_by(folder: Path, maker: str) -> bool:
         return False
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> RunSettings:
     """How the job was run last, or as jobs are run unless told otherwise."""
     path = folder / "run.json"
-    run: Run = _read(path, Run) if path.is_file() else Run()
+    run: RunSettings = _read(path, RunSettings) if path.is_file() else RunSettings()
     return run
 
 
-def write_run(folder: Path, run: Run) -> None:
+def write_run(folder: Path, run: RunSettings) -> None:
     """Keep how the job is run, for `resume`."""
     _write(folder / "run.json", run)
 
 
-def read_status(folder: Path) -> Status:
+def read_status(folder: Path) -> JobState:
     """How far the job says it is."""
     path = folder / STATE
-    status: Status = _read(path, Status) if path.is_file() else Status()
+    status: JobState = _read(path, JobState) if path.is_file() else JobState()
     return status
 
 
-def write_status(folder: Path, status: Status) -> None:
+def write_status(folder: Path, status: JobState) -> None:
     """Say how far the job is."""
     _write(folder / STATE, status.model_copy(update={"updated_utc": utc()}))
 

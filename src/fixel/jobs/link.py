@@ -32,7 +32,7 @@ _VALID_UNTIL: Final = datetime.timedelta(days=365)
 _CRC_BYTES: Final = 4
 
 
-class Joined(NamedTuple):
+class WorkerLink(NamedTuple):
     """A worker that has joined."""
 
     name: str
@@ -111,11 +111,11 @@ def say_joined(folder: Path, name: str, host: str) -> None:
         path.write_text(json.dumps({"host": host, "pid": os.getpid()}))
 
 
-def joined(folder: Path, name: str) -> Joined | None:
+def joined(folder: Path, name: str) -> WorkerLink | None:
     """A worker that has joined, now or earlier."""
     try:
         said = json.loads((folder / "workers" / f"{name}.json").read_text())
-        return Joined(name, str(said["host"]), int(said["pid"]))
+        return WorkerLink(name, str(said["host"]), int(said["pid"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

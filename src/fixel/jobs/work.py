@@ -75,7 +75,7 @@ Answers = dict[str, Answer]
 Work = Generator[Round, Answers, bytes]
 
 
-class Progress(NamedTuple):
+class JobProgress(NamedTuple):
     """How far the work is.
 
     Attributes
@@ -130,11 +130,11 @@ class AbstractEngine(abc.ABC):
     def __exit__(self, *_: object) -> None: ...
 
 
-class Stopped(Exception):
+class StopRequest(Exception):
     """Somebody asked to stop; the journal has all that was finished."""
 
 
-Show = Callable[[Progress], None]
+Show = Callable[[JobProgress], None]
 Stop = Callable[[], bool]
 
 
@@ -156,7 +156,7 @@ def run_work(
 
     Raises
     ------
-    Stopped
+    StopRequest
         `stop()` said so.
     """
     tally = _Tally(progress, engine)
@@ -220,7 +220,7 @@ def _answered(
 
 def _refuse_stop(stop: Stop | None) -> None:
     if stop is not None and stop():
-        raise Stopped
+        raise StopRequest
 
 
 @final
@@ -271,7 +271,7 @@ class _Tally:
         known = rate > 0 and not self._open
         left = (self._total - self._done) / rate if known else None
         self._show(
-            Progress(
+            JobProgress(
                 self._done,
                 self._total,
                 self._failed,

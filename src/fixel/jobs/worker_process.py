@@ -22,12 +22,12 @@ GLANCE: Final = 0.02  # [s] between two looks whether somebody still waits
 STARTS_WITHIN: Final = 120.0  # [s], with an engine to compile
 
 
-class Cancelled(Exception):
+class CallCancellation(Exception):
     """Nobody waits for the answer any more."""
 
 
 @final
-class Bounded:
+class WorkerProcess:
     """Calls a function of a module, one call at a time, each within a time limit.
 
     The process starts with the first call and stays for the next ones; one that was ended is
@@ -72,7 +72,7 @@ class Bounded:
         ------
         JobRefused
             The time limit, or a process that died.
-        Cancelled
+        CallCancellation
             `nobody_waits` said so.
         """
         with self._my_turn(nobody_waits):
@@ -96,7 +96,7 @@ class Bounded:
         with self._turn:
             self._end()
 
-    def __enter__(self) -> Bounded:
+    def __enter__(self) -> WorkerProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -106,12 +106,12 @@ class Bounded:
         until = time.monotonic() + self.limit
         while not self._turn.acquire(timeout=GLANCE):
             if nobody_waits():
-                raise Cancelled
+                raise CallCancellation
             if time.monotonic() > until:
                 raise JobRefused(
                     f"others have been computing for {self.limit:g} s", hint="try again"
                 )
-        return _Held(self._turn)  # type: ignore[return-value]
+        return _HeldLock(self._turn)  # type: ignore[return-value]
 
     def _running(self, nobody_waits: Callable[[], bool]) -> Connection:
         """The pipe to a process that is ready."""
@@ -155,13 +155,13 @@ class Bounded:
         try:
             while not pipe.poll(GLANCE):
                 if nobody_waits():
-                    raise Cancelled
+                    raise CallCancellation
                 if time.monotonic() > until:
                     raise late
             answer: tuple[bool, Any] = pipe.recv()
         except (EOFError, OSError):
             raise self._died() from None
-        except (Cancelled, JobRefused):
+        except (CallCancellation, JobRefused):
             self._end()
             raise
         return answer
@@ -181,7 +181,7 @@ class Bounded:
 
 
 @final
-class _Held:
+class _HeldLock:
     """A lock that is held already, to be let go."""
 
     def __init__(self, lock: threading.Lock) -> None:

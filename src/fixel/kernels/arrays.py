@@ -124,7 +124,7 @@ class Workspace(NamedTuple):
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet
 
 
-class Method(NamedTuple):
+class StepMethod(NamedTuple):
     """How to step: the same for every rollout of a batch."""
 
     motion: int  # codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER
@@ -136,7 +136,7 @@ class Method(NamedTuple):
     effort: int  # most sweeps of Gauss-Seidel
 
 
-class Pace(NamedTuple):
+class TimeSettings(NamedTuple):
     """Times and tolerances of one rollout, scaled."""
 
     duration: float
@@ -146,7 +146,7 @@ class Pace(NamedTuple):
     largest: float
 
 
-class Record(NamedTuple):
+class RolloutRecord(NamedTuple):
     """What a rollout leaves behind."""
 
     time: FloatArray  # (n_sample,) in: when to sample; out where `every_step`: when a step ended

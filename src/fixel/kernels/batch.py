@@ -1,6 +1,6 @@
 """Many rollouts in one call: each alone, so that the bits do not depend on who ran which."""
 
-from fixel.kernels.arrays import Batch, BatchRecord, Method, Model, Pace, Record
+from fixel.kernels.arrays import Batch, BatchRecord, Model, RolloutRecord, StepMethod, TimeSettings
 from fixel.kernels.jit import allocating_kernel, entry, spliced_kernel
 from fixel.kernels.rollout import rollout
 
@@ -58,13 +58,15 @@ def select(batch: Batch, r: int) -> Model:
 
 
 @spliced_kernel
-def _rollout(batch: Batch, method: Method, record: BatchRecord, every_step: bool, r: int) -> None:
+def _rollout(
+    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, r: int
+) -> None:
     a = batch.begin[r]
     z = a + batch.count[r]
-    pace = Pace(
+    pace = TimeSettings(
         batch.pace[r, 0], batch.pace[r, 1], batch.pace[r, 2], batch.pace[r, 3], batch.pace[r, 4]
     )
-    own = Record(
+    own = RolloutRecord(
         record.time[r],
         record.pose[r],
         record.twist[r],
@@ -92,7 +94,7 @@ def select_one(batch: Batch, r: int) -> Model:
 
 @entry
 def roll(
-    batch: Batch, method: Method, record: BatchRecord, every_step: bool, first: int, last: int
+    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, first: int, last: int
 ) -> None:
     """Simulate rollouts `first` to ``last - 1``. Holds no lock: threads may each take a range."""
     for r in range(first, last):

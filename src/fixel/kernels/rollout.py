@@ -8,12 +8,12 @@ from fixel.kernels import codes
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import (
     FloatArray,
-    Method,
     Model,
-    Pace,
     Problem,
-    Record,
+    RolloutRecord,
     State,
+    StepMethod,
+    TimeSettings,
     Workspace,
 )
 from fixel.kernels.contacts import place_bodies
@@ -73,9 +73,9 @@ def rollout(
     model: Model,
     start: FloatArray,
     velocity: FloatArray,
-    method: Method,
-    pace: Pace,
-    record: Record,
+    method: StepMethod,
+    pace: TimeSettings,
+    record: RolloutRecord,
     every_step: bool,
 ) -> int:
     """Simulate one scene; fills `record`, returns how it ended (codes.py).
@@ -89,7 +89,7 @@ def rollout(
         Twist of every free body at time zero.
     method, pace
         How to step.
-    record : Record
+    record : RolloutRecord
         Filled. Samples are linear between step ends, as the motion within a step is.
     every_step : bool
         Sample at each step's end (as far as there is room) in place of the times in `record.time`.
@@ -141,9 +141,9 @@ def _run(
     rows: FloatArray,
     problem: Problem,
     work: Workspace,
-    method: Method,
-    pace: Pace,
-    record: Record,
+    method: StepMethod,
+    pace: TimeSettings,
+    record: RolloutRecord,
     every_step: bool,
 ) -> int:
     time = 0.0
@@ -611,7 +611,7 @@ def write_samples(
     to_time: float,
     span: float,
     problem: Problem,
-    record: Record,
+    record: RolloutRecord,
     sample: int,
     every_step: bool,
     duration: float,
@@ -658,7 +658,7 @@ def _sample_driven(
     to_time: float,
     span: float,
     problem: Problem,
-    record: Record,
+    record: RolloutRecord,
     sample: int,
     d: int,
     share: float,
@@ -720,7 +720,12 @@ def _is_impact(velocity: FloatArray, problem: Problem, i: int, step: float) -> b
 
 @kernel
 def _sample_contacts(
-    velocity: FloatArray, problem: Problem, record: Record, sample: int, step: float, span: float
+    velocity: FloatArray,
+    problem: Problem,
+    record: RolloutRecord,
+    sample: int,
+    step: float,
+    span: float,
 ) -> None:
     """Write the contacts of a step: force times step is the impulse of the whole step.
 

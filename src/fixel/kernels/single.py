@@ -3,7 +3,7 @@
 from fixel.kernels import assembly as _assembly
 from fixel.kernels import rollout as _rollout
 from fixel.kernels.allocate import empty_problem, empty_workspace
-from fixel.kernels.arrays import FloatArray, Model, Problem, Record, State, Workspace
+from fixel.kernels.arrays import FloatArray, Model, Problem, RolloutRecord, State, Workspace
 from fixel.kernels.feasible import squeezed
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau
@@ -226,7 +226,7 @@ def sample(
     to_time: float,
     span: float,
     problem: Problem,
-    record: Record,
+    record: RolloutRecord,
     every_step: bool,
     duration: float,
 ) -> int:

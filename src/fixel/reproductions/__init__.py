@@ -9,7 +9,7 @@ from fixel.datasets.raw.mit_push import read, recognised
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.reproductions.joint import joint_calibration
 from fixel.reproductions.mit_push import benchmark_pushes
-from fixel.reproductions.protocols import PROTOCOLS, Request
+from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
 from fixel.reproductions.result import Benchmark, Progress, Row, write_tables
 
 PARTS: Final = ("mit",)
@@ -19,7 +19,7 @@ FOLDERS: Final = {"mit": "mit_push_endpoints"}
 
 def benchmark_real(
     data: Path,
-    request: Request | None = None,
+    request: BenchmarkRequest | None = None,
     *,
     part: str = "mit",
     out: Path | None = None,
@@ -31,7 +31,7 @@ def benchmark_real(
     ----------
     data : Path
         Folder of the datasets, or of the one.
-    request : Request, optional
+    request : BenchmarkRequest, optional
         All protocols where left out.
     part : str
         Out of `PARTS`.
@@ -52,7 +52,7 @@ def benchmark_real(
     if out is not None:
         _make(out)
         kept = out / "fits"
-    answer = benchmark_pushes(pushes, request or Request(), kept, progress or _silent)
+    answer = benchmark_pushes(pushes, request or BenchmarkRequest(), kept, progress or _silent)
     if out is not None:
         write_tables(answer, out)
         draw_benchmark(answer, out / f"{part}.png")
@@ -101,7 +101,7 @@ __all__ = [
     "PARTS",
     "PROTOCOLS",
     "Benchmark",
-    "Request",
+    "BenchmarkRequest",
     "benchmark_real",
     "draw_benchmark",
     "folder_of",

@@ -19,7 +19,7 @@ from fixel.calibration import NelderMead
 from fixel.calibration.nelder_mead import NelderMeadSearch
 from fixel.calibration.starts import feasible_points
 from fixel.calibration.study import box_of
-from fixel.drawing.convergence import ConvergenceChart, Descent
+from fixel.drawing.convergence import BestSoFar, ConvergenceChart
 from fixel.reproductions.asme_table_1 import IDENTIFICATION, P1, made_targets, objective, space
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
@@ -80,9 +80,9 @@ def _descent(
     number: int,
     steps: list[tuple[int, float, float, tuple[float, ...]]],
     search: NelderMeadSearch,
-) -> Descent:
+) -> BestSoFar:
     evaluations, errors, sizes, points = zip(*steps, strict=True)
-    return Descent(
+    return BestSoFar(
         f"search {number}",
         np.array(evaluations),
         np.array(errors),
@@ -92,7 +92,7 @@ def _descent(
     )
 
 
-def _rows(one: Descent) -> list[Row]:
+def _rows(one: BestSoFar) -> list[Row]:
     return [
         {
             "search": one.label,
@@ -107,7 +107,7 @@ def _rows(one: Descent) -> list[Row]:
     ]
 
 
-def _sentence(one: Descent) -> str:
+def _sentence(one: BestSoFar) -> str:
     ends = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in 1e6 * one.points[-1])
     return (
         f"{one.label}: F {1e3 * one.error[0]:.1f} -> {1e3 * one.error[-1]:.2f} um in"

@@ -34,7 +34,7 @@ from fixel.model.support import triangle_shares
 from fixel.reproductions.charts.reproductions import ClusterPicture, TriangleCluster
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
-from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
 
 # Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.
@@ -149,7 +149,7 @@ def made_targets(seed: int | None) -> dict[int, Target]:
     for test in ALL:
         scene = micro_push(test, "p1")
         n = round(scene.duration * FRAME_RATE)
-        case = Case(scene, np.arange(1, n + 1) / FRAME_RATE)
+        case = RolloutCase(scene, np.arange(1, n + 1) / FRAME_RATE)
         pose = Ensemble([case]).simulate(np.zeros(1, np.int64), {}).pose[0]
         if seed is not None:
             pose = pose + draw.uniform(-1.0, 1.0, pose.shape) * (PIXEL, PIXEL, ANGLE_ERROR)

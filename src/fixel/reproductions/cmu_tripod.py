@@ -23,14 +23,14 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.reproductions.charts.reproductions import SupportPanel, SupportPicture
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
-from fixel.reproductions.tripod_points import Fitted, fitted_points
+from fixel.reproductions.tripod_points import SupportFit, fitted_points
 from fixel.reproductions.tripod_pushes import (
     FORCE_NOISE,
     POSE_NOISE,
     STEP,
     SURFACES,
     Forces,
-    Push,
+    TripodPush,
     best_friction,
     comparer_of,
     machined,
@@ -100,7 +100,7 @@ def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproductio
     )
 
 
-def attainable_mm(pushes: Sequence[Push], known: Fitted, options: LeastSquares) -> float:
+def attainable_mm(pushes: Sequence[TripodPush], known: SupportFit, options: LeastSquares) -> float:
     """Root mean square distance [mm] at which the same fit finds the machined points from pushes
     that were simulated on them, with the stated noise: what the data could say at best."""
     space = shared_space()
@@ -118,7 +118,7 @@ def attainable_mm(pushes: Sequence[Push], known: Fitted, options: LeastSquares) 
 
 
 def _distance_row(
-    support: str, pushes: Sequence[Push], found: Fitted, known: Fitted, forces: bool
+    support: str, pushes: Sequence[TripodPush], found: SupportFit, known: SupportFit, forces: bool
 ) -> Row:
     truth = machined(pushes[0])
     share = triangle_shares(truth)
@@ -148,7 +148,7 @@ def _distance_row(
 # --- friction from forces -----------------------------------------------------------------------
 
 
-def surface_friction(pushes: Sequence[Push], mu_pusher: float = 0.5) -> list[Row]:
+def surface_friction(pushes: Sequence[TripodPush], mu_pusher: float = 0.5) -> list[Row]:
     """Friction of each surface from forces, on the machined points; the authors' beside it."""
     space = ParameterSpace(
         unknowns=(Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=mu_pusher),)
@@ -171,7 +171,7 @@ def surface_friction(pushes: Sequence[Push], mu_pusher: float = 0.5) -> list[Row
 
 
 def _friction_row(
-    name: str, kind: str, pushes: Sequence[Push], own: np.ndarray, forces: Forces
+    name: str, kind: str, pushes: Sequence[TripodPush], own: np.ndarray, forces: Forces
 ) -> Row:
     part = Forces(forces.measured[own], forces.unit[own])
     first = pushes[int(np.flatnonzero(own)[0])].target.case.scene.bodies[0].support
@@ -206,7 +206,7 @@ def shared_space() -> ParameterSpace:
     )
 
 
-def transferred(pushes: Sequence[Push], support: str, options: LeastSquares) -> list[Row]:
+def transferred(pushes: Sequence[TripodPush], support: str, options: LeastSquares) -> list[Row]:
     """Errors on the second half of the pushes on one support, of what was learnt elsewhere."""
     others = [p for p in pushes if support_of(p) not in (support, "patch")]
     own = [p for p in pushes if support_of(p) == support]
@@ -238,7 +238,7 @@ def transferred(pushes: Sequence[Push], support: str, options: LeastSquares) -> 
     ]
 
 
-def fit_shared(pushes: Sequence[Push], options: LeastSquares) -> FloatArray:
+def fit_shared(pushes: Sequence[TripodPush], options: LeastSquares) -> FloatArray:
     space = shared_space()
     comparer = comparer_of(pushes, space)
     n = len(pushes)
@@ -253,14 +253,14 @@ def fit_shared(pushes: Sequence[Push], options: LeastSquares) -> FloatArray:
     return np.asarray(fit(replace(options, starts=1).start(box_of(space), 1), residuals).point)
 
 
-def _standing(push: Push, support: SupportPoints | UniformPressure) -> Push:
+def _standing(push: TripodPush, support: SupportPoints | UniformPressure) -> TripodPush:
     case = push.target.case
     body = replace(case.scene.bodies[0], support=support)
     scene = replace(case.scene, bodies=(body,))
     return push._replace(target=push.target._replace(case=case._replace(scene=scene)))
 
 
-def _errors(pushes: Sequence[Push], point: FloatArray) -> Row:
+def _errors(pushes: Sequence[TripodPush], point: FloatArray) -> Row:
     comparer = comparer_of(pushes, shared_space())
     n = len(pushes)
     difference, good, _ = comparer.differences(np.arange(n), np.tile(point, (n, 1)))

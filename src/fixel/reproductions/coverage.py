@@ -16,11 +16,11 @@ import numpy as np
 
 from fixel.datasets.raw.mit_push import read
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.reproductions.fitting import ARM, Belief, FittedPushes
-from fixel.reproductions.protocols import Bench, Request, full_beliefs, full_fit
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_beliefs, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.splits import Split
@@ -36,7 +36,7 @@ START: Final = {"start_x": 0.5e-3, "start_y": 0.5e-3, "start_theta": 0.01}
 POSITION, ANGLE = (0, 1), (2,)
 
 
-class Held(NamedTuple):
+class HeldOutPushes(NamedTuple):
     """Held-out pushes of one group and split."""
 
     key: Key
@@ -65,10 +65,10 @@ def run(
     """
     assert folder is not None
     begun = clock.perf_counter()
-    request = Request(protocols=("calibrated",), seeds=1 if quick else seeds, quick=quick)
-    bench = Bench(read(folder), request, Finished(kept), _silent)
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else seeds, quick=quick)
+    bench = BenchmarkData(read(folder), request, ResultCache(kept), _silent)
     total = len(bench.rows) * request.seeds
-    held: list[Held] = []
+    held: list[HeldOutPushes] = []
     for key in bench.rows:
         group = bench.group(key)
         for k, split in enumerate(bench.splits(key)):
@@ -89,7 +89,7 @@ def run(
     )
 
 
-def predicted(group: PushGroup, split: Split, found: FittedPushes) -> Held:
+def predicted(group: PushGroup, split: Split, found: FittedPushes) -> HeldOutPushes:
     """Held-out pushes of a group, bounded from its training pushes."""
     beliefs = full_beliefs(group, split.train)
     outcomes = outcomes_of(group, found, beliefs)
@@ -101,7 +101,7 @@ def predicted(group: PushGroup, split: Split, found: FittedPushes) -> Held:
     # A push that the physics cannot simulate has no bounds, which holds it in none of them.
     missing = np.ones((len(split.held_out) - len(other), 2))
     levels = np.concatenate((predictive.levels_of(own), missing))
-    return Held(group.key, levels, predictive.spreads(own), predictive)
+    return HeldOutPushes(group.key, levels, predictive.spreads(own), predictive)
 
 
 def outcomes_of(group: PushGroup, found: FittedPushes, beliefs: Sequence[Belief]) -> Outcomes:
@@ -158,7 +158,7 @@ def _rows(outcomes: Outcomes, which: IntArray) -> Outcomes:
 # --- tables and sentences -------------------------------------------------------------------------
 
 
-def _curve(held: Sequence[Held], own: int) -> CoverageCurve:
+def _curve(held: Sequence[HeldOutPushes], own: int) -> CoverageCurve:
     return coverage_curve(np.concatenate([one.levels[:, own] for one in held]))
 
 
@@ -175,7 +175,7 @@ def _curve_rows(curves: Sequence[CoverageCurve]) -> list[Row]:
     ]
 
 
-def _group_rows(held: Sequence[Held]) -> list[Row]:
+def _group_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
     rows = []
     for key in dict.fromkeys(one.key for one in held):
         own = [one for one in held if one.key == key]
@@ -190,7 +190,7 @@ def _group_rows(held: Sequence[Held]) -> list[Row]:
     return rows
 
 
-def _part_rows(held: Sequence[Held]) -> list[Row]:
+def _part_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
     """Root mean square over held-out pushes of each part's standard deviation."""
     rows: list[Row] = []
     for part in ("parameters", "start", "model", "total"):
@@ -207,7 +207,7 @@ def _part_rows(held: Sequence[Held]) -> list[Row]:
     return rows
 
 
-def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> list[str]:
+def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> list[str]:
     said = []
     for name, curve in zip(("position", "angle"), curves, strict=True):
         at = [LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
@@ -230,7 +230,7 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> list[
     return said
 
 
-def _picture(curves: Sequence[CoverageCurve], held: Sequence[Held]) -> CoverageChart:
+def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> CoverageChart:
     keys = list(dict.fromkeys(one.key for one in held))
     panels = []
     for k, name in enumerate(("position", "angle")):

@@ -32,7 +32,7 @@ SAMPLES: Final = 10
 TABLE_TURN: Final = 0.5
 
 
-class Evidence(NamedTuple):
+class PushErrors(NamedTuple):
     """One group of pushes under one fit."""
 
     key: Key
@@ -44,7 +44,7 @@ class Evidence(NamedTuple):
 
 def evidence_of(
     group: PushGroup, repeat: int, split: Split, found: FittedPushes, speed: FloatArray
-) -> Evidence:
+) -> PushErrors:
     """Features of all members of a group, and errors of their predictions.
 
     Features of a push read nothing that was measured of its end; those of neighbours read the ends
@@ -74,7 +74,7 @@ def evidence_of(
     off = scaled(residual)
     position, both = np.hypot(off[:, 0], off[:, 1]), np.linalg.norm(off, axis=1)
     errors = np.column_stack((position, np.abs(wrapped(residual[:, 2])), both))
-    return Evidence(group.key, repeat, split, features, np.where(good[:, None], errors, np.inf))
+    return PushErrors(group.key, repeat, split, features, np.where(good[:, None], errors, np.inf))
 
 
 def _asked(group: PushGroup, given: Mapping[str, float]) -> Configurations:

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.optimiser import Box
+from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import Registration, registration_from_gaps
 from fixel.datasets.raw.mit_push import PUSHER_RADIUS
 from fixel.kernels.arrays import FloatArray, IntArray
@@ -137,7 +137,7 @@ def gap_registration(
 # --- the fit --------------------------------------------------------------------------------------
 
 
-class Member(NamedTuple):
+class FitMember(NamedTuple):
     """A group in a fit, its members, and values that are the group's own and known."""
 
     group: PushGroup
@@ -146,7 +146,7 @@ class Member(NamedTuple):
 
 
 def fit_pushes(
-    members: Sequence[Member],
+    members: Sequence[FitMember],
     beliefs: Sequence[Belief],
     *,
     iterations: int,
@@ -155,14 +155,14 @@ def fit_pushes(
 
     Parameters
     ----------
-    members : sequence of Member
+    members : sequence of FitMember
         One group, mostly.
     beliefs : sequence of Belief
     iterations : int
         Steps of Levenberg and Marquardt's method, at most.
     """
     mean, sd, low, high = (np.array([b[k] for b in beliefs]) for k in (1, 2, 3, 4))
-    box = Box(low, high, np.clip(mean, low, high), sd)
+    box = SearchBox(low, high, np.clip(mean, low, high), sd)
     method = LeastSquares(
         loss="soft_l1",
         width=WIDTH / NOISE,
@@ -181,11 +181,11 @@ def fit_pushes(
         count += len(points) * sum(len(m.train) for m in members)
         return np.concatenate([_residuals(m, names, points) for m in members], axis=1)
 
-    end = fit(method.start(box, prior=Prior(mean=mean, sd=sd)), residuals)
+    end = fit(method.start(box, prior=NormalPrior(mean=mean, sd=sd)), residuals)
     return FittedPushes(names, end.point, count)
 
 
-def _residuals(member: Member, names: tuple[str, ...], points: FloatArray) -> FloatArray:
+def _residuals(member: FitMember, names: tuple[str, ...], points: FloatArray) -> FloatArray:
     """(k, 3 n_train) at points (k, n_name) [standard deviations]."""
     group, train = member.group, member.train
     k, n = len(points), len(train)

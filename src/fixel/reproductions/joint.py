@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.objective import Comparer, Objective, Robust
-from fixel.calibration.optimiser import Best, Box
+from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
 from fixel.datasets.raw.mit_push import MitPushes
@@ -55,7 +55,7 @@ def joint_calibration(
     targets = _targets(data, chosen, threads)
     stepper = StewartTrinkle(step=STEP)
     objective = Objective(Comparer(targets, SPACE, Robust(), stepper=stepper, threads=threads))
-    box = Box(SPACE.low, SPACE.high, SPACE.nominal, SPACE.scale)
+    box = SearchBox(SPACE.low, SPACE.high, SPACE.nominal, SPACE.scale)
     objective(SPACE.nominal[None])  # compiled, or loaded
     started = clock.perf_counter()
     best, made, first = _searched(objective, box, evaluations, progress)
@@ -74,7 +74,7 @@ def joint_calibration(
 
 
 def _searched(
-    objective: Objective, box: Box, evaluations: int, progress: Progress
+    objective: Objective, box: SearchBox, evaluations: int, progress: Progress
 ) -> tuple[Best, int, float]:
     dice = np.random.default_rng(0)
     best, made, first = Best(box.start, np.inf), 0, np.nan

@@ -14,25 +14,25 @@ from typing import Final
 import numpy as np
 
 from fixel.datasets.raw.mit_push import MitPushes
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray
 from fixel.model import pose_error
-from fixel.reproductions.protocols import PROTOCOLS, RUN, Bench, Piece, Request
+from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from fixel.reproductions.pushes import usable_rows
-from fixel.reproductions.result import Benchmark, Progress, Row, Scored
+from fixel.reproductions.result import Benchmark, HeldOutScores, Progress, Row
 
 PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
 
 
 def benchmark_pushes(
-    data: MitPushes, request: Request, folder: Path | None, progress: Progress
+    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: Progress
 ) -> Benchmark:
     """Run protocols on recorded pushes.
 
     Parameters
     ----------
     data : MitPushes
-    request : Request
+    request : BenchmarkRequest
     folder : Path, optional
         Where finished fits are kept.
     progress : callable
@@ -40,7 +40,7 @@ def benchmark_pushes(
     if PUBLISHED not in data.predictions:
         data.predictions[PUBLISHED] = np.full((len(data), 3), np.nan)
     started = clock.perf_counter()
-    bench = Bench(data, request, Finished(folder), progress)
+    bench = BenchmarkData(data, request, ResultCache(folder), progress)
     chosen = [name for name in PROTOCOLS if name in request.protocols]
     repeats = request.folds or request.seeds
     per_group = sum(1 if name == "new-shape" else repeats for name in chosen)
@@ -63,7 +63,7 @@ def benchmark_pushes(
     )
 
 
-def _scored(bench: Bench, protocol: str, pieces: Sequence[Piece]) -> Scored:
+def _scored(bench: BenchmarkData, protocol: str, pieces: Sequence[Piece]) -> HeldOutScores:
     models: dict[str, list[FloatArray]] = {"published": [], "uncalibrated": [], "calibrated": []}
     for piece in pieces:
         group, which = piece.group, piece.which
@@ -79,7 +79,7 @@ def _scored(bench: Bench, protocol: str, pieces: Sequence[Piece]) -> Scored:
         del models["published"]
     tables = {model: np.concatenate(parts, axis=1) for model, parts in models.items()}
     inside = [piece.inside for piece in pieces if piece.inside is not None]
-    return Scored(
+    return HeldOutScores(
         protocol=protocol,
         names=tuple(n for p in pieces for n in bench.names[p.group.rows[p.which]].tolist()),
         repeat=np.concatenate([np.full(len(p.which), p.repeat) for p in pieces]),
@@ -97,7 +97,7 @@ def _errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
     return np.where(missing, np.nan, np.stack((position * 1e3, np.degrees(np.abs(angle)))))
 
 
-def _settings(request: Request, bench: Bench) -> Row:
+def _settings(request: BenchmarkRequest, bench: BenchmarkData) -> Row:
     return {
         "protocols": list(request.protocols),
         "seeds": 0 if request.folds else request.seeds,
@@ -109,7 +109,7 @@ def _settings(request: Request, bench: Bench) -> Row:
     }
 
 
-def _notes(bench: Bench, chosen: Sequence[str]) -> tuple[str, ...]:
+def _notes(bench: BenchmarkData, chosen: Sequence[str]) -> tuple[str, ...]:
     left_out = len(bench.data) - len(usable_rows(bench.data))
     notes = [
         "Errors on held-out pushes only: of the object frame's origin, and of the angle.",

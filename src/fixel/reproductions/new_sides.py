@@ -17,17 +17,17 @@ import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.raw.mit_push import PUSHER_RADIUS, read
-from fixel.domain.contacts import Contacts, PushedContacts, contacts_of
+from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.features import Configurations
 from fixel.domain.promise import LEVEL, Experience, Promise, least_experiments
 from fixel.drawing.promise import NewSidesChart
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.model.fields import BoolArray
 from fixel.reproductions.evidence import evidence_of
 from fixel.reproductions.fitting import FittedPushes
-from fixel.reproductions.protocols import Bench, Request, full_fit
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.splits import split_without
@@ -50,7 +50,7 @@ class LeftOut(NamedTuple):
     unit: str  # that was left out
     features: FloatArray  # (n, f) of all pushes of the plate
     errors: FloatArray  # (n, 2) position [m], angle [rad]
-    contacts: Contacts
+    contacts: TouchedPlaces
     train: BoolArray  # (n,)
     new: BoolArray  # (n,) on the side, or at the speed, that was left out
 
@@ -97,8 +97,8 @@ def run(
         Folder of finished fits.
     """
     begun = clock.perf_counter()
-    bench = Bench(read(folder), Request(protocols=("calibrated",), seeds=1, quick=quick),
-                  Finished(kept), progress)  # fmt: skip
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=quick)
+    bench = BenchmarkData(read(folder), request, ResultCache(kept), progress)
     labels = {kind: _labels_by_plate(bench, kind) for kind in (SIDE, SPEED, RANDOM)}
     plates = sorted({key[1] for key in bench.rows})
     folds = max(int(own.max()) + 1 for own in labels[SIDE].values())
@@ -129,7 +129,7 @@ def run(
 # --- calibrations without a side or a speed -------------------------------------------------------
 
 
-def _labels_by_plate(bench: Bench, kind: str) -> dict[Key, IntArray]:
+def _labels_by_plate(bench: BenchmarkData, kind: str) -> dict[Key, IntArray]:
     found: dict[Key, IntArray] = {}
     for key, rows in bench.rows.items():
         if kind == SPEED:
@@ -143,7 +143,7 @@ def _labels_by_plate(bench: Bench, kind: str) -> dict[Key, IntArray]:
     return found
 
 
-def _left_out(bench: Bench, kind: str, labels: dict[Key, IntArray]) -> list[LeftOut]:
+def _left_out(bench: BenchmarkData, kind: str, labels: dict[Key, IntArray]) -> list[LeftOut]:
     found = []
     for key, label in labels.items():
         for side in range(int(label.max()) + 1):
@@ -152,7 +152,7 @@ def _left_out(bench: Bench, kind: str, labels: dict[Key, IntArray]) -> list[Left
     return found
 
 
-def _one(bench: Bench, key: Key, kind: str, label: IntArray, side: int) -> LeftOut:
+def _one(bench: BenchmarkData, key: Key, kind: str, label: IntArray, side: int) -> LeftOut:
     group = bench.group(key)
     split = split_without(label, side, FIRST_SEED + side)
     fit = full_fit(bench, group, f"{kind}_{side}", split)
@@ -194,7 +194,7 @@ class CoverageCount(NamedTuple):
 
 
 def _beyond(
-    bench: Bench, plates: Sequence[str], left: Sequence[LeftOut], column: int
+    bench: BenchmarkData, plates: Sequence[str], left: Sequence[LeftOut], column: int
 ) -> dict[str, Promise | None]:
     """Bounds for new sides and speeds of every plate, from those of the other plates."""
     found: dict[str, Promise | None] = {}
@@ -214,7 +214,7 @@ def _beyond(
 
 
 def _counted(
-    bench: Bench, left: Sequence[LeftOut], beyond: dict[str, Promise | None], column: int
+    bench: BenchmarkData, left: Sequence[LeftOut], beyond: dict[str, Promise | None], column: int
 ) -> CoverageCount | None:
     """Bounds and errors of all left-out pushes; None where too few are left to judge any."""
     plates: dict[Key, list[LeftOut]] = {}
@@ -225,7 +225,9 @@ def _counted(
         # Every plate with its k-th side left out; of fewer sides the last judges again.
         use = [own[min(k, len(own) - 1)] for own in plates.values()]
         names = _spread(use, lambda own: " ".join(own.key), lambda own: own.known)
-        contacts = Contacts.joined([own.contacts.rows(np.flatnonzero(own.known)) for own in use])
+        contacts = TouchedPlaces.joined(
+            [own.contacts.rows(np.flatnonzero(own.known)) for own in use]
+        )
         features, errors = _rows(use, lambda own: own.known, column)
         bench.tell(f"bounds {k + 1}")
         if len(errors) < least_experiments(LEVEL):

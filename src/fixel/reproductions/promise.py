@@ -17,11 +17,11 @@ import numpy as np
 from fixel.datasets.raw.mit_push import read
 from fixel.domain.promise import LEVEL, Experience, Promise, constant_bound
 from fixel.drawing.promise import PromiseChart
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import BoolArray
-from fixel.reproductions.evidence import Evidence, evidence_of
-from fixel.reproductions.protocols import Bench, Request, full_fit
+from fixel.reproductions.evidence import PushErrors, evidence_of
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
@@ -32,7 +32,7 @@ CHOSEN_ON: Final = 0
 WHAT: Final = {"position": ("mm", 1e3), "angle": ("deg", 180.0 / np.pi), "both": ("mm", 1e3)}
 
 
-class Table(NamedTuple):
+class PushTable(NamedTuple):
     """All pushes under the fits of one split."""
 
     features: FloatArray  # (n, f)
@@ -41,7 +41,7 @@ class Table(NamedTuple):
     held_out: BoolArray  # (n,)
 
 
-class Counted(NamedTuple):
+class HalfCount(NamedTuple):
     """One half judged by the other."""
 
     repeat: int
@@ -69,13 +69,13 @@ def run(
         Folder of finished fits, of the protocol `calibrated`.
     """
     begun = clock.perf_counter()
-    request = Request(protocols=("calibrated",), seeds=1 if quick else SEEDS, quick=quick)
-    bench = Bench(read(folder), request, Finished(kept), progress)
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else SEEDS, quick=quick)
+    bench = BenchmarkData(read(folder), request, ResultCache(kept), progress)
     halvings = 1 if quick else HALVINGS
     bench.total = request.seeds * (len(bench.rows) + halvings * len(WHAT))
     tables, features = _tables(bench)
     names = [" ".join(key) for key in bench.rows]
-    counted: dict[str, list[Counted]] = {what: [] for what in WHAT}
+    counted: dict[str, list[HalfCount]] = {what: [] for what in WHAT}
     model = ""
     for repeat, table in enumerate(tables):
         for halving in range(halvings):
@@ -103,9 +103,9 @@ def run(
     )
 
 
-def _tables(bench: Bench) -> tuple[list[Table], tuple[str, ...]]:
+def _tables(bench: BenchmarkData) -> tuple[list[PushTable], tuple[str, ...]]:
     """One for each split; names of the features."""
-    found: list[list[Evidence]] = [[] for _ in range(bench.request.seeds)]
+    found: list[list[PushErrors]] = [[] for _ in range(bench.request.seeds)]
     for key in bench.rows:
         group = bench.group(key)
         speed = bench.data.speed[group.rows]
@@ -116,9 +116,9 @@ def _tables(bench: Bench) -> tuple[list[Table], tuple[str, ...]]:
     return [_table(own) for own in found], found[0][0].features.names
 
 
-def _table(found: Sequence[Evidence]) -> Table:
+def _table(found: Sequence[PushErrors]) -> PushTable:
     held = [np.isin(np.arange(len(own.errors)), own.split.held_out) for own in found]
-    return Table(
+    return PushTable(
         np.concatenate([own.features.table for own in found]),
         np.concatenate([own.errors for own in found]),
         np.concatenate([np.full(len(own.errors), k) for k, own in enumerate(found)]),
@@ -129,7 +129,9 @@ def _table(found: Sequence[Evidence]) -> Table:
 # --- halves -------------------------------------------------------------------------------------
 
 
-def _both_ways(table: Table, column: int, repeat: int, halving: int) -> tuple[str, list[Counted]]:
+def _both_ways(
+    table: PushTable, column: int, repeat: int, halving: int
+) -> tuple[str, list[HalfCount]]:
     first, second = _halves(table, 100 * repeat + halving)
     answer = []
     for judging, counting in ((first, second), (second, first)):
@@ -138,7 +140,7 @@ def _both_ways(table: Table, column: int, repeat: int, halving: int) -> tuple[st
     return promise.model, answer
 
 
-def _halves(table: Table, seed: int) -> tuple[IntArray, IntArray]:
+def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
     """Held-out rows in two halves, each group apart."""
     dice = np.random.default_rng(seed)
     halves: tuple[list[int], list[int]] = ([], [])
@@ -150,8 +152,8 @@ def _halves(table: Table, seed: int) -> tuple[IntArray, IntArray]:
 
 
 def _counted(
-    table: Table, column: int, repeat: int, judging: IntArray, counting: IntArray
-) -> tuple[Promise, Counted]:
+    table: PushTable, column: int, repeat: int, judging: IntArray, counting: IntArray
+) -> tuple[Promise, HalfCount]:
     error, group = table.errors[:, column], table.group
     train = np.flatnonzero(~table.held_out)
     promise = Promise.fit(
@@ -168,7 +170,7 @@ def _counted(
         own = error[judging][group[judging] == g]
         if len(own) >= 9:
             by_group[group[counting] == g] = constant_bound(own, LEVEL)
-    return promise, Counted(
+    return promise, HalfCount(
         repeat, counting, group[counting], error[counting], bound,
         constant_bound(error[judging], LEVEL), by_group,
     )  # fmt: skip
@@ -177,12 +179,12 @@ def _counted(
 # --- what is told of them -----------------------------------------------------------------------
 
 
-def _reported(counted: Sequence[Counted]) -> list[Counted]:
+def _reported(counted: Sequence[HalfCount]) -> list[HalfCount]:
     """Those of splits on which nothing was chosen; all where there are no others."""
     return [own for own in counted if own.repeat != CHOSEN_ON] or list(counted)
 
 
-def _joined(counted: Sequence[Counted]) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+def _joined(counted: Sequence[HalfCount]) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
     """Errors (n,), bounds (n,) at the level, groups (n,) and constant bounds (n, 2)."""
     at = LEVELS.index(LEVEL)
     constant = np.concatenate(
@@ -196,7 +198,7 @@ def _joined(counted: Sequence[Counted]) -> tuple[FloatArray, FloatArray, IntArra
     )
 
 
-def _overall(what: str, counted: Sequence[Counted]) -> list[Row]:
+def _overall(what: str, counted: Sequence[HalfCount]) -> list[Row]:
     """Of the splits that are reported, then of each split, and of the single counts."""
     repeats = sorted({own.repeat for own in counted})
     parts = [("reported", _reported(counted))]
@@ -204,7 +206,7 @@ def _overall(what: str, counted: Sequence[Counted]) -> list[Row]:
     return [{"error": what, "pushes": name, **_row(what, own)} for name, own in parts]
 
 
-def _row(what: str, counted: Sequence[Counted]) -> Row:
+def _row(what: str, counted: Sequence[HalfCount]) -> Row:
     error, bound, group, constant = _joined(counted)
     unit, factor = WHAT[what]
     near = np.isfinite(bound)
@@ -236,7 +238,7 @@ def _row(what: str, counted: Sequence[Counted]) -> Row:
     return row
 
 
-def _coverage(own: Counted) -> float:
+def _coverage(own: HalfCount) -> float:
     return float(np.mean(own.error <= own.bound[LEVELS.index(LEVEL)]))
 
 
@@ -255,7 +257,7 @@ def _rank_correlation(a: FloatArray, b: FloatArray) -> float:
     return float((centred[0] * centred[1]).mean() / spread.prod())
 
 
-def _by_group(what: str, counted: Sequence[Counted], names: Sequence[str]) -> list[Row]:
+def _by_group(what: str, counted: Sequence[HalfCount], names: Sequence[str]) -> list[Row]:
     counted = _reported(counted)
     error, bound, group, constant = _joined(counted)
     unit, factor = WHAT[what]
@@ -280,7 +282,7 @@ def _by_group(what: str, counted: Sequence[Counted], names: Sequence[str]) -> li
     return [{k: v for k, v in row.items() if v != float("inf")} for row in rows]
 
 
-def _curve(what: str, counted: Sequence[Counted]) -> list[Row]:
+def _curve(what: str, counted: Sequence[HalfCount]) -> list[Row]:
     rows: list[Row] = []
     for k, level in enumerate(LEVELS):
         held = np.concatenate([own.error <= own.bound[k] for own in counted])
@@ -308,7 +310,7 @@ def _conclusions(overall: Sequence[Row], groups: Sequence[Row]) -> list[str]:
     return said
 
 
-def _picture(counted: dict[str, list[Counted]], groups: list[Row], curve: list[Row]) -> Any:
+def _picture(counted: dict[str, list[HalfCount]], groups: list[Row], curve: list[Row]) -> Any:
     error, bound, _, constant = _joined(_reported(counted["both"]))
     near = np.isfinite(bound) & np.isfinite(error)
     return PromiseChart(

@@ -11,14 +11,14 @@ import numpy as np
 
 from fixel.datasets.raw.mit_push import MitPushes
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import Finished, listed
+from fixel.io.result_cache import ResultCache, listed
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.model.fields import BoolArray
 from fixel.reproductions.fitting import (
     Belief,
+    FitMember,
     FittedPushes,
-    Member,
     about,
     fit_pushes,
     gap_registration,
@@ -55,7 +55,7 @@ PROTOCOLS: Final[dict[str, str]] = {
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class BenchmarkRequest:
     """What is asked of the benchmark.
 
     Parameters
@@ -106,11 +106,11 @@ class Piece(NamedTuple):
 
 
 @final
-class Bench:
+class BenchmarkData:
     """Data, splits and finished fits that the protocols share."""
 
     def __init__(
-        self, data: MitPushes, request: Request, finished: Finished, progress: Progress
+        self, data: MitPushes, request: BenchmarkRequest, finished: ResultCache, progress: Progress
     ) -> None:
         self.data, self.request, self.finished = data, request, finished
         self._progress = progress
@@ -143,7 +143,7 @@ class Bench:
         self,
         name: str,
         key: Key,
-        members: Sequence[Member],
+        members: Sequence[FitMember],
         beliefs: Sequence[Belief],
     ) -> FittedPushes:
         """The fit of that name, from the folder if it is there."""
@@ -165,14 +165,14 @@ class Bench:
         return FittedPushes(tuple(kept["names"]), point, int(kept["pushes_simulated"]))
 
 
-def _data_of(member: Member) -> list[Any]:
+def _data_of(member: FitMember) -> list[Any]:
     """All that a fit takes from a group."""
     group, own = member.group, member.train
     measured = (group.start, group.end, group.tip_start, group.tip_end)
     return [group.key, group.shape.outline, *(a[own] for a in measured), dict(member.known)]
 
 
-def _calibrated(bench: Bench, key: Key) -> Iterator[Piece]:
+def _calibrated(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
         found = full_fit(bench, group, k, split)
@@ -192,24 +192,26 @@ def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
     ]
 
 
-def full_fit(bench: Bench, group: PushGroup, repeat: int | str, split: Split) -> FittedPushes:
+def full_fit(
+    bench: BenchmarkData, group: PushGroup, repeat: int | str, split: Split
+) -> FittedPushes:
     """Physics calibrated on a split's training pushes."""
-    member = Member(group, split.train, {})
+    member = FitMember(group, split.train, {})
     beliefs = full_beliefs(group, split.train)
     return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
 
 
-def _unregistered(bench: Bench, key: Key) -> Iterator[Piece]:
+def _unregistered(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
         beliefs = [*tip_beliefs(), *load_beliefs(group, FREE), *table_beliefs()]
-        member = Member(group, split.train, {})
+        member = FitMember(group, split.train, {})
         found = bench.fitted(f"unregistered_{k}", key, [member], beliefs)
         yield _piece(bench, group, k, split.held_out, found)
         bench.tell(f"unregistered {' '.join(key)}")
 
 
-def _few(bench: Bench, key: Key) -> Iterator[Piece]:
+def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     """A handful of pushes of every plate: what plates have in common comes from all of these.
 
     With so few, how free the loads are decides: three answers to that are averaged.
@@ -225,7 +227,7 @@ def _few(bench: Bench, key: Key) -> Iterator[Piece]:
             *part_beliefs(0.3),
         ]
         shared = [*about(known, common.values), *registration_beliefs(shift, 0.3e-3)]
-        member = Member(group, few[key], {})
+        member = FitMember(group, few[key], {})
         found = [
             bench.fitted(f"few_{k}_{sd:g}", key, [member], [*load_beliefs(group, sd), *shared])
             for sd in FREEDOMS
@@ -235,7 +237,7 @@ def _few(bench: Bench, key: Key) -> Iterator[Piece]:
 
 
 def _in_common(
-    bench: Bench, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
+    bench: BenchmarkData, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
 ) -> tuple[FloatArray, FittedPushes]:
     """What plates on a surface share: the median of their registrations (2,), and a joint fit of
     friction at the tip and of how loads are spread."""
@@ -244,14 +246,14 @@ def _in_common(
     for own, some in train.items():
         group = bench.group(own)
         shifts.append(gap_registration(group, some).shift)
-        members.append(Member(group, some, _shifted(shifts[-1])))
+        members.append(FitMember(group, some, _shifted(shifts[-1])))
     table = table_beliefs(bend=0.5, quarter=quarter, slope=0.0)
     beliefs = [*tip_beliefs(), *table, *part_beliefs(0.7)]
     found = bench.fitted(name, (surface, "common"), members, beliefs)
     return np.median(shifts, axis=0), found
 
 
-def _new_shape(bench: Bench, key: Key) -> Iterator[Piece]:
+def _new_shape(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     """The plate has no part in anything that predicts it."""
     others = [own for own in bench.on_surface(key) if own != key]
     if others:
@@ -270,7 +272,7 @@ def _shifted(shift: FloatArray) -> dict[str, float]:
     return {"registration_x": float(shift[0]), "registration_y": float(shift[1])}
 
 
-def _learned(bench: Bench, key: Key) -> Iterator[Piece]:
+def _learned(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
         found = full_fit(bench, group, k, split)
@@ -295,7 +297,7 @@ def _learned(bench: Bench, key: Key) -> Iterator[Piece]:
 
 
 def _piece(
-    bench: Bench, group: PushGroup, repeat: int, which: IntArray, *found: FittedPushes
+    bench: BenchmarkData, group: PushGroup, repeat: int, which: IntArray, *found: FittedPushes
 ) -> Piece:
     """The prediction of a fit, or the mean of several."""
     fit = {
@@ -323,7 +325,7 @@ def _quick(rows: dict[Key, IntArray]) -> dict[Key, IntArray]:
     }
 
 
-RUN: Final[dict[str, Callable[[Bench, Key], Iterator[Piece]]]] = {
+RUN: Final[dict[str, Callable[[BenchmarkData, Key], Iterator[Piece]]]] = {
     "calibrated": _calibrated,
     "learned": _learned,
     "few": _few,

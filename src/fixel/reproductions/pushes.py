@@ -26,7 +26,7 @@ from fixel.model.fields import BoolArray
 from fixel.model.net import support_net
 from fixel.reproductions.replay.mit_push import LARGEST_GAP, LARGEST_STROKE_ERROR, NOMINAL
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 
 # The clock of quasi-static pushes is anybody's: all are simulated at one speed [s], in steps of
@@ -45,7 +45,7 @@ Key = tuple[str, str]  # surface, shape
 Tracker = Callable[[IntArray, Mapping[str, FloatArray]], tuple[FloatArray, BoolArray]]
 
 
-class Simulated(NamedTuple):
+class PushEnds(NamedTuple):
     """Where pushes ended."""
 
     end: FloatArray  # (n, 3) pose of the object [m, m, rad]
@@ -92,7 +92,7 @@ class PushGroup:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> Simulated:
+    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> PushEnds:
         """Simulate members on the net of points.
 
         Parameters
@@ -103,7 +103,7 @@ class PushGroup:
             Parameters of the scene, and of `TABLE_NAMES` and `PART_NAMES`.
         """
         outcome = self._net.simulate(which, self._given(which, values))
-        return Simulated(outcome.pose[:, -1], outcome.converged)
+        return PushEnds(outcome.pose[:, -1], outcome.converged)
 
     def tracks(self, samples: int, threads: int | None = None) -> Tracker:
         """Simulates members as `simulate` does, but tells where the object is at `samples` equal
@@ -136,12 +136,12 @@ class PushGroup:
         names = [f"load_{k + 1}" for k in range(len(self.points))]
         return {name: values.get(name, 1.0) * factor[:, k] for k, name in enumerate(names)}
 
-    def _nominal(self) -> Simulated:
+    def _nominal(self) -> PushEnds:
         """Nothing calibrated: even pressure, friction as in the published simulator."""
         n = len(self.rows)
         mu = np.full(n, NOMINAL["mu_pusher"])
         outcome = self._even.simulate(np.arange(n), {"mu_pusher": mu})
-        return Simulated(outcome.pose[:, -1], outcome.converged)
+        return PushEnds(outcome.pose[:, -1], outcome.converged)
 
     def _paths(self) -> FloatArray:
         """(n, 3, 4) waypoints of the tips, which touch the object at the start at the nearest."""
@@ -154,7 +154,7 @@ class PushGroup:
         path[:, 2, 1:3] = begin + way
         return path
 
-    def _cases(self, support: Support, paths: FloatArray) -> list[Case]:
+    def _cases(self, support: Support, paths: FloatArray) -> list[RolloutCase]:
         body = Body(
             name="object",
             shape=self.shape,
@@ -164,7 +164,7 @@ class PushGroup:
         )
         times = np.array([DURATION])
         return [
-            Case(
+            RolloutCase(
                 Scene(
                     bodies=(replace(body, pose=start),), pushers=(_pusher(path),), duration=DURATION
                 ),

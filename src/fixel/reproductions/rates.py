@@ -20,15 +20,15 @@ from fixel.datasets.raw import mit_push, read_dataset
 from fixel.datasets.raw.mit_timeseries import PushRuns
 from fixel.drawing.promise import RatesChart
 from fixel.errors import DatasetMissing
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
-from fixel.reproductions.protocols import Bench, Request, full_fit
-from fixel.reproductions.replay import Choice, replay_dataset
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
+from fixel.reproductions.replay import ReplayRequest, replay_dataset
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import hypotheses
-from fixel.reproductions.tripod_pushes import Push, comparer_of, read_pushes, support_of
+from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION
@@ -42,7 +42,7 @@ NOT_SIMULATED: Final = {
 }
 
 
-class Errors(NamedTuple):
+class RateErrors(NamedTuple):
     """Of one simulator on one dataset; one entry for each push, window or frame."""
 
     dataset: str
@@ -92,7 +92,7 @@ def run(
     )
 
 
-def _row(own: Errors) -> Row:
+def _row(own: RateErrors) -> Row:
     position = float(np.sqrt(np.mean(own.position**2)))
     middle = float(np.median(own.position))
     return {
@@ -123,9 +123,9 @@ def extent(shape: Shape) -> float:
 # --- datasets -----------------------------------------------------------------------------------
 
 
-def _mit(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
-    request = Request(protocols=("calibrated",), seeds=1 if quick else 3, quick=quick)
-    bench = Bench(mit_push.read(folder), request, Finished(kept), lambda *_: None)
+def _mit(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else 3, quick=quick)
+    bench = BenchmarkData(mit_push.read(folder), request, ResultCache(kept), lambda *_: None)
     parts: dict[str, list[tuple[FloatArray, FloatArray]]] = {NOTHING: [], "calibrated": []}
     motion, size = [], []
     for key in bench.rows:
@@ -141,20 +141,20 @@ def _mit(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
             motion.append(np.hypot(*(group.end[held] - group.start[held]).T[:2]))
             size.append(np.full(len(held), extent(group.shape)))
     for name, own in parts.items():
-        yield Errors(
+        yield RateErrors(
             "mit_push_endpoints", name, "ends of held-out pushes",
             np.concatenate([p for p, _ in own]), np.concatenate([a for _, a in own]),
             float(np.concatenate(motion).mean()), float(np.concatenate(size).mean()),
         )  # fmt: skip
 
 
-def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
-    choice = Choice(select={}, settings={}, limit=4 if quick else None)
+def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
+    choice = ReplayRequest(select={}, settings={}, limit=4 if quick else None)
     data = read_dataset(folder)
     assert isinstance(data, PushRuns)
     size = {run.name: extent(run.shape) for run in data.runs}
     pushes = [row for row in replay_dataset(folder, choice).pushes if row["status"] == "converged"]
-    yield Errors(
+    yield RateErrors(
         "mit_timeseries", NOTHING, "RMS of 2 s windows, each from its measured start",
         1e-3 * np.array([row["position_mm_rms"] for row in pushes]),
         np.radians([row["angle_deg_rms"] for row in pushes]),
@@ -163,7 +163,7 @@ def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors
     )  # fmt: skip
 
 
-def _tripod(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
+def _tripod(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
     pushes = [p for p in read_pushes(folder, 6 if quick else 1) if "3pts" in support_of(p)]
     train, test = pushes[::2], pushes[1::2]
     nominal = cmu_tripod.shared_space().nominal
@@ -173,21 +173,21 @@ def _tripod(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
     yield _of_tripod(test, point, "calibrated, machined supports known")
 
 
-def _of_tripod(pushes: Sequence[Push], point: FloatArray, simulator: str) -> Errors:
+def _of_tripod(pushes: Sequence[TripodPush], point: FloatArray, simulator: str) -> RateErrors:
     n = len(pushes)
     comparer = comparer_of(pushes, cmu_tripod.shared_space())
     difference, good, _ = comparer.differences(np.arange(n), np.tile(point, (n, 1)))
     end = difference[good, -1]
     bodies = [p.target.case.scene.bodies[0] for p in pushes]
     moved = [p.target.pose[-1] - b.pose for p, b in zip(pushes, bodies, strict=True)]
-    return Errors(
+    return RateErrors(
         "cmu_tripod_push", simulator, "ends of every second push",
         np.hypot(end[:, 0], end[:, 1]), np.abs(end[:, 2]),
         float(np.hypot(*np.array(moved).T[:2]).mean()), extent(bodies[0].shape),
     )  # fmt: skip
 
 
-def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
+def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
     experiment = rpi_141.experiment_141(folder)
     for hypothesis in hypotheses():
         if hypothesis.name not in RPI_SHOWN:
@@ -201,7 +201,7 @@ def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
         body = target.case.scene.bodies[0]
         steps = np.diff(np.vstack((body.pose, target.pose))[:, :2], axis=0)
         fitted = "calibrated to this very run" if hypothesis.fitted else "recorded parameters"
-        yield Errors(
+        yield RateErrors(
             "rpi_2dgad", f"{fitted} ({hypothesis.name})", "frames of experiment 141",
             np.hypot(found.difference[:, 0], found.difference[:, 1]),
             np.abs(found.difference[:, 2]),
@@ -209,7 +209,7 @@ def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[Errors]:
         )  # fmt: skip
 
 
-DATASETS: Final[dict[str, Callable[[Path, bool, Path | None], Iterator[Errors]]]] = {
+DATASETS: Final[dict[str, Callable[[Path, bool, Path | None], Iterator[RateErrors]]]] = {
     "mit_push_endpoints": _mit,
     "mit_timeseries": _timeseries,
     "cmu_tripod_push": _tripod,

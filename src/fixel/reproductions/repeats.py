@@ -20,7 +20,7 @@ from fixel.model.trajectory import wrapped
 from fixel.reproductions.alike_starts import HEAD_PLACE, alike_group
 from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
-from fixel.reproductions.two_point_groups import Group, group_scene, read_groups, rig_noise
+from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
 from fixel.simulation import StewartTrinkle
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
@@ -43,7 +43,7 @@ QUANTILE: Final = 0.975
 WANTED: Final = 0.9
 
 
-class Judged(NamedTuple):
+class GroupPrediction(NamedTuple):
     """A group, predicted and measured; standard deviations of position [m] and angle [rad]."""
 
     name: str
@@ -108,7 +108,7 @@ def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Repr
     )
 
 
-def _two_point(group: Group, groups: list[Group], worlds: int) -> Judged:
+def _two_point(group: RepeatGroup, groups: list[RepeatGroup], worlds: int) -> GroupPrediction:
     """Other start poses say how well a start is met, and how well an end is seen; of the group's
     own runs nothing is used but their mean start."""
     others = [other for other in groups if other.start_pose != group.start_pose]
@@ -129,7 +129,7 @@ def _two_point(group: Group, groups: list[Group], worlds: int) -> Judged:
     return _judged(group.name, "two fingers", group.start, group.end, seen, fan.ended, n)
 
 
-def _alike(folder: Path, worlds: int) -> Judged:
+def _alike(folder: Path, worlds: int) -> GroupPrediction:
     group = alike_group(folder)
     n = len(group.end)
     seen, ended = group.predicted(worlds * n)
@@ -144,12 +144,14 @@ def _judged(
     seen: FloatArray,
     ended: np.ndarray,
     n: int,
-) -> Judged:
+) -> GroupPrediction:
     whole = ended.reshape(-1, n).all(axis=1)
     spreads = np.array([scatter(own) for own in seen.reshape(-1, n, 3)[whole]])
     least, median, limit = np.quantile(spreads, (1.0 - QUANTILE, 0.5, QUANTILE), axis=0)
     failed = int((~ended).sum())
-    return Judged(name, kind, n, scatter(start), scatter(end), median, limit, least, failed)
+    return GroupPrediction(
+        name, kind, n, scatter(start), scatter(end), median, limit, least, failed
+    )
 
 
 def scatter(poses: FloatArray) -> FloatArray:
@@ -160,7 +162,7 @@ def scatter(poses: FloatArray) -> FloatArray:
     return np.sqrt([square[0] + square[1], square[2]])
 
 
-def pooled(groups: list[Group]) -> StartError:
+def pooled(groups: list[RepeatGroup]) -> StartError:
     """Standard deviations of starts about the mean of their group."""
     square, freedom = np.zeros(3), 0
     for group in groups:
@@ -184,7 +186,7 @@ def _rigs(worlds: int, n: int) -> dict[str, FloatArray]:
 # --- tables and sentences -------------------------------------------------------------------
 
 
-def _row(one: Judged) -> Row:
+def _row(one: GroupPrediction) -> Row:
     row: Row = {"group": one.name, "kind": one.kind, "runs": one.n}
     for name, pair in (
         ("start", one.start),
@@ -197,7 +199,7 @@ def _row(one: Judged) -> Row:
     return row | {"covered": one.covered, "failed": one.failed}
 
 
-def _conclusions(judged: list[Judged], noise: FloatArray) -> list[str]:
+def _conclusions(judged: list[GroupPrediction], noise: FloatArray) -> list[str]:
     real = [one for one in judged if one.kind == "two fingers"]
     covered = sum(one.covered for one in real)
     end, median, limit, start = (

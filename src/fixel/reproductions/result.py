@@ -28,7 +28,7 @@ ALL: Final = "all"
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scored:
+class HeldOutScores:
     """Held-out records of one protocol; every array has one entry each.
 
     Attributes
@@ -64,7 +64,7 @@ class Benchmark:
     ----------
     part : str
         `"mit"`.
-    scored : tuple of Scored
+    scored : tuple of HeldOutScores
     settings, timing : dict
         Enough to do it again; wall times [s].
     notes : tuple of str
@@ -73,7 +73,7 @@ class Benchmark:
     """
 
     part: str
-    scored: tuple[Scored, ...]
+    scored: tuple[HeldOutScores, ...]
     settings: Row
     timing: Row
     notes: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class Benchmark:
         }
 
 
-def rows_of(scored: Scored) -> list[Row]:
+def rows_of(scored: HeldOutScores) -> list[Row]:
     """Aggregates of the whole, of the coarse groups and of the fine ones."""
     rows = [_row(scored, (ALL, ALL), np.ones(len(scored.names), bool))]
     for depth in (1, 2):
@@ -105,7 +105,7 @@ def rows_of(scored: Scored) -> list[Row]:
     return rows
 
 
-def _row(scored: Scored, group: tuple[str, ...], chosen: NDArray[np.bool_]) -> Row:
+def _row(scored: HeldOutScores, group: tuple[str, ...], chosen: NDArray[np.bool_]) -> Row:
     """Every model on the same records: those that all of them have an answer to."""
     common = chosen & np.all([np.isfinite(v) for v in scored.position.values()], axis=0)
     row: Row = {
@@ -144,7 +144,7 @@ def write_tables(answer: Benchmark, folder: Path) -> list[Path]:
     return files
 
 
-def _records(scored: Scored) -> list[Row]:
+def _records(scored: HeldOutScores) -> list[Row]:
     columns = {
         f"{model}_{what}": np.round(table[model], 4).tolist()
         for model in scored.position

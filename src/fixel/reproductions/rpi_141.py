@@ -43,7 +43,7 @@ STEP: Final = 1.0 / 60.0
 SCALE: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])  # [mm/m, mm/m, mm/rad]
 
 
-class Fitted(NamedTuple):
+class HypothesisFit(NamedTuple):
     """A hypothesis at its best on some frames."""
 
     values: Mapping[str, float]
@@ -65,7 +65,7 @@ def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproductio
     begun = clock.perf_counter()
     experiment = experiment_141(folder)
     rows: list[Row] = []
-    kept: dict[str, Fitted] = {}
+    kept: dict[str, HypothesisFit] = {}
     known = hypotheses()
     for k, hypothesis in enumerate(known):
         starts = 1 if quick else 12 if set(CORNERS) <= set(hypothesis.fitted) else 3
@@ -100,7 +100,9 @@ def experiment_141(folder: Path) -> Experiment:
 # --- how it is judged ---------------------------------------------------------------------------
 
 
-def judged(experiment: Experiment, hypothesis: Hypothesis, starts: int) -> tuple[Row, Fitted]:
+def judged(
+    experiment: Experiment, hypothesis: Hypothesis, starts: int
+) -> tuple[Row, HypothesisFit]:
     """A row of the table, and the motion of the hypothesis fitted to the whole run."""
     for change in hypothesis.changes:
         experiment = change(experiment)
@@ -129,7 +131,7 @@ def _frames(target: Target) -> FloatArray:
     return np.asarray(np.rint(target.case.times * RATE) + 1.0)
 
 
-def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int) -> Fitted:
+def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int) -> HypothesisFit:
     """Fit to the frames `use` (n_frame,); the motion over all of them."""
     names = hypothesis.fitted or ("mu_fixel",)
     space = ParameterSpace(
@@ -159,7 +161,7 @@ def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int)
         point = fit(options.start(box_of(space), 0, comparer.feasible), residuals).point
     difference = differences(point[None])[0][0]
     values = space.values(point) if hypothesis.fitted else {}
-    return Fitted(values, difference, difference + target.pose)
+    return HypothesisFit(values, difference, difference + target.pose)
 
 
 def rms_mm(difference: FloatArray) -> float:
@@ -280,7 +282,7 @@ def _sideways_slope(rows: Sequence[Row]) -> float:
     return float(measured @ simulated / max(simulated @ simulated, 1e-30))
 
 
-def _picture(experiment: Experiment, kept: Mapping[str, Fitted]) -> PathPicture:
+def _picture(experiment: Experiment, kept: Mapping[str, HypothesisFit]) -> PathPicture:
     target = target_of(experiment)
     scene = scene_of(experiment)
     pusher = experiment.pusher

@@ -17,7 +17,7 @@ from fixel.reproductions.tripod_pushes import (
     POSE_NOISE,
     SURFACES,
     Forces,
-    Push,
+    TripodPush,
     best_friction,
     comparer_of,
     machined,
@@ -28,7 +28,7 @@ from fixel.reproductions.tripod_pushes import (
 CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 
 
-class Fitted(NamedTuple):
+class SupportFit(NamedTuple):
     """Support points found from pushes."""
 
     points: FloatArray  # (3, 2) [m], in the order nearest to the machined ones
@@ -59,8 +59,8 @@ def support_space(outline: FloatArray) -> ParameterSpace:
 
 
 def fitted_points(
-    pushes: Sequence[Push], options: LeastSquares, *, forces: bool, known: bool = False
-) -> Fitted:
+    pushes: Sequence[TripodPush], options: LeastSquares, *, forces: bool, known: bool = False
+) -> SupportFit:
     """Support points and friction of the finger that explain end poses, and forces if asked.
 
     The friction of each surface is only felt in forces; it is solved for at every trial. With
@@ -92,7 +92,7 @@ def fitted_points(
     if forces:
         difference, _, _ = comparer.differences(np.arange(n), np.tile(best.point, (n, 1)))
         friction = _frictions(pushes, difference, np.tile(points, (n, 1, 1)))
-    return Fitted(points, space.values(best.point), friction, best.deviance)
+    return SupportFit(points, space.values(best.point), friction, best.deviance)
 
 
 def corners_of(space: ParameterSpace, point: FloatArray) -> FloatArray:
@@ -102,7 +102,11 @@ def corners_of(space: ParameterSpace, point: FloatArray) -> FloatArray:
 
 
 def _force_residuals(
-    pushes: Sequence[Push], which: np.ndarray, difference: FloatArray, corners: FloatArray, k: int
+    pushes: Sequence[TripodPush],
+    which: np.ndarray,
+    difference: FloatArray,
+    corners: FloatArray,
+    k: int,
 ) -> FloatArray:
     """(k n, 2) of k trials on points (k, 1, 3, 2), each with the friction of each surface that
     suits it best."""
@@ -121,7 +125,7 @@ def _force_residuals(
 
 
 def _frictions(
-    pushes: Sequence[Push], difference: FloatArray, points: FloatArray
+    pushes: Sequence[TripodPush], difference: FloatArray, points: FloatArray
 ) -> dict[str, float]:
     found = sliding_forces(pushes, np.arange(len(pushes)), difference, points)
     surface = np.array([str(p.target.conditions["surface"]) for p in pushes])

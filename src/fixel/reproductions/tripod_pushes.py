@@ -17,7 +17,7 @@ from fixel.model import Experiment, SupportPoints
 from fixel.model.space import ParameterSpace
 from fixel.model.support import triangle_shares
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 
 GRAVITY: Final = 9.81  # [m/s^2]
 SURFACES: Final = ("hardboard", "plywood")
@@ -38,14 +38,14 @@ SAMPLES: Final = 24  # of the way, for the direction of sliding
 SLIDING: Final = 0.7
 
 
-class Push(NamedTuple):
+class TripodPush(NamedTuple):
     """One push, ready for comparison."""
 
     target: Target  # all its poses are the measured end
     force: FloatArray  # (SAMPLES, 2) mean force on the block up to each sample [N]
 
 
-def read_pushes(folder: Path, every: int = 1) -> list[Push]:
+def read_pushes(folder: Path, every: int = 1) -> list[TripodPush]:
     """Pushes of the folder whose finger ends where it says; every so many of each log."""
     pushes = [
         push_of(experiment)
@@ -55,7 +55,7 @@ def read_pushes(folder: Path, every: int = 1) -> list[Push]:
     return pushes[::every]
 
 
-def push_of(experiment: Experiment) -> Push:
+def push_of(experiment: Experiment) -> TripodPush:
     """The end of a push, and the force along it."""
     assert experiment.scene is not None
     assert experiment.pusher is not None
@@ -66,10 +66,10 @@ def push_of(experiment: Experiment) -> Push:
     target = Target(
         experiment.key,
         {**experiment.conditions, "experiment": experiment.key},
-        Case(experiment.scene, times[1:]),
+        RolloutCase(experiment.scene, times[1:]),
         pose,
     )
-    return Push(target, _means(channel.time, channel.values, times))
+    return TripodPush(target, _means(channel.time, channel.values, times))
 
 
 def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
@@ -83,19 +83,19 @@ def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArra
     return means
 
 
-def support_of(push: Push) -> str:
+def support_of(push: TripodPush) -> str:
     """Name of the support."""
     return str(push.target.conditions["support"])
 
 
-def machined(push: Push) -> FloatArray:
+def machined(push: TripodPush) -> FloatArray:
     """(3, 2) points it stands on [m]."""
     support = push.target.case.scene.bodies[0].support
     assert isinstance(support, SupportPoints)
     return support.points
 
 
-def outline_of(push: Push) -> FloatArray:
+def outline_of(push: TripodPush) -> FloatArray:
     """(n, 2) of the block [m]."""
     return push.target.case.scene.bodies[0].shape.outline
 
@@ -103,7 +103,7 @@ def outline_of(push: Push) -> FloatArray:
 # --- simulation ---------------------------------------------------------------------------------
 
 
-def comparer_of(pushes: Sequence[Push], space: ParameterSpace) -> Comparer:
+def comparer_of(pushes: Sequence[TripodPush], space: ParameterSpace) -> Comparer:
     """Simulates pushes under points of a space."""
     return Comparer([p.target for p in pushes], space, stepper=StewartTrinkle(step=STEP))
 
@@ -149,7 +149,7 @@ class Forces(NamedTuple):
 
 
 def sliding_forces(
-    pushes: Sequence[Push], which: np.ndarray, difference: FloatArray, points: FloatArray
+    pushes: Sequence[TripodPush], which: np.ndarray, difference: FloatArray, points: FloatArray
 ) -> Forces:
     """Forces of rollouts (n,), from how far (n, k, 3) their poses are from the measured ends, and
     the points (n, 3, 2) they slid on."""

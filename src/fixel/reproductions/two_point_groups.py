@@ -27,7 +27,7 @@ MASS: Final = 0.1  # [kg]; without inertia it does not matter
 CORNERS: Final = 4  # straight pieces a quarter of a finger is drawn with
 
 
-class Group(NamedTuple):
+class RepeatGroup(NamedTuple):
     """One push, several times."""
 
     name: str
@@ -49,15 +49,15 @@ class Group(NamedTuple):
         return float(self.path[-1, 0])
 
 
-class _Push(NamedTuple):
+class _RepeatedPush(NamedTuple):
     start: FloatArray | None  # None where nobody saw it
     end: FloatArray | None
     path: FloatArray
 
 
-def read_groups(folder: Path) -> list[Group]:
+def read_groups(folder: Path) -> list[RepeatGroup]:
     """Groups of at least three runs whose start and end were seen."""
-    runs: dict[str, list[list[_Push]]] = {}
+    runs: dict[str, list[list[_RepeatedPush]]] = {}
     objects: dict[str, str] = {}
     for experiment in CmuTwoPoint().read(folder).experiments():
         start_pose = str(experiment.conditions["start_pose"])
@@ -76,7 +76,7 @@ def read_groups(folder: Path) -> list[Group]:
     return groups
 
 
-def _at_rest(pushes: list[_Push]) -> list[_Push]:
+def _at_rest(pushes: list[_RepeatedPush]) -> list[_RepeatedPush]:
     """Nothing moves a block between pushes: where one end was not seen, the next start was."""
     full = list(pushes)
     for k in range(len(full) - 1):
@@ -90,18 +90,18 @@ def _at_rest(pushes: list[_Push]) -> list[_Push]:
 
 def _group(
     start_pose: str, kind: str, k: int, ways: list[tuple[FloatArray, FloatArray, FloatArray]]
-) -> Group:
+) -> RepeatGroup:
     first, last, path = ways[0]
     start = np.array([first + _off(way[0], first) for way in ways])
     end = np.array([last + _off(way[1], last) for way in ways])
-    return Group(f"{start_pose} #{k + 1}", start_pose, kind, k == 0, start, end, path)
+    return RepeatGroup(f"{start_pose} #{k + 1}", start_pose, kind, k == 0, start, end, path)
 
 
 def _off(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.append(a[:2] - b[:2], wrapped(a[2] - b[2]))
 
 
-def rig_noise(groups: Sequence[Group]) -> FloatArray:
+def rig_noise(groups: Sequence[RepeatGroup]) -> FloatArray:
     """(2,) standard deviations of a measured end that no block can have [m], [rad].
 
     Two fingers against an edge leave a block no freedom to turn, or to be nearer or farther: what
@@ -117,7 +117,7 @@ def rig_noise(groups: Sequence[Group]) -> FloatArray:
     return np.asarray(np.sqrt(square / freedom))
 
 
-def _pushes(experiment: Experiment) -> Iterator[_Push]:
+def _pushes(experiment: Experiment) -> Iterator[_RepeatedPush]:
     """The pushes of a run."""
     channel, pusher = experiment.channel("action"), experiment.pusher
     assert channel is not None
@@ -136,7 +136,7 @@ def _pushes(experiment: Experiment) -> Iterator[_Push]:
         start, end = _seen(experiment, time[0], 1.0), _seen(experiment, time[-1], -1.0)
         thin = np.unique(np.linspace(0, len(time) - 1, WAYPOINTS).round().astype(int))
         path = np.column_stack((time[thin] - time[0], pose[thin]))
-        yield _Push(start, end, path)
+        yield _RepeatedPush(start, end, path)
 
 
 def _seen(experiment: Experiment, instant: float, way: float) -> FloatArray | None:
@@ -151,7 +151,7 @@ def _seen(experiment: Experiment, instant: float, way: float) -> FloatArray | No
 # --- scenes -------------------------------------------------------------------------------------
 
 
-def group_scene(group: Group) -> Scene:
+def group_scene(group: RepeatGroup) -> Scene:
     """What was on the table, the object at the mean of the measured starts.
 
     The fingers are drawn with what is between them: no block is hollow, so it never matters.

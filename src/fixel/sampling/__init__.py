@@ -1,27 +1,35 @@
 """Plans of experiments: which configurations to try."""
 
-from fixel.sampling.checks import Problem
+from fixel.sampling.checks import PlanProblem
 from fixel.sampling.eight_push import eight_push_plan
-from fixel.sampling.offsets import Axis, Grid, Listed, Nominal, Offset, OffsetScheme, Sampled
+from fixel.sampling.offsets import (
+    Grid,
+    Nominal,
+    Offset,
+    OffsetAxis,
+    OffsetList,
+    OffsetSample,
+    OffsetScheme,
+)
 from fixel.sampling.plan import Plan
 from fixel.sampling.rehearsal import rehearse
-from fixel.sampling.rig import Layout, PlannedShape, RegularPolygon, Rig
+from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 from fixel.sampling.thesis import thesis_plan
 
 __all__ = [
-    "Axis",
+    "FixelLayout",
     "Grid",
-    "Layout",
-    "Listed",
     "Nominal",
     "Offset",
+    "OffsetAxis",
+    "OffsetList",
+    "OffsetSample",
     "OffsetScheme",
     "Plan",
+    "PlanProblem",
     "PlannedShape",
-    "Problem",
     "RegularPolygon",
-    "Rig",
-    "Sampled",
+    "SamplingRig",
     "eight_push_plan",
     "rehearse",
     "thesis_plan",

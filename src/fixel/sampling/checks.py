@@ -19,7 +19,7 @@ from fixel.model.fields import FloatArray
 FAR: Final = 1e6
 
 
-class Problem(NamedTuple):
+class PlanProblem(NamedTuple):
     """What stands against one experiment of a plan.
 
     Attributes

@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from fixel.model import Polygon, SupportPoints
-from fixel.sampling.offsets import Listed
+from fixel.sampling.offsets import OffsetList
 from fixel.sampling.plan import Plan
-from fixel.sampling.rig import Layout, PlannedShape, Rig
+from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig
 
 PART_WIDTH: Final = 842e-6  # [m], along the part's x axis
 PART_LENGTH: Final = 1621e-6  # [m], along the part's y axis
@@ -56,7 +56,7 @@ def eight_push_plan() -> Plan:
     rows = tuple((farther, y, 0.5 * pi) if turned else (0.0, y, 0.0) for turned, y in pushes)
     return Plan(
         name="eight-push",
-        rig=Rig(
+        rig=SamplingRig(
             head=Polygon(probe),
             speed=PROBE_SPEED,
             travel=PROBE_TRAVEL,
@@ -77,7 +77,7 @@ def eight_push_plan() -> Plan:
                 zone_start=PROBE_TRAVEL + 2.0 * PART_LENGTH,
             ),
         ),
-        layouts=(Layout(name="open", pegs=()),),
-        schemes=(Listed(rows),),
+        layouts=(FixelLayout(name="open", pegs=()),),
+        schemes=(OffsetList(rows),),
         repetitions=3,
     )

@@ -65,7 +65,7 @@ class Nominal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
+class OffsetAxis:
     """Equal steps along one axis; step 0, the nominal pose, is left out.
 
     Parameters
@@ -140,7 +140,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class OffsetList:
     """Offsets one by one.
 
     Parameters
@@ -167,7 +167,7 @@ class Listed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sampled:
+class OffsetSample:
     """Points that fill a box evenly, the same for the same seed.
 
     Parameters
@@ -220,7 +220,7 @@ class Sampled:
         return _numbered(self.method, points.tolist())
 
 
-OffsetScheme = Nominal | Axis | Grid | Listed | Sampled
+OffsetScheme = Nominal | OffsetAxis | Grid | OffsetList | OffsetSample
 
 AXES: Final[tuple[AxisName, ...]] = get_args(AxisName)
 _LABELS: Final = "x [m], y [m], theta [rad]"

@@ -13,9 +13,9 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, LineDrive, PlannedExperiment, Pusher, Scene
 from fixel.model.fields import FloatArray, settle
-from fixel.sampling.checks import Problem, scene_problems
+from fixel.sampling.checks import PlanProblem, scene_problems
 from fixel.sampling.offsets import Offset, OffsetScheme
-from fixel.sampling.rig import Layout, PlannedShape, Rig, plain_name, shape_of
+from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
 
 OBJECT: Final = "object"
 HEAD: Final = "actuator"
@@ -24,12 +24,12 @@ HEAD: Final = "actuator"
 MOST_EXPERIMENTS: Final = 100_000
 
 
-class Entry(NamedTuple):
+class PlanEntry(NamedTuple):
     """One line of the plan before its scene is built."""
 
     name: str
     shape: PlannedShape
-    layout: Layout
+    layout: FixelLayout
     offset: Offset
     repetition: int
 
@@ -43,11 +43,11 @@ class Plan:
     ----------
     name : str
         Of the plan; see `plain_name`.
-    rig : Rig
+    rig : SamplingRig
         What stays the same.
     shapes : tuple of PlannedShape
         Objects.
-    layouts : tuple of Layout
+    layouts : tuple of FixelLayout
         Of the fixels.
     schemes : tuple of OffsetScheme
         Of the object's offsets, one after the other.
@@ -61,9 +61,9 @@ class Plan:
     """
 
     name: str
-    rig: Rig
+    rig: SamplingRig
     shapes: tuple[PlannedShape, ...]
-    layouts: tuple[Layout, ...]
+    layouts: tuple[FixelLayout, ...]
     schemes: tuple[OffsetScheme, ...]
     repetitions: int = 1
 
@@ -109,13 +109,13 @@ class Plan:
         """In order; without those whose bodies would overlap, which `check` reports."""
         return self._built[0]
 
-    def check(self) -> tuple[Problem, ...]:
+    def check(self) -> tuple[PlanProblem, ...]:
         """What stands against these experiments, by geometry alone; see `scene_problems`."""
         _, refused = self._built
-        found = [Problem(x.name, s) for x in self.experiments for s in scene_problems(x.scene)]
+        found = [PlanProblem(x.name, s) for x in self.experiments for s in scene_problems(x.scene)]
         return tuple(sorted([*refused, *found]))
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[PlanEntry]:
         """Every line of the plan, in order."""
         width = len(str(self.total))
         runs = range(1, self.repetitions + 1)
@@ -124,9 +124,9 @@ class Plan:
             # The number comes first, so that the names sort as the plan runs.
             parts = [f"{number:0{width}d}", shape.name, layout.name, offset.label]
             parts += [f"r{repetition}"] if self.repetitions > 1 else []
-            yield Entry("-".join(parts), shape, layout, offset, repetition)
+            yield PlanEntry("-".join(parts), shape, layout, offset, repetition)
 
-    def scene(self, shape: PlannedShape, layout: Layout, offset: Offset) -> Scene:
+    def scene(self, shape: PlannedShape, layout: FixelLayout, offset: Offset) -> Scene:
         """What is on the plate for one configuration, or a refusal where bodies overlap."""
         return Scene(
             bodies=(_object(self.rig, shape, offset),),
@@ -136,13 +136,13 @@ class Plan:
         )
 
     @cached_property
-    def _built(self) -> tuple[tuple[PlannedExperiment, ...], tuple[Problem, ...]]:
+    def _built(self) -> tuple[tuple[PlannedExperiment, ...], tuple[PlanProblem, ...]]:
         built, refused = [], []
         for entry in self.entries():
             try:
                 scene = self.scene(entry.shape, entry.layout, entry.offset)
             except InvalidInput as problem:
-                refused.append(Problem(entry.name, str(problem)))
+                refused.append(PlanProblem(entry.name, str(problem)))
                 continue
             built.append(
                 PlannedExperiment(name=entry.name, scene=scene, conditions=_conditions(entry))
@@ -150,7 +150,7 @@ class Plan:
         return tuple(built), tuple(refused)
 
 
-def object_pose(rig: Rig, shape: PlannedShape, offset: Offset) -> FloatArray:
+def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatArray:
     """(3,) of the object's frame; an offset turns it about its centroid [m, m, rad]."""
     angle = rig.angle + offset.theta
     c, s = np.cos(angle), np.sin(angle)
@@ -159,7 +159,7 @@ def object_pose(rig: Rig, shape: PlannedShape, offset: Offset) -> FloatArray:
     return np.array([place[0], place[1], angle])
 
 
-def _object(rig: Rig, shape: PlannedShape, offset: Offset) -> Body:
+def _object(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> Body:
     return Body(
         name=OBJECT,
         shape=shape.shape,
@@ -169,7 +169,7 @@ def _object(rig: Rig, shape: PlannedShape, offset: Offset) -> Body:
     )
 
 
-def _head(rig: Rig) -> Pusher:
+def _head(rig: SamplingRig) -> Pusher:
     drive = LineDrive(
         direction=np.array([1.0, 0.0]),
         speed=rig.speed,
@@ -185,7 +185,7 @@ def _head(rig: Rig) -> Pusher:
     )
 
 
-def _fixels(rig: Rig, shape: PlannedShape, layout: Layout) -> tuple[Fixel, ...]:
+def _fixels(rig: SamplingRig, shape: PlannedShape, layout: FixelLayout) -> tuple[Fixel, ...]:
     return tuple(
         Fixel(
             name=f"fixel-{number}",
@@ -197,7 +197,7 @@ def _fixels(rig: Rig, shape: PlannedShape, layout: Layout) -> tuple[Fixel, ...]:
     )
 
 
-def _conditions(entry: Entry) -> dict[str, str | float]:
+def _conditions(entry: PlanEntry) -> dict[str, str | float]:
     return {
         "shape": entry.shape.name,
         "layout": entry.layout.name,

@@ -9,7 +9,7 @@ import shapely
 
 from fixel.model import PlannedExperiment, Scene, placed
 from fixel.model.fields import FloatArray
-from fixel.sampling.checks import Problem
+from fixel.sampling.checks import PlanProblem
 from fixel.sampling.plan import Plan
 from fixel.simulation import QuasiStatic, simulate_batch
 
@@ -26,12 +26,12 @@ class Rehearsal(NamedTuple):
     ----------
     touched : dict from name to (n_fixel,) bool
         By experiment: which fixels the object came to within 0.95 mm of.
-    problems : tuple of Problem
+    problems : tuple of PlanProblem
         Experiments that touch none, or did not simulate to the end.
     """
 
     touched: dict[str, list[bool]]
-    problems: tuple[Problem, ...]
+    problems: tuple[PlanProblem, ...]
 
 
 def rehearse(plan: Plan) -> Rehearsal:
@@ -50,9 +50,9 @@ def rehearse(plan: Plan) -> Rehearsal:
         touched[experiment.name] = contacts
         if not result.converged[0]:
             sentence = f"the simulation stopped after {result.stopped_at[0]:.3g} s"
-            problems.append(Problem(experiment.name, sentence))
+            problems.append(PlanProblem(experiment.name, sentence))
         elif scene.fixels and not any(contacts):
-            problems.append(Problem(experiment.name, "simulated, the object touches no fixel"))
+            problems.append(PlanProblem(experiment.name, "simulated, the object touches no fixel"))
     return Rehearsal(touched, tuple(problems))
 
 

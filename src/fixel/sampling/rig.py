@@ -129,7 +129,7 @@ class PlannedShape:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class FixelLayout:
     """Where the fixels stand in their zone.
 
     Parameters
@@ -170,7 +170,7 @@ class Layout:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class SamplingRig:
     """What stays the same in all experiments. The head starts at the origin and moves along +x.
 
     Parameters
@@ -232,7 +232,7 @@ class Rig:
         turned = placed(shape.outline - shape.centroid, (0.0, 0.0, self.angle))
         return np.array([face + self.gap - float(turned[:, 0].min()), 0.0])
 
-    def peg_places(self, shape: PlannedShape, layout: Layout) -> FloatArray:
+    def peg_places(self, shape: PlannedShape, layout: FixelLayout) -> FloatArray:
         """(n, 2) centres of the fixels of a layout [m]."""
         near_right = np.array([shape.zone_start, -0.5 * self.zone_side])
         pegs = np.array(layout.pegs, dtype=np.float64).reshape(-1, 2)

@@ -17,9 +17,9 @@ from math import pi
 from typing import Final
 
 from fixel.model import Tripod
-from fixel.sampling.offsets import Axis, Nominal
+from fixel.sampling.offsets import Nominal, OffsetAxis
 from fixel.sampling.plan import Plan
-from fixel.sampling.rig import Layout, PlannedShape, RegularPolygon, Rig
+from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 
 MASS: Final = 0.2564  # [kg] of the square; the pentagon's is not known and taken to be the same
 SUPPORT_FRICTION: Final = 0.25
@@ -34,16 +34,18 @@ SUPPORT_FRICTION: Final = 0.25
 # 4.2.4.4. Captions of figures 4.10 and 4.12 name the wide layout first, the text, which we follow,
 # the tight one.
 LAYOUTS: Final = (
-    Layout(number=1, name="collinear-tight", pegs=((0.60, 0.34), (0.60, 0.50), (0.60, 0.66))),
-    Layout(number=2, name="collinear-wide", pegs=((0.56, 0.22), (0.56, 0.50), (0.56, 0.78))),
-    Layout(number=3, name="collinear-plus45", pegs=((0.54, 0.29), (0.65, 0.40), (0.76, 0.51))),
-    Layout(number=4, name="collinear-minus45", pegs=((0.54, 0.71), (0.65, 0.60), (0.76, 0.49))),
-    Layout(number=5, name="concave-tight", pegs=((0.53, 0.27), (0.69, 0.50), (0.53, 0.73))),
-    Layout(number=6, name="concave-wide", pegs=((0.46, 0.12), (0.70, 0.50), (0.46, 0.88))),
-    Layout(number=7, name="concave-plus45", pegs=((0.50, 0.26), (0.72, 0.26), (0.72, 0.48))),
-    Layout(number=8, name="concave-minus45", pegs=((0.50, 0.74), (0.72, 0.74), (0.72, 0.52))),
-    Layout(number=9, name="asymmetric-a", pegs=((0.57, 0.21), (0.65, 0.58), (0.47, 0.80))),
-    Layout(number=10, name="asymmetric-b", pegs=((0.53, 0.31), (0.59, 0.42), (0.52, 0.75))),
+    FixelLayout(number=1, name="collinear-tight", pegs=((0.60, 0.34), (0.60, 0.50), (0.60, 0.66))),
+    FixelLayout(number=2, name="collinear-wide", pegs=((0.56, 0.22), (0.56, 0.50), (0.56, 0.78))),
+    FixelLayout(number=3, name="collinear-plus45", pegs=((0.54, 0.29), (0.65, 0.40), (0.76, 0.51))),
+    FixelLayout(
+        number=4, name="collinear-minus45", pegs=((0.54, 0.71), (0.65, 0.60), (0.76, 0.49))
+    ),
+    FixelLayout(number=5, name="concave-tight", pegs=((0.53, 0.27), (0.69, 0.50), (0.53, 0.73))),
+    FixelLayout(number=6, name="concave-wide", pegs=((0.46, 0.12), (0.70, 0.50), (0.46, 0.88))),
+    FixelLayout(number=7, name="concave-plus45", pegs=((0.50, 0.26), (0.72, 0.26), (0.72, 0.48))),
+    FixelLayout(number=8, name="concave-minus45", pegs=((0.50, 0.74), (0.72, 0.74), (0.72, 0.52))),
+    FixelLayout(number=9, name="asymmetric-a", pegs=((0.57, 0.21), (0.65, 0.58), (0.47, 0.80))),
+    FixelLayout(number=10, name="asymmetric-b", pegs=((0.53, 0.31), (0.59, 0.42), (0.52, 0.75))),
 )
 
 
@@ -51,7 +53,7 @@ def thesis_plan() -> Plan:
     """The 420 experiments of the thesis, with peg coordinates of our own."""
     return Plan(
         name="thesis",
-        rig=Rig(
+        rig=SamplingRig(
             head=RegularPolygon(sides=4, side=0.0287),
             speed=0.0135,
             travel=0.150,
@@ -82,8 +84,8 @@ def thesis_plan() -> Plan:
         layouts=LAYOUTS,
         schemes=(
             Nominal(),
-            Axis(name="x", step=0.005, first=1, last=5),
-            Axis(name="y", step=0.008, first=-5, last=5),
-            Axis(name="theta", step=pi / 10, first=1, last=5),
+            OffsetAxis(name="x", step=0.005, first=1, last=5),
+            OffsetAxis(name="y", step=0.008, first=-5, last=5),
+            OffsetAxis(name="theta", step=pi / 10, first=1, last=5),
         ),
     )

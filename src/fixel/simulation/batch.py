@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
-from fixel.kernels.arrays import Batch, BatchRecord, FloatArray, Method
+from fixel.kernels.arrays import Batch, BatchRecord, FloatArray, StepMethod
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
-from fixel.simulation.pack import Packed, Variation, stack
+from fixel.simulation.pack import PackedBatch, Variation, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     empty_record,
@@ -97,15 +97,15 @@ def simulate_batch(
 
 
 def simulate_packed(
-    scene: Scene, packed: Packed, method: Method, moments: FloatArray, threads: int | None
+    scene: Scene, packed: PackedBatch, method: StepMethod, moments: FloatArray, threads: int | None
 ) -> BatchResult:
     """Simulate rollouts of a scene that are packed already, for callers that keep a template.
 
     Parameters
     ----------
     scene : Scene
-    packed : Packed
-    method : Method
+    packed : PackedBatch
+    method : StepMethod
     moments : (n_sample,) float64
         When to sample poses, increasing [s].
     threads : int, optional
@@ -201,7 +201,7 @@ def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
     return moments
 
 
-def roll(batch: Batch, method: Method, record: BatchRecord, threads: int | None) -> None:
+def roll(batch: Batch, method: StepMethod, record: BatchRecord, threads: int | None) -> None:
     """Share the rollouts among threads, in ranges small enough to end at the same time."""
     n = len(record.status)
     n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
@@ -225,7 +225,9 @@ def roll(batch: Batch, method: Method, record: BatchRecord, threads: int | None)
             raise
 
 
-def _unpack(scene: Scene, packed: Packed, record: BatchRecord, times: FloatArray) -> BatchResult:
+def _unpack(
+    scene: Scene, packed: PackedBatch, record: BatchRecord, times: FloatArray
+) -> BatchResult:
     units = packed.units
     _hold_last(record)
     return BatchResult(
@@ -273,7 +275,7 @@ def _simulate_scenes(
     if not packed:
         return []
     batch = stack(packed)
-    whole = Packed(batch, packed[0].units, packed[0].com, None)
+    whole = PackedBatch(batch, packed[0].units, packed[0].com, None)
     record = empty_record(whole, len(moments[0]), 0)
     for r, part in enumerate(packed):
         record.time[r] = moments[r] / part.units.time

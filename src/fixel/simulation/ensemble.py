@@ -20,7 +20,14 @@ from fixel.kernels.arrays import BatchRecord, FloatArray, IntArray
 from fixel.model import Scene
 from fixel.simulation.batch import refuse_plugins, roll
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
-from fixel.simulation.pack import Packed, Template, Variation, fastest_motion, pusher_path, stack
+from fixel.simulation.pack import (
+    PackedBatch,
+    Template,
+    Variation,
+    fastest_motion,
+    pusher_path,
+    stack,
+)
 from fixel.simulation.simulate import empty_record, method_of, shape_poses
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
@@ -30,14 +37,14 @@ from fixel.simulation.vary import infeasible
 MOST_POSES = 300_000
 
 
-class Case(NamedTuple):
+class RolloutCase(NamedTuple):
     """A scene with one free body, and when to look at it."""
 
     scene: Scene
     times: FloatArray  # (n_sample,) increasing, above 0 [s]; the last is the end
 
 
-class Outcome(NamedTuple):
+class EnsembleOutcome(NamedTuple):
     """What the rollouts of one call came to."""
 
     status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where none was tried
@@ -63,7 +70,7 @@ class Ensemble:
 
     Parameters
     ----------
-    cases : sequence of Case
+    cases : sequence of RolloutCase
         Each with one free body and at most one pusher.
     motion, stepper, solver : optional
         `QuasiStatic()`, `Adaptive()` and `Newton()` where left out.
@@ -73,7 +80,7 @@ class Ensemble:
 
     def __init__(
         self,
-        cases: Sequence[Case],
+        cases: Sequence[RolloutCase],
         motion: AbstractMotionModel | None = None,
         stepper: AbstractStepper | None = None,
         solver: AbstractSolver | None = None,
@@ -107,7 +114,7 @@ class Ensemble:
         """Instants of the case that has the most."""
         return int(self._times.shape[1])
 
-    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> Outcome:
+    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> EnsembleOutcome:
         """Simulate cases under parameters.
 
         Parameters
@@ -124,14 +131,14 @@ class Ensemble:
         ]
         if len(parts) == 1:
             return parts[0]
-        return Outcome(
+        return EnsembleOutcome(
             np.concatenate([p.status for p in parts]),
             np.concatenate([p.pose for p in parts]),
             np.concatenate([p.stopped_at for p in parts]),
             [reason for p in parts for reason in p.reasons],
         )
 
-    def _pass(self, which: IntArray, values: Mapping[str, FloatArray]) -> Outcome:
+    def _pass(self, which: IntArray, values: Mapping[str, FloatArray]) -> EnsembleOutcome:
         reasons = self.refused(which, values)
         ready = np.array([not reason for reason in reasons], bool)
         rows, packed = self._packed(which, values, ready)
@@ -150,7 +157,7 @@ class Ensemble:
                 reached[own] = part_record.total[:, 0] * part.units.time
         for k in np.flatnonzero(ready & (status != codes.CONVERGED)):
             reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
-        return Outcome(status, pose, reached, reasons)
+        return EnsembleOutcome(status, pose, reached, reasons)
 
     def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
         """Why rollouts of cases `which` (n,) have no simulation; empty where they have one."""
@@ -167,7 +174,7 @@ class Ensemble:
 
     def _packed(
         self, which: IntArray, values: Mapping[str, FloatArray], ready: NDArray[np.bool_]
-    ) -> tuple[list[IntArray], list[Packed]]:
+    ) -> tuple[list[IntArray], list[PackedBatch]]:
         """Batches template by template, and which rollouts are in each."""
         group = self._group[which]
         rows, packed = [], []
@@ -185,7 +192,9 @@ class Ensemble:
             packed.append(self._templates[g].packed(variation, len(own), self._duration[cases]))
         return rows, packed
 
-    def _rolled(self, which: IntArray, rows: list[IntArray], packed: list[Packed]) -> BatchRecord:
+    def _rolled(
+        self, which: IntArray, rows: list[IntArray], packed: list[PackedBatch]
+    ) -> BatchRecord:
         batch = stack(packed)
         record = empty_record(packed[0]._replace(batch=batch), self.n_sample, 0)
         at = 0
@@ -227,7 +236,7 @@ class Ensemble:
         return place, paths
 
 
-def _check(case: Case) -> None:
+def _check(case: RolloutCase) -> None:
     scene, times = case.scene, np.asarray(case.times)
     if len(scene.bodies) != 1 or len(scene.pushers) > 1:
         raise InvalidInput(
@@ -274,7 +283,7 @@ def _padded(track: FloatArray, n: int) -> FloatArray:
     return np.concatenate((track, rest))
 
 
-def _track(packed: Packed, record: BatchRecord) -> FloatArray:
+def _track(packed: PackedBatch, record: BatchRecord) -> FloatArray:
     """(n, n_sample, 3) poses of the first body; the last one held where a rollout stopped early."""
     pose = shape_poses(packed, record.pose)[:, :, 0]
     written = record.count[:, 0]

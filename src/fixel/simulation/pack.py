@@ -307,7 +307,7 @@ class Variation(NamedTuple):
     path_of: IntArray | None = None  # (n,) which path a rollout takes; its own where left out
 
 
-class Packed(NamedTuple):
+class PackedBatch(NamedTuple):
     """A batch of rollouts of one scene, and what turns it back into SI."""
 
     batch: Batch
@@ -326,7 +326,7 @@ def pack(
     tolerance: float | None,
     largest: float,
     duration: float,
-) -> Packed:
+) -> PackedBatch:
     """Arrays of `n` rollouts of a scene.
 
     Parameters
@@ -444,11 +444,11 @@ class Template:
             return np.zeros((0, 0)), np.zeros(4)
         return own.factor, np.concatenate((own.origin, own.cell)) / self.units.length
 
-    def packed(self, variation: Variation, n: int, duration: ArrayLike) -> Packed:
+    def packed(self, variation: Variation, n: int, duration: ArrayLike) -> PackedBatch:
         """Arrays of `n` rollouts, each of a duration [s] of its own or all of one."""
         scene, units, values = self.scene, self.units, variation.parameters
         length = units.length
-        rows = _Rows(n)
+        rows = _FamilyRows(n)
         n_body, n_driven = len(scene.names), len(scene.pushers)
         start = varied_start(scene, variation.start, values)
         elements = varied_elements(scene, self._elements, values, start)
@@ -506,10 +506,10 @@ class Template:
             velocity=np.tile(velocity, (per_free, 1)),
             pace=pace,
         )
-        return Packed(batch, units, self.com, outline_of(values))
+        return PackedBatch(batch, units, self.com, outline_of(values))
 
     def _scaled(
-        self, elements: Elements, n: int, rows: _Rows, heavier: bool
+        self, elements: Elements, n: int, rows: _FamilyRows, heavier: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Points, limits and arms of the supports, and the drag of the bodies on them, scaled."""
         units, n_free = self.units, len(self.scene.bodies)
@@ -536,7 +536,7 @@ class Template:
             np.ascontiguousarray(drag.reshape(-1, 3, 3)),
         )
 
-    def _radii(self, values: Values, rows: _Rows) -> tuple[FloatArray, FloatArray]:
+    def _radii(self, values: Values, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
         """Rounding radii and bounding circles of the pieces, scaled; pushers may be larger."""
         grown = grown_by(self.scene, values)
         radius, bound = self._model.piece_radius, self._model.piece_bound
@@ -552,7 +552,7 @@ class Template:
         return np.ascontiguousarray((radius + more).reshape(-1)), wide.reshape(-1, 3)
 
     def _paths(
-        self, variation: Variation, duration: float, rows: _Rows
+        self, variation: Variation, duration: float, rows: _FamilyRows
     ) -> tuple[FloatArray, IntArray]:
         """Waypoints of all pushers, and where each one's begin."""
         path = variation.path
@@ -579,7 +579,7 @@ class Template:
             rows.begin[:, families.PATH] = n_sample * of
         return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
 
-    def _poses(self, start: FloatArray | None, rows: _Rows) -> FloatArray:
+    def _poses(self, start: FloatArray | None, rows: _FamilyRows) -> FloatArray:
         """Poses of all bodies at time zero, of centres of mass where they are free, scaled."""
         scene, length = self.scene, self.units.length
         n_free = len(scene.bodies)
@@ -601,7 +601,7 @@ def _times(rows: FloatArray, ratio: FloatArray | None) -> FloatArray:
     return rows if ratio is None else rows * ratio
 
 
-class _Rows:
+class _FamilyRows:
     """Which rows of each family a rollout owns, or shares with the others."""
 
     def __init__(self, n: int) -> None:
@@ -625,7 +625,7 @@ def _spring(body: Body, units: Units) -> list[float]:
     return [stiffness, x / units.length, y / units.length]
 
 
-def stack(packed: Sequence[Packed]) -> Batch:
+def stack(packed: Sequence[PackedBatch]) -> Batch:
     """Several batches end to end, for scenes that share nothing."""
     if len(packed) == 1:
         return packed[0].batch

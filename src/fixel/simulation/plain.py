@@ -12,18 +12,18 @@ from fixel.kernels import codes, single
 from fixel.kernels.arrays import (
     BatchRecord,
     FloatArray,
-    Method,
     Model,
     Problem,
-    Record,
+    RolloutRecord,
     State,
+    StepMethod,
     Workspace,
 )
 from fixel.kernels.solve import TOLERANCE
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.pack import Packed
+from fixel.simulation.pack import PackedBatch
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Limits, Past
+from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits
 
 
 class _Loop:
@@ -31,7 +31,7 @@ class _Loop:
 
     def __init__(
         self,
-        packed: Packed,
+        packed: PackedBatch,
         motion: AbstractMotionModel,
         stepper: AbstractStepper,
         solver: AbstractSolver,
@@ -102,11 +102,11 @@ class _Loop:
 
 
 def roll_plainly(
-    packed: Packed,
+    packed: PackedBatch,
     motion: AbstractMotionModel,
     stepper: AbstractStepper,
     solver: AbstractSolver,
-    method: Method,
+    method: StepMethod,
     times: FloatArray | None,
 ) -> BatchRecord:
     """The record of one rollout, step by step; the same numbers as the compiled loop's."""
@@ -114,7 +114,7 @@ def roll_plainly(
     duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
     step = min(step, duration)
     scaled = None if times is None else times / packed.units.time
-    samples = _Samples(loop, scaled, duration, step)
+    samples = _SampleCollector(loop, scaled, duration, step)
     status = codes.CONVERGED
     worst = 0.0
     steps = 0
@@ -135,7 +135,7 @@ def roll_plainly(
             step = min(step, careful)
         if stepper.adaptive:
             left = single.time_to_corner(loop.model, loop.state, loop.time, step, left, tolerance)
-        limits = Limits(left, tolerance, smallest, largest, inertial, eventful)
+        limits = StepLimits(left, tolerance, smallest, largest, inertial, eventful)
         past = Past(
             loop.state.middle.copy(),
             before.middle,
@@ -190,7 +190,7 @@ def _reason(loop: _Loop, status: int, residual: float) -> int:
     return codes.JAMMED if locked else codes.MAX_ITERATIONS
 
 
-class _Samples:
+class _SampleCollector:
     """Collects samples as the compiled loop does."""
 
     def __init__(
@@ -202,7 +202,7 @@ class _Samples:
         self.duration = duration
         self.n_driven = loop.model.force_limit.size
         self.shape = (loop.model.mass.size + self.n_driven, 3)
-        self.rows: list[Record] = []
+        self.rows: list[RolloutRecord] = []
         self.done = 0
         self.counts: list[int] = []
         self.take(loop.state, 0.0, first_step)
@@ -212,7 +212,7 @@ class _Samples:
         loop = self.loop
         room = 1 if self.every_step else len(self.times) - self.done
         n_row = max(1, loop.problem.contact_key.size) * max(room, 1)
-        record = Record(
+        record = RolloutRecord(
             np.zeros(room) if self.every_step else self.times[self.done :].copy(),
             np.zeros((room, *self.shape)),
             np.zeros((room, *self.shape)),
@@ -230,7 +230,7 @@ class _Samples:
             contact = record.contact[: record.count[1]]
             contact[:, 0] += self.done
             self.rows.append(
-                Record(
+                RolloutRecord(
                     record.time[:written],
                     record.pose[:written],
                     record.twist[:written],

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
-from fixel.kernels.arrays import BatchRecord, FloatArray, Method
+from fixel.kernels.arrays import BatchRecord, FloatArray, StepMethod
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
-from fixel.simulation.pack import Packed, Variation, pack
+from fixel.simulation.pack import PackedBatch, Variation, pack
 from fixel.simulation.plain import roll_plainly
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
@@ -131,7 +131,7 @@ def pack_with(
     variation: Variation,
     n: int,
     duration: float,
-) -> Packed:
+) -> PackedBatch:
     """Pack a scene for a stepper's own step and tolerance."""
     own = stepper if isinstance(stepper, Adaptive) else None
     return pack(
@@ -148,10 +148,10 @@ def pack_with(
 
 def method_of(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
-) -> Method:
+) -> StepMethod:
     """The method as the kernels understand it."""
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
-    return Method(
+    return StepMethod(
         motion=motion.kind,
         solver=solver.kind,
         adaptive=int(stepper.adaptive),
@@ -170,7 +170,7 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
 
 
 def empty_record(
-    packed: Packed, n_sample: int, n_row: int, times: FloatArray | None = None
+    packed: PackedBatch, n_sample: int, n_row: int, times: FloatArray | None = None
 ) -> BatchRecord:
     """Room for `n_sample` samples of every rollout, at `times` [s] where given."""
     count = packed.batch.count
@@ -211,9 +211,9 @@ def sample_times(duration: float, interval: float) -> FloatArray:
 
 
 def _roll_compiled(
-    packed: Packed,
+    packed: PackedBatch,
     stepper: AbstractStepper,
-    method: Method,
+    method: StepMethod,
     duration: float,
     times: FloatArray | None,
 ) -> BatchRecord:
@@ -252,13 +252,13 @@ class _Scales(NamedTuple):
     twist: FloatArray
 
 
-def _scales(packed: Packed) -> _Scales:
+def _scales(packed: PackedBatch) -> _Scales:
     units = packed.units
     pose = np.array([units.length, units.length, 1.0])
     return _Scales(pose, pose / units.time)
 
 
-def shape_poses(packed: Packed, pose: FloatArray) -> FloatArray:
+def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
     """Poses (..., n_moving, 3) of shape frames, SI, from scaled poses of centres of mass."""
     out = pose * _scales(packed).pose
     n_free = len(packed.com)
@@ -277,7 +277,7 @@ def shape_poses(packed: Packed, pose: FloatArray) -> FloatArray:
 def _unpack(
     scene: Scene,
     parameters: Parameters | None,
-    packed: Packed,
+    packed: PackedBatch,
     record: BatchRecord,
     duration: float,
     seconds: float,
@@ -321,7 +321,7 @@ def _unpack(
     )
 
 
-def _contact_table(packed: Packed, rows: FloatArray, time: FloatArray) -> NDArray[np.void]:
+def _contact_table(packed: PackedBatch, rows: FloatArray, time: FloatArray) -> NDArray[np.void]:
     units = packed.units
     table = np.zeros(len(rows), CONTACT_FIELDS)
     if len(rows):

@@ -93,7 +93,7 @@ class AbstractStepper(abc.ABC):
 
     @abc.abstractmethod
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
         """Find the next step, at most `limits.left` long, with its solution in `problem`.
 
@@ -102,7 +102,7 @@ class AbstractStepper(abc.ABC):
         """
 
 
-class Limits(NamedTuple):
+class StepLimits(NamedTuple):
     """Bounds on the next step, scaled."""
 
     left: float  # time to the end, or to where a pusher's command changes
@@ -113,7 +113,7 @@ class Limits(NamedTuple):
     eventful: bool = True  # whether something is known to happen where the step starts
 
 
-def _fixed(attempt: Try, past: Past, step: float, lead: float, limits: Limits) -> Advance:
+def _fixed(attempt: Try, past: Past, step: float, lead: float, limits: StepLimits) -> Advance:
     trial = limits.left if limits.left < step * (1.0 + 1e-9) else step
     status, residual, *_ = attempt(trial, lead, past.velocity)
     return Advance(status, trial, step, residual)
@@ -141,7 +141,7 @@ class StewartTrinkle(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
         return _fixed(attempt, past, step, self.lead, limits)
 
@@ -168,7 +168,7 @@ class Midpoint(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
         return _fixed(attempt, past, step, self.lead, limits)
 
@@ -223,7 +223,7 @@ class Adaptive(AbstractStepper):
         return None
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: Limits
+        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
         """As the compiled loop in kernels/rollout.py, decision by decision."""
         trial = min(step, limits.left)

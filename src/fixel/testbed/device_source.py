@@ -15,7 +15,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import END
 from fixel.testbed.capture_clock import CaptureClock
-from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
@@ -53,7 +53,7 @@ class DeviceSource(FrameSource):
         self._asked, self._rate = size, rate
         self._capture = capture
         self._camera: Any = None
-        self._first: Arrived | None = None
+        self._first: CameraPicture | None = None
         self._stop = Event()
         self._reading = False
         self._clock = CaptureClock()
@@ -95,7 +95,7 @@ class DeviceSource(FrameSource):
         rate = promised if 1.0 <= promised <= 1000.0 else 0.0
         return Stream(size=size, rate=rate, jpeg=first.jpeg is not None, live=True)
 
-    def frames(self) -> Iterator[Arrived]:
+    def frames(self) -> Iterator[CameraPicture]:
         """Pictures until the camera is pulled or closed."""
         self._reading = True
         arrived, self._first = self._first, None
@@ -113,7 +113,7 @@ class DeviceSource(FrameSource):
         if not self._reading:
             self._let_go()
 
-    def _read(self) -> Arrived | None:
+    def _read(self) -> CameraPicture | None:
         """The next whole picture, stamped as it arrives and before it is decoded; None where too
         many in a row are none."""
         now = time.monotonic()
@@ -141,13 +141,13 @@ class DeviceSource(FrameSource):
             camera.release()
 
 
-def _arrived(now: float, raw: Picture) -> Arrived | None:
+def _arrived(now: float, raw: Picture) -> CameraPicture | None:
     """JPEG data come as one row of bytes, with whatever stood behind them in the buffer; None where
     they are torn."""
     if raw.ndim == 3:
-        return Arrived(now, pixels=raw)
+        return CameraPicture(now, pixels=raw)
     data = np.ascontiguousarray(raw).tobytes()
-    arrived = Arrived(now, jpeg=data[: data.rfind(END) + 2])
+    arrived = CameraPicture(now, jpeg=data[: data.rfind(END) + 2])
     return None if arrived.size is None else arrived
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.formats.recording import Recording, is_recording, open_recording
 from fixel.formats.video_file import VideoFile, open_video
-from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 
 
 @final
@@ -52,7 +52,7 @@ class FileSource(FrameSource):
         self._video = video = open_video(self.path, threads=1)
         return Stream(video.size, 0.0, jpeg=False, live=not self._fast)
 
-    def frames(self) -> Iterator[Arrived]:
+    def frames(self) -> Iterator[CameraPicture]:
         """Every picture, when it is due."""
         zero, last, step = math.nan, 0.0, 0.0
         while not self._stop.is_set():
@@ -89,11 +89,11 @@ class FileSource(FrameSource):
             self._stop.wait(max(0.0, due - time.monotonic()))
         return not self._stop.is_set()
 
-    def _played(self) -> Iterator[tuple[float, Arrived]]:
+    def _played(self) -> Iterator[tuple[float, CameraPicture]]:
         recording = self._recording
         if recording is not None and recording.header.codec != "exact":
             for at, jpeg in recording.jpegs():
-                arrived = Arrived(0.0, jpeg=jpeg)
+                arrived = CameraPicture(0.0, jpeg=jpeg)
                 if arrived.size is not None:
                     yield at, arrived
                 else:
@@ -102,7 +102,7 @@ class FileSource(FrameSource):
         film = recording or self._video
         assert film is not None
         for frame in film.frames():
-            yield frame.time, Arrived(0.0, pixels=frame.picture)
+            yield frame.time, CameraPicture(0.0, pixels=frame.picture)
 
 
 class PlayedReading(NamedTuple):

@@ -8,7 +8,7 @@ import time
 from typing import Final, final
 
 from fixel.errors import FixelError
-from fixel.testbed.frame_source import Arrived, FrameSource
+from fixel.testbed.frame_source import CameraPicture, FrameSource
 
 HELD: Final = 30  # pictures: a second of them
 OLD: Final = 0.15  # [s] a picture that waited longer is late
@@ -37,7 +37,7 @@ class FrameQueue:
         self._refused = self._given_up = 0  # by the thread that reads, and by the one that writes
         self._source = source
         self._live = live
-        self._waiting: queue.Queue[Arrived] = queue.Queue(held)
+        self._waiting: queue.Queue[CameraPicture] = queue.Queue(held)
         self._ended = threading.Event()
         self._stop = threading.Event()
         self._late_since: float | None = None
@@ -48,7 +48,7 @@ class FrameQueue:
         """Read from now on."""
         self._thread.start()
 
-    def get(self, patience: float) -> Arrived | None:
+    def get(self, patience: float) -> CameraPicture | None:
         """The next picture; None where none came within `patience` [s], or none will come."""
         while True:
             try:
@@ -59,7 +59,7 @@ class FrameQueue:
                 return arrived
             self._given_up += 1
 
-    def _too_old(self, arrived: Arrived) -> bool:
+    def _too_old(self, arrived: CameraPicture) -> bool:
         """Whether to give a picture up: it is late, and so were those before it for a while."""
         now = time.monotonic()
         if now - arrived.time <= OLD:
@@ -112,7 +112,7 @@ class FrameQueue:
         finally:
             self._ended.set()
 
-    def _put(self, arrived: Arrived) -> None:
+    def _put(self, arrived: CameraPicture) -> None:
         if self._live:
             try:
                 self._waiting.put_nowait(arrived)

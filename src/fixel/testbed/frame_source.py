@@ -39,7 +39,7 @@ class Stream(NamedTuple):
 
 @final
 @dataclass(slots=True)
-class Arrived:
+class CameraPicture:
     """A picture as it arrived.
 
     Parameters
@@ -123,7 +123,7 @@ class FrameSource(abc.ABC):
         """
 
     @abc.abstractmethod
-    def frames(self) -> Iterator[Arrived]:
+    def frames(self) -> Iterator[CameraPicture]:
         """Every whole picture once, the first included; then says why there are no more."""
 
     @abc.abstractmethod

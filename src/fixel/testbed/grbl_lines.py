@@ -43,7 +43,7 @@ _STATUS = re.compile(r"<([A-Za-z]+)(?::(\d+))?[|,](.*)>")
 _FIELD = re.compile(r"(MPos|WPos|WCO):([-\d.,]+)")
 
 
-class Status(NamedTuple):
+class GrblStatus(NamedTuple):
     """A status report.
 
     Attributes
@@ -68,7 +68,7 @@ class Status(NamedTuple):
         return self.machine is not None or self.work is not None
 
 
-def status_of(line: str) -> Status | None:
+def status_of(line: str) -> GrblStatus | None:
     """The report in a line; None if there is none, or it is damaged."""
     found = _STATUS.fullmatch(line)
     if found is None:
@@ -82,7 +82,7 @@ def status_of(line: str) -> Status | None:
     if any(len(place) < len(AXES) for place in values.values()):
         return None
     part = int(found[2]) if found[2] else None
-    return Status(found[1], part, values.get("MPos"), values.get("WPos"), values.get("WCO"))
+    return GrblStatus(found[1], part, values.get("MPos"), values.get("WPos"), values.get("WCO"))
 
 
 def number_after(line: str, word: str) -> int | None:
@@ -95,7 +95,7 @@ def number_after(line: str, word: str) -> int | None:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class AxisSettings:
     """What the controller says about one of its axes; millimetres and seconds.
 
     Attributes
@@ -136,7 +136,7 @@ class Settings:
         return self.direction * (coordinate - self.zero) * 1e-3
 
 
-def settings_of(lines: list[str], axis: str) -> Settings:
+def settings_of(lines: list[str], axis: str) -> AxisSettings:
     """From the answers to `$$` and `$I`.
 
     Machine coordinates are from `-travel` to 0 where it homes (unless built to count from the
@@ -161,7 +161,7 @@ def settings_of(lines: list[str], axis: str) -> Settings:
     counts_from_switch = "Z" in options.split(",")[0]
     zero = -travel if homing and at_low_end and not counts_from_switch else 0.0
     direction = -1 if homing and not at_low_end else 1
-    return Settings(
+    return AxisSettings(
         fastest=values[110 + number] / 60.0,
         acceleration=values[120 + number],
         travel=travel,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from fixel.errors import DeviceFailed
 from fixel.testbed import grbl_lines as grbl
-from fixel.testbed.grbl_lines import Status
+from fixel.testbed.grbl_lines import GrblStatus
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -40,7 +40,7 @@ class GrblLink:
     ----------
     changed : threading.Condition
         Notified when anything below changes; hold it to read more than one of them.
-    status : Status, optional
+    status : GrblStatus, optional
         The last report.
     reported : float
         When it came, on `time.monotonic` [s].
@@ -54,7 +54,7 @@ class GrblLink:
 
     def __init__(self, port: Serial, next_line: Callable[[], str | None]) -> None:
         self.changed = threading.Condition(threading.RLock())
-        self.status: Status | None = None
+        self.status: GrblStatus | None = None
         self.reported = time.monotonic()
         self.current = False
         self.trouble = ""
@@ -97,7 +97,7 @@ class GrblLink:
             why = self._verdict or self.trouble or f"no answer to {line} in {patience:.3g} s"
             raise DeviceFailed(why)
 
-    def fresh_status(self, patience: float = SILENCE) -> Status:
+    def fresh_status(self, patience: float = SILENCE) -> GrblStatus:
         """A report that was asked for after the call.
 
         Raises
@@ -207,7 +207,7 @@ class GrblLink:
             self._answers.append(line)
         self.changed.notify_all()
 
-    def _damaged(self, status: Status) -> bool:
+    def _damaged(self, status: GrblStatus) -> bool:
         """Whether a report lacks the place that those before it had."""
         before = self.status
         return before is not None and before.placed and not status.placed

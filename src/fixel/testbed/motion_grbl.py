@@ -13,7 +13,7 @@ from fixel.model.fields import optional_positive
 from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.emergency import StopGuard
 from fixel.testbed.grbl_handshake import greet
-from fixel.testbed.grbl_lines import Settings
+from fixel.testbed.grbl_lines import AxisSettings
 from fixel.testbed.grbl_link import ASKING, GrblLink
 from fixel.testbed.motion import NEAR, REACH, AbstractActuator, checked_reach
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
@@ -73,7 +73,7 @@ class GrblActuator(AbstractActuator):
         self._keys, self._wants_guard = keys, guard
         self._link: GrblLink | None = None
         self._guard: StopGuard | None = None
-        self._settings: Settings | None = None
+        self._settings: AxisSettings | None = None
         self._target: float | None = None  # machine coordinate of the move under way [mm]
         self._sent_to = 0.0  # [mm]
         self._speed = 0.0  # [mm/s]
@@ -144,7 +144,7 @@ class GrblActuator(AbstractActuator):
         return self._open.fresh_status().state
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> AxisSettings:
         """What the controller says about the axis."""
         if self._settings is None:
             raise DeviceFailed("the actuator is not connected", hint="call connect first")
@@ -181,7 +181,7 @@ class GrblActuator(AbstractActuator):
         """End an alarm without homing; only who has seen where the drive stands should do that."""
         self._open.command("$X")
 
-    def _coordinate(self, status: grbl.Status) -> float:
+    def _coordinate(self, status: grbl.GrblStatus) -> float:
         number = grbl.AXES.index(self.axis)
         if status.machine is not None:
             place = status.machine[number]

@@ -10,7 +10,7 @@ WINDOW: Final = 61  # frames over which a rate is formed
 
 
 @final
-class Pace:
+class FrameRate:
     """Rate of the frames, and gaps between them.
 
     Attributes

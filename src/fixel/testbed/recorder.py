@@ -14,8 +14,8 @@ from typing import Final, NamedTuple, Protocol, final
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
-from fixel.testbed.pace import Pace
+from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
+from fixel.testbed.pace import FrameRate
 from fixel.testbed.room import SPARE, free_space, refuse_full_disk
 from fixel.testbed.seating import Seating
 from fixel.vision.frame import Frame
@@ -46,7 +46,7 @@ class TouchReader(Protocol):
     def read(self) -> TouchReading: ...
 
 
-class Status(NamedTuple):
+class RecordingStatus(NamedTuple):
     """How the recording stands.
 
     Attributes
@@ -72,13 +72,13 @@ class Status(NamedTuple):
     problems: tuple[str, ...]
 
 
-Watch = Callable[[Arrived, Status], None]
+Watch = Callable[[CameraPicture, RecordingStatus], None]
 Stop = Callable[[], str]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recorded:
+class RecordingSummary:
     """What came of it.
 
     Attributes
@@ -166,9 +166,9 @@ class Recorder:
     _free: int = field(default=0, init=False)
     _came: float = field(default=0.0, init=False)
     _wanted: bool = field(default=False, init=False)
-    _pace: Pace = field(default_factory=Pace, init=False)
+    _pace: FrameRate = field(default_factory=FrameRate, init=False)
 
-    def run(self) -> Recorded:
+    def run(self) -> RecordingSummary:
         """Record until something ends it, and say what came of it.
 
         Raises
@@ -203,7 +203,7 @@ class Recorder:
         finally:
             queue.close()
 
-    def _first(self, queue: FrameQueue) -> Arrived:
+    def _first(self, queue: FrameQueue) -> CameraPicture:
         """The first picture; nothing is written before it."""
         since = time.monotonic()
         while (arrived := queue.get(POLL)) is None:
@@ -215,10 +215,10 @@ class Recorder:
             arrived = queue.get(0.0) or arrived
         return arrived
 
-    def _record(self, queue: FrameQueue, writer: RecordingWriter, first: Arrived) -> str:
+    def _record(self, queue: FrameQueue, writer: RecordingWriter, first: CameraPicture) -> str:
         """Write pictures until there is a reason not to."""
         zero, looked, watched = first.taken, -LOOKS_AT_DISK, -WATCH
-        arrived: Arrived | None = first
+        arrived: CameraPicture | None = first
         while not (self.stop is not None and (why := self.stop())):
             if arrived is None:
                 arrived = queue.get(POLL)
@@ -255,7 +255,7 @@ class Recorder:
             return f"the camera has sent nothing for {self.patience:g} s"
         return ""
 
-    def _unfit(self, arrived: Arrived, at: float) -> str:
+    def _unfit(self, arrived: CameraPicture, at: float) -> str:
         """Why a picture is not written, and none after it."""
         if self.limit is not None and at >= self.limit - BREATH:
             self._wanted = True
@@ -264,7 +264,9 @@ class Recorder:
             return "the camera changed to {} x {} pixels".format(*arrived.size)
         return ""
 
-    def _write(self, writer: RecordingWriter, arrived: Arrived, at: float, zero: float) -> None:
+    def _write(
+        self, writer: RecordingWriter, arrived: CameraPicture, at: float, zero: float
+    ) -> None:
         """A picture, and the reading of its moment."""
         when = None
         self._bits = None
@@ -292,7 +294,7 @@ class Recorder:
             return
         writer.write(Frame(at, picture), self._bits, when)
 
-    def _over(self, arrived: Arrived, at: float) -> str:
+    def _over(self, arrived: CameraPicture, at: float) -> str:
         """Why this was the last frame; empty where it was not."""
         if self.tactile is not None and self.tactile.trouble:
             return f"the fixels no longer answer: {self.tactile.trouble}"
@@ -305,10 +307,12 @@ class Recorder:
         self._wanted = bool(why)
         return why
 
-    def _show(self, arrived: Arrived, at: float, frames: int, lost: int) -> None:
+    def _show(self, arrived: CameraPicture, at: float, frames: int, lost: int) -> None:
         """Tell whoever watches; if that fails, the recording goes on without."""
         assert self.watch is not None
-        status = Status(at, frames, lost, self._pace.rate, self._bits, self._free, self._told())
+        status = RecordingStatus(
+            at, frames, lost, self._pace.rate, self._bits, self._free, self._told()
+        )
         try:
             self.watch(arrived, status)
         except Exception as problem:
@@ -322,7 +326,7 @@ class Recorder:
             for sentence, n in (self._problems + torn).most_common(8)
         )
 
-    def _close(self, queue: FrameQueue, writer: RecordingWriter, reason: str) -> Recorded:
+    def _close(self, queue: FrameQueue, writer: RecordingWriter, reason: str) -> RecordingSummary:
         lost = queue.lost
         gaps = self._pace.sentence()
         problems = (*self._told(), *([gaps] if gaps else []))
@@ -330,7 +334,7 @@ class Recorder:
             writer.close(reason, lost, problems)
         except (FixelError, OSError) as problem:
             problems = (*problems, f"the end could not be marked: {problem}")
-        return Recorded(
+        return RecordingSummary(
             folder=self.folder,
             frames=writer.frames,
             lost=lost,

@@ -234,12 +234,12 @@ class SimulatedTestbed:
             plane=rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain),
         )
 
-    def _draw(self, name: str) -> _Drawn:
+    def _draw(self, name: str) -> _RunConditions:
         random = stream(self.seed, "run", name)
         # All are drawn whether or not they are used, so that no setting changes another's draw.
         support, pusher, fixel, speed, x, y = random.standard_normal(6)
         aside = self.centre_of_pressure_spread
-        return _Drawn(
+        return _RunConditions(
             support=self.support_friction * math.exp(self.support_spread * support),
             pusher=self.pusher_friction * math.exp(self.pusher_spread * pusher),
             fixel=self.fixel_friction * math.exp(self.fixel_spread * fixel),
@@ -249,7 +249,7 @@ class SimulatedTestbed:
             phase=float(random.uniform(0.0, 2.0 * math.pi)),
         )
 
-    def _true_body(self, body: Body, gravity: float, drawn: _Drawn) -> Body:
+    def _true_body(self, body: Body, gravity: float, drawn: _RunConditions) -> Body:
         body = replace(body, shape=_scaled(body.shape, self.size))
         if self.support_cells == 0:
             return replace(body, support=planned_support(body.support, drawn.support))
@@ -264,7 +264,7 @@ class SimulatedTestbed:
         )
         return replace(body, support=support)
 
-    def _true_pusher(self, pusher: Pusher, duration: float, drawn: _Drawn) -> Pusher:
+    def _true_pusher(self, pusher: Pusher, duration: float, drawn: _RunConditions) -> Pusher:
         pusher = replace(pusher, friction=pusher.friction * drawn.pusher)
         return driven_unevenly(
             with_stall_force(pusher, self.stall_force),
@@ -349,7 +349,7 @@ class SimulatedTestbed:
         return {TRUTH + key: value for key, value in truth.items()}
 
 
-class _Drawn(NamedTuple):
+class _RunConditions(NamedTuple):
     """What changes from run to run: ratios [-], a place [m], a phase [rad]."""
 
     support: float

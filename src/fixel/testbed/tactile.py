@@ -13,7 +13,7 @@ from fixel.testbed import tactile_frames as frames
 from fixel.testbed.device_clock import DeviceClock
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 from fixel.testbed.tactile_handshake import shake_hands
-from fixel.testbed.tactile_reading import Reading, Statistics
+from fixel.testbed.tactile_reading import Statistics, TactileReading
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -135,24 +135,24 @@ class TactileReader:
 
     # --- reading ------------------------------------------------------------------------------
 
-    def read(self) -> Reading:
+    def read(self) -> TactileReading:
         """Ask, and wait for the answer until the deadline.
 
         Never raises: a board that does not answer, or is no longer there, is a `problem`.
         """
         if self._serial is None:
-            return Reading(bits=None, time=time.monotonic(), problem=self.trouble)
+            return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
         self.statistics.asked += 1
         try:
             reading = self._ask_framed() if self.protocol >= 2 else self._ask_old()
         except OSError as problem:
             self._lose(f"{self.port} went away: {problem}; plug it in, then reconnect")
             self.statistics.missing += 1
-            return Reading(bits=None, time=time.monotonic(), problem=self.trouble)
+            return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
         self.statistics.answered += reading.bits is not None
         return reading
 
-    def _ask_framed(self) -> Reading:
+    def _ask_framed(self) -> TactileReading:
         link, counted = self._link, self.statistics
         self._number = (self._number + 1) % 256
         stray = self._finder.stray
@@ -167,7 +167,7 @@ class TactileReader:
         found = frames.reading_of(frame)
         if found is None:
             counted.garbled += 1
-            return Reading(bits=None, time=received, problem="an answer of unknown content")
+            return TactileReading(bits=None, time=received, problem="an answer of unknown content")
         counted.round_trips.append(received - sent)
         # An emulated board that catches up with its clock is faster than any wire.
         earliest = sent + frames.READ_REQUEST_BYTES * frames.BYTE_TIME
@@ -175,7 +175,7 @@ class TactileReader:
         if latest < earliest:
             earliest, latest = sent, received
         device, host = self.clock.place(found.time_us, earliest, latest)
-        return Reading(
+        return TactileReading(
             bits=found.bits,
             time=host,
             device_time=device,
@@ -183,7 +183,7 @@ class TactileReader:
             problem=self._restart_noticed(),
         )
 
-    def _frame_of(self, kind: bytes, until: float) -> frames.Frame | None:
+    def _frame_of(self, kind: bytes, until: float) -> frames.BoardFrame | None:
         """The answer to the last request; older ones are counted as late."""
         link = self._link
         while True:
@@ -198,14 +198,14 @@ class TactileReader:
             if time.monotonic() >= until:
                 return None
 
-    def _without_answer(self, now: float, unreadable: int) -> Reading:
+    def _without_answer(self, now: float, unreadable: int) -> TactileReading:
         if unreadable:
             self.statistics.garbled += 1
             problem = f"{unreadable} bytes that are no answer"
         else:
             self.statistics.missing += 1
             problem = f"no answer within {1e3 * self.deadline:.3g} ms"
-        return Reading(bits=None, time=now, problem=problem)
+        return TactileReading(bits=None, time=now, problem=problem)
 
     def _forget_half_a_frame(self) -> int:
         """What came of an answer whose rest did not; a late rest is stray, and counted then."""
@@ -228,7 +228,7 @@ class TactileReader:
             return "the board restarted, and does not take its thresholds"
         return "the board restarted: this was read with its own thresholds"
 
-    def _ask_old(self) -> Reading:
+    def _ask_old(self) -> TactileReading:
         link, counted = self._link, self.statistics
         doubt = self._drain()
         sent = time.monotonic()
@@ -240,13 +240,15 @@ class TactileReader:
             counted.missing += 1
             self._doubt = True
             problem = f"no answer within {1e3 * self.deadline:.3g} ms"
-            return Reading(bits=None, time=received, problem=problem)
+            return TactileReading(bits=None, time=received, problem=problem)
         if answer[0] > frames.OLD_MOST:
             counted.garbled += 1
             counted.stray_bytes += 1
-            return Reading(bits=None, time=received, problem=f"byte {answer[0]} is no answer")
+            return TactileReading(
+                bits=None, time=received, problem=f"byte {answer[0]} is no answer"
+            )
         counted.round_trips.append(received - sent)
-        return Reading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
+        return TactileReading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
 
     def _drain(self) -> str:
         """Take away what came too late: protocol 1 does not say which request a byte answers."""

@@ -31,7 +31,7 @@ READ_REPLY_BYTES: Final = _HEAD + _READING.size + _SUM
 SAMPLING_TIME: Final = 3 * 112e-6  # [s] three conversions, after the time stamp
 
 
-class Frame(NamedTuple):
+class BoardFrame(NamedTuple):
     """A framed answer of the board, its checksum right."""
 
     kind: bytes
@@ -90,7 +90,7 @@ def thresholds_request(number: int, thresholds: tuple[int, int, int]) -> bytes:
     return request(SET_THRESHOLDS, number, struct.pack("<3H", *thresholds))
 
 
-def reading_of(frame: Frame) -> FramedReading | None:
+def reading_of(frame: BoardFrame) -> FramedReading | None:
     """What the frame says about the fixels; None if it is no such frame."""
     if frame.kind != READ or len(frame.content) != _READING.size:
         return None
@@ -98,7 +98,7 @@ def reading_of(frame: Frame) -> FramedReading | None:
     return FramedReading(protocol, bits, time_us, (values[0], values[1], values[2]))
 
 
-def identity_of(frame: Frame) -> Identity | None:
+def identity_of(frame: BoardFrame) -> Identity | None:
     """Who the board says it is; None if the frame does not say."""
     if frame.kind not in (IDENTIFY, SET_THRESHOLDS) or len(frame.content) != _IDENTITY.size:
         return None
@@ -121,7 +121,7 @@ class FrameFinder:
         self.stray = 0
         self._held = bytearray()
 
-    def add(self, arrived: bytes) -> list[Frame]:
+    def add(self, arrived: bytes) -> list[BoardFrame]:
         """The frames that are complete now."""
         self._held += arrived
         found = []
@@ -136,7 +136,7 @@ class FrameFinder:
             else:
                 number = self._held[2]
                 kind, content = bytes(self._held[1:2]), bytes(self._held[_HEAD : size - _SUM])
-                found.append(Frame(kind, number, content))
+                found.append(BoardFrame(kind, number, content))
                 del self._held[:size]
         return found
 

@@ -12,7 +12,7 @@ KEPT: Final = 4096  # round trips that the statistics remember
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
+class TactileReading:
     """What the fixels said, once.
 
     Attributes

@@ -15,7 +15,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import END
 from fixel.testbed.capture_clock import CaptureClock
-from fixel.testbed.frame_source import STALLED, Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
@@ -53,7 +53,7 @@ class UrlSource(FrameSource):
         self._answer: http.client.HTTPResponse | None = None
         self._boundary = b""
         self._inside = False  # of a part, its boundary read already
-        self._first: Arrived | None = None
+        self._first: CameraPicture | None = None
         self._stamp: float | None = None  # of the part that is read, by the camera's clock [s]
         self._clock = CaptureClock()
 
@@ -79,7 +79,7 @@ class UrlSource(FrameSource):
         made_by = "" if self._answer is None else self._answer.headers.get(SIMULATED, "")
         return Stream(size=size, rate=0.0, jpeg=True, live=True, simulated_by=unquote(made_by))
 
-    def frames(self) -> Iterator[Arrived]:
+    def frames(self) -> Iterator[CameraPicture]:
         """Pictures until the camera is pulled or closed."""
         arrived, self._first = self._first, None
         while arrived is not None:
@@ -138,7 +138,7 @@ class UrlSource(FrameSource):
         boundary = answer.headers.get_param("boundary")
         self._boundary = b"--" + str(boundary or "").strip('"').removeprefix("--").encode()
 
-    def _next(self) -> Arrived | None:
+    def _next(self) -> CameraPicture | None:
         """The next picture that is one, or None at the end of the stream."""
         for _ in range(GARBAGE):
             data = self._part()
@@ -146,7 +146,7 @@ class UrlSource(FrameSource):
             if data is None:
                 self.ended = self.ended or "the camera ended the stream"
                 return None
-            arrived = Arrived(now, jpeg=data)
+            arrived = CameraPicture(now, jpeg=data)
             if arrived.size is not None:
                 arrived.captured = self._clock.place(self._stamp, now)
                 return arrived

@@ -8,7 +8,7 @@ import numpy as np
 
 from fixel.kernels.arrays import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
-from fixel.vision.calibrate_lens import View
+from fixel.vision.calibrate_lens import BoardView
 from fixel.vision.lens import Lens
 from fixel.vision.opencv import opencv
 
@@ -113,12 +113,12 @@ def seen_corners(
     depth: float = 0.4,
     tilt: float = 0.5,
     seed: int = 0,
-) -> tuple[View, ...]:
+) -> tuple[BoardView, ...]:
     """Views of a board as a finder of corners would give them, all corners in the picture."""
     random = np.random.default_rng(seed)
     i, j = np.meshgrid(np.arange(1, board.columns), np.arange(1, board.rows))
     places = board.square * np.stack([i, j], axis=-1).reshape(-1, 2).astype(np.float64)
-    views: list[View] = []
+    views: list[BoardView] = []
     while len(views) < count:
         at = lens.direction(random.uniform(0.25, 0.75, 2) * lens.image_size)
         lean = random.uniform(0.4 * tilt, tilt, 2) * random.choice([-1.0, 1.0], 2)
@@ -133,5 +133,5 @@ def seen_corners(
         pixels = lens.pixel(solid[:, :2] / solid[:, 2:])
         if lens.sees(pixels).all():
             pixels = pixels + random.normal(0.0, noise, pixels.shape)
-            views.append(View(f"view {len(views)}", lens.image_size, Corners(places, pixels)))
+            views.append(BoardView(f"view {len(views)}", lens.image_size, Corners(places, pixels)))
     return tuple(views)

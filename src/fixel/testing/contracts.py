@@ -24,7 +24,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Limits, Past, StewartTrinkle
+from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits, StewartTrinkle
 from fixel.testing.scenes import free_push, grasp, row, sliding_block, touching_pose
 
 G = 9.81
@@ -233,7 +233,7 @@ class StepperContract:
             return Attempt(status, math.inf)
 
         past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
-        limits = Limits(1.0, 1e-3, 1e-7, 0.2, True)
+        limits = StepLimits(1.0, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
 
@@ -245,7 +245,7 @@ class StepperContract:
             return Attempt(codes.CONVERGED, 0.0)
 
         past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
-        limits = Limits(0.05, 1e-3, 1e-7, 0.2, True)
+        limits = StepLimits(0.05, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED
         assert 0.0 < advance.step <= 0.05 * (1 + 1e-12)

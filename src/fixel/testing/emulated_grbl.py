@@ -31,7 +31,7 @@ NO_SPACE: Final = b" \t"
 WORDS: Final = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
 
 
-class Event(NamedTuple):
+class GrblEvent(NamedTuple):
     """Something that happened.
 
     Attributes
@@ -76,7 +76,7 @@ class EmulatedGrbl:
         What to open.
     lines : list of str
         All it was sent.
-    events : list of Event
+    events : list of GrblEvent
     lost : int
         Bytes that did not fit into its buffer.
     trace : list of (float, float)
@@ -103,7 +103,7 @@ class EmulatedGrbl:
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
         self.lines: list[str] = []
-        self.events: list[Event] = []
+        self.events: list[GrblEvent] = []
         self.lost = 0
         self.mute = False  # fault: says nothing
         self.garble = 0  # fault: so many of the next bytes are damaged
@@ -169,7 +169,7 @@ class EmulatedGrbl:
             total, here = total + abs(end - here) / speed, end
         return total
 
-    def wait_for(self, what: str, patience: float = 5.0) -> Event:
+    def wait_for(self, what: str, patience: float = 5.0) -> GrblEvent:
         """The first event of a name, waited for."""
         until = time.monotonic() + patience
         while time.monotonic() < until:
@@ -480,7 +480,7 @@ class EmulatedGrbl:
 
     def _event(self, what: str, speed: float | None = None) -> None:
         moved = self._speed if speed is None else speed
-        self.events.append(Event(what, time.monotonic(), moved))
+        self.events.append(GrblEvent(what, time.monotonic(), moved))
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fixel.calibration.optimiser import AbstractOptimiser, Box, Search
+from fixel.calibration.optimiser import AbstractOptimiser, Search, SearchBox
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 
@@ -28,9 +28,9 @@ LOW = np.array([0.0, 0.001, -10.0])
 TARGET = LOW + SCALE * np.array([4.3, 6.2, 5.4])  # where the errors below are least
 
 
-def box(start: tuple[float, ...] = (5.0, 5.0, 5.0)) -> Box:
+def box(start: tuple[float, ...] = (5.0, 5.0, 5.0)) -> SearchBox:
     """Ten scales wide, of unlike units; `start` in scales from the lower bounds."""
-    return _frozen(Box(LOW, LOW + 10.0 * SCALE, LOW + SCALE * np.array(start), SCALE))
+    return _frozen(SearchBox(LOW, LOW + 10.0 * SCALE, LOW + SCALE * np.array(start), SCALE))
 
 
 def bowl(point: FloatArray) -> float:
@@ -111,7 +111,9 @@ class OptimiserContract:
 
     def test_one_unknown(self, optimiser: AbstractOptimiser) -> None:
         low, scale = np.array([2.0]), np.array([0.5])
-        search = optimiser.start(_frozen(Box(low, low + 10.0 * scale, low + 3.0 * scale, scale)))
+        search = optimiser.start(
+            _frozen(SearchBox(low, low + 10.0 * scale, low + 3.0 * scale, scale))
+        )
         run(search, lambda point: abs(float(point[0]) - 4.0) + 1.0)
         assert abs(search.best.point[0] - 4.0) <= self.precision * scale[0]
 
@@ -202,7 +204,7 @@ def _assert_same(
         assert np.array_equal(points, others)
 
 
-def _frozen(area: Box) -> Box:
+def _frozen(area: SearchBox) -> SearchBox:
     """A box that a search cannot write to."""
     for array in area:
         array.flags.writeable = False

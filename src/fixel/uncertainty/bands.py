@@ -24,7 +24,7 @@ from fixel.model.trajectory import wrapped
 from fixel.uncertainty.discrepancy import draw_walks
 from fixel.uncertainty.likelihood import expected_shares
 from fixel.uncertainty.posterior import Posterior
-from fixel.uncertainty.prior import Prior
+from fixel.uncertainty.prior import ParameterPrior
 
 PARTS: Final = ("parameters", "start", "model error", "noise")
 START: Final = ("start_x", "start_y", "start_theta")
@@ -48,7 +48,7 @@ class Ellipse(NamedTuple):
     angle: float  # of the larger axis [rad]
 
 
-class Bounds(NamedTuple):
+class EndBounds(NamedTuple):
     """Where a push ends, with a probability."""
 
     level: float
@@ -58,7 +58,7 @@ class Bounds(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Prediction:
+class PushPrediction:
     """Draws of how an experiment goes.
 
     Attributes
@@ -91,7 +91,7 @@ class Prediction:
             for level in levels
         )
 
-    def bounds(self, level: float = 0.9) -> Bounds:
+    def bounds(self, level: float = 0.9) -> EndBounds:
         """Of the last pose as a camera would see it."""
         return bounds_of(self.draws[:, -1], level)
 
@@ -104,13 +104,13 @@ def predict(
     comparer: Comparer,
     member: int,
     posterior: Posterior,
-    prior: Prior,
+    prior: ParameterPrior,
     noise: Noise,
     *,
     start_sd: FloatArray | None = None,
     draws: int = 400,
     seed: int = 0,
-) -> Prediction:
+) -> PushPrediction:
     """Draws of how an experiment goes when it is done once more, from the same measured start.
 
     Parameters
@@ -120,7 +120,7 @@ def predict(
         Number of the experiment among its targets.
     posterior : Posterior
         Of the comparer's space.
-    prior : Prior
+    prior : ParameterPrior
         That the posterior was found with.
     noise : Noise
         The camera's.
@@ -158,7 +158,7 @@ def predict(
     truths = (paths[2] + walk)[good]
     if len(truths) < 2:
         raise SolveFailed("hardly any sample can be simulated from the starts drawn")
-    return Prediction(
+    return PushPrediction(
         time=np.asarray(target.case.times),
         best=centre,
         draws=truths + seen[good],
@@ -205,7 +205,7 @@ def _spread(paths: FloatArray) -> FloatArray:
 # --- regions ------------------------------------------------------------------------------------
 
 
-def bounds_of(poses: FloatArray, level: float) -> Bounds:
+def bounds_of(poses: FloatArray, level: float) -> EndBounds:
     """The smallest ellipse of the draws' shape, and the shortest interval of angles, that hold a
     share of poses (k, 3)."""
     if not 0.0 < fraction(level, "level") < 1.0:
@@ -219,7 +219,7 @@ def bounds_of(poses: FloatArray, level: float) -> Bounds:
         radius * np.sqrt(variances[::-1]),
         math.atan2(axes[1, 1], axes[0, 1]),
     )
-    return Bounds(level, ellipse, shortest(poses[:, 2], level))
+    return EndBounds(level, ellipse, shortest(poses[:, 2], level))
 
 
 def shortest(values: FloatArray, level: float) -> tuple[float, float]:

@@ -71,7 +71,7 @@ class ModelError:
         return np.array([1.0, 1.0, self.angle_scale])
 
 
-class Walk(NamedTuple):
+class WalkAxes(NamedTuple):
     """Principal axes of a random walk over the frames of one experiment."""
 
     axes: FloatArray  # (n_frame, n_frame) a column each
@@ -95,10 +95,10 @@ def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> F
     return np.asarray(mixed / mixed[-1])
 
 
-def walk_over(share: FloatArray) -> Walk:
+def walk_over(share: FloatArray) -> WalkAxes:
     """Principal axes of a walk whose variance at frames is their share (n,) of the way."""
     variance, axes = np.linalg.eigh(np.minimum(share[:, None], share[None, :]))
-    return Walk(np.ascontiguousarray(axes), np.maximum(variance, 0.0), share)
+    return WalkAxes(np.ascontiguousarray(axes), np.maximum(variance, 0.0), share)
 
 
 def draw_walks(

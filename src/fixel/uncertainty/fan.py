@@ -15,7 +15,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Pusher, Scene, Shape
 from fixel.model.fields import BoolArray
 from fixel.model.trajectory import wrapped
-from fixel.simulation.ensemble import Case, Ensemble
+from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, moves, varied_start
@@ -150,7 +150,7 @@ def fan_of(
     apart, refused = _set_apart(shape, placed, neighbours, room)
     columns["start_x"] += (apart - placed)[:, 0]
     columns["start_y"] += (apart - placed)[:, 1]
-    ensemble = Ensemble([Case(scene, instants)], motion, stepper, threads=threads)
+    ensemble = Ensemble([RolloutCase(scene, instants)], motion, stepper, threads=threads)
     good = np.array([not reason for reason in refused], bool)
     pose, status, reasons = _simulated(ensemble, columns, good, progress)
     for k in np.flatnonzero(~good):

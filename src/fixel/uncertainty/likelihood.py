@@ -23,8 +23,14 @@ from fixel.calibration.objective import MOST_ROLLOUTS, Comparer
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
-from fixel.uncertainty.discrepancy import ModelError, Walk, log_density, shares_of_way, walk_over
-from fixel.uncertainty.prior import Prior
+from fixel.uncertainty.discrepancy import (
+    ModelError,
+    WalkAxes,
+    log_density,
+    shares_of_way,
+    walk_over,
+)
+from fixel.uncertainty.prior import ParameterPrior
 
 # Where a simulation failed: what dynesty takes for impossible, and still a number.
 FLOOR: Final = -1e300
@@ -48,12 +54,12 @@ class LogLikelihood:
     noise : Noise
         Of the camera alone where model error is a term; else of all that simulations cannot say.
     model_error : ModelError, optional
-        Prior of its standard deviation, which becomes the last unknown, the same for all
+        ParameterPrior of its standard deviation, which becomes the last unknown, the same for all
         experiments; their errors are independent.
 
     Attributes
     ----------
-    prior : Prior
+    prior : ParameterPrior
         Of all unknowns, in the order of the columns of points.
     evaluations, failed : int
         Points looked at so far, and those where an experiment could not be simulated.
@@ -71,7 +77,7 @@ class LogLikelihood:
         if not len(self.members):
             raise InvalidInput("experiments", found="none", expected="one at least")
         self.noise = noise
-        self.prior = Prior(comparer.space, model_error)
+        self.prior = ParameterPrior(comparer.space, model_error)
         self.evaluations = self.failed = 0
         self._white = noise.correlation * noise.standard_deviations**2
         self._seen = [_seen(int(n)) for n in comparer.length(self.members)]
@@ -119,7 +125,7 @@ class LogLikelihood:
             return np.zeros((len(points), 3))
         return np.asarray(points[:, -1:] / error.sides)
 
-    def _walk(self, own: int) -> Walk | None:
+    def _walk(self, own: int) -> WalkAxes | None:
         if self.prior.model_error is None:
             return None
         share = self.shares(own)

@@ -36,7 +36,7 @@ FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "calm")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Spread:
+class PoseSpread:
     """Size of a cloud of poses.
 
     Attributes
@@ -60,7 +60,7 @@ class Sensitivity:
 
     Attributes
     ----------
-    before, after : Spread
+    before, after : PoseSpread
         Of the start's error, and of the end poses.
     arm : float
         What a turn is counted as [m/rad]: the body's radius of gyration.
@@ -90,8 +90,8 @@ class Sensitivity:
         How many starts have no outcome, by reason.
     """
 
-    before: Spread
-    after: Spread
+    before: PoseSpread
+    after: PoseSpread
     arm: float
     amplification: float
     gain: float
@@ -310,10 +310,10 @@ def _failed(fan: Fan) -> dict[str, int]:
     return {reason: why.count(reason) for reason in sorted(set(why))}
 
 
-def _spread(pose: FloatArray) -> Spread:
+def _spread(pose: FloatArray) -> PoseSpread:
     off = pose - pose.mean(axis=0)
     low, high = np.quantile(pose, (0.025, 0.975), axis=0)
-    return Spread(
+    return PoseSpread(
         position=float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))),
         angle=float(np.sqrt(np.mean(off[:, 2] ** 2))),
         low=low,
@@ -325,7 +325,7 @@ def _rms(cloud: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(cloud**2, axis=1))))
 
 
-def _plain(spread: Spread) -> dict[str, Any]:
+def _plain(spread: PoseSpread) -> dict[str, Any]:
     return {
         "position_rms_m": spread.position,
         "angle_rms_rad": spread.angle,

@@ -52,7 +52,7 @@ FEWEST_BACK: Final = 1000
 BETWEEN: Final = 0.2
 
 
-class Progress(NamedTuple):
+class SamplerProgress(NamedTuple):
     """How far a run is."""
 
     evaluations: int
@@ -163,7 +163,7 @@ class NestedSampling:
         log_likelihood: Batched,
         prior: Any,
         seed: int = 0,
-        progress: Callable[[Progress], None] | None = None,
+        progress: Callable[[SamplerProgress], None] | None = None,
     ) -> Posterior:
         """Samples of the posterior.
 
@@ -201,7 +201,7 @@ class NestedSampling:
         information = _information(merged.importance_weights(), merged.logl, evidence)
         live = self._live(len(prior.labels)) * len(runs)
         if progress is not None:
-            progress(Progress(count.evaluations, count.rate, 0.0, 1.0))
+            progress(SamplerProgress(count.evaluations, count.rate, 0.0, 1.0))
         return Posterior(
             labels=prior.labels,
             units=prior.units,
@@ -280,7 +280,7 @@ class NestedSampling:
 class _Count:
     """Counts points, and tells how far a run is."""
 
-    def __init__(self, progress: Callable[[Progress], None] | None, goal: float) -> None:
+    def __init__(self, progress: Callable[[SamplerProgress], None] | None, goal: float) -> None:
         self._progress, self._goal = progress, goal
         self.evaluations = 0
         self._begun = self._told = clock.monotonic()
@@ -303,7 +303,9 @@ class _Count:
         self._most = max(self._most, finite)
         span = math.log1p(self._most / self._goal)
         share = 1.0 - math.log1p(max(finite - self._goal, 0.0) / self._goal) / span
-        self._progress(Progress(self.evaluations, self.rate, finite, min(max(share, 0.0), 1.0)))
+        self._progress(
+            SamplerProgress(self.evaluations, self.rate, finite, min(max(share, 0.0), 1.0))
+        )
 
 
 def equal_weight(weights: FloatArray, count: int, dice: np.random.Generator) -> IntArray:

@@ -10,7 +10,7 @@ from fixel.model.space import ParameterSpace
 from fixel.uncertainty.discrepancy import LABEL, ModelError
 
 
-class Prior:
+class ParameterPrior:
     """Independent priors of the free unknowns of a space, and of model error where it is one.
 
     Parameters

@@ -23,7 +23,7 @@ from fixel.model.trajectory import wrapped
 from fixel.uncertainty.discrepancy import ModelError, draw_walks
 from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
-from fixel.uncertainty.prior import Prior
+from fixel.uncertainty.prior import ParameterPrior
 
 BINS: Final = 10
 LEVEL: Final = 0.95
@@ -101,7 +101,7 @@ def calibrate_by_simulation(
         Called as `progress(done, of)`.
     """
     chosen = sampling or NestedSampling(samples=500)
-    prior = Prior(comparer.space, model_error)
+    prior = ParameterPrior(comparer.space, model_error)
     truths, ranks = [], []
     for k in range(first, first + data_sets):
         dice = np.random.default_rng([seed, k])
@@ -117,7 +117,7 @@ def calibrate_by_simulation(
 def _posterior(
     comparer: Comparer,
     truth: FloatArray,
-    prior: Prior,
+    prior: ParameterPrior,
     noise: Noise,
     sampling: NestedSampling,
     dice: np.random.Generator,
@@ -145,7 +145,7 @@ def measured_path(
     comparer: Comparer,
     member: int,
     truth: FloatArray,
-    prior: Prior,
+    prior: ParameterPrior,
     noise: Noise,
     dice: np.random.Generator,
 ) -> FloatArray:

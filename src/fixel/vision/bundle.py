@@ -25,7 +25,7 @@ NUDGE: Final = {"px": 1e-3, "coefficient": 1e-6, "rad": 1e-6, "m": 1e-7}
 
 @final
 @dataclass(frozen=True, slots=True)
-class Fit:
+class BundleFit:
     """What fits best.
 
     Attributes
@@ -58,7 +58,7 @@ class Fit:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Sight:
+class PointObservations:
     """Points and where they were found: all views in one row.
 
     Attributes
@@ -74,9 +74,9 @@ class Sight:
     pixels: FloatArray
     view: NDArray[np.intp]
 
-    def only(self, which: NDArray[np.bool_]) -> Sight:
+    def only(self, which: NDArray[np.bool_]) -> PointObservations:
         """Some of them."""
-        return Sight(self.points[which], self.pixels[which], self.view[which])
+        return PointObservations(self.points[which], self.pixels[which], self.view[which])
 
 
 def values_of(lens: Lens, names: Sequence[str]) -> FloatArray:
@@ -120,10 +120,10 @@ def fit(
     names: Sequence[str],
     rotations: FloatArray,
     translations: FloatArray,
-    sight: Sight,
+    sight: PointObservations,
     *,
     steps: int = STEPS,
-) -> Fit:
+) -> BundleFit:
     """The least squares fit, by Levenberg and Marquardt's method from a start nearby.
 
     Parameters
@@ -132,7 +132,7 @@ def fit(
         Where to start: the lens, and the place of every view.
     names : sequence of str
         What of the lens is to be found; nothing for places only.
-    sight : Sight
+    sight : PointObservations
     steps : int
         Number of steps at most.
     """
@@ -165,9 +165,9 @@ def fit(
 def _fitted(
     state: tuple[Lens, FloatArray, FloatArray],
     names: Sequence[str],
-    sight: Sight,
+    sight: PointObservations,
     error: FloatArray,
-) -> Fit:
+) -> BundleFit:
     slopes = slopes_of(state, names, sight)
     n, n_view = len(names), len(state[1])
     free = error.size - slopes.shape[1]
@@ -197,7 +197,7 @@ def _fitted(
         np.add.at(pulls, sight.view, np.einsum("icn,ic->in", alone, error))
         np.add.at(own_matrix, sight.view, np.einsum("icn,icm->inm", alone, alone))
         covariance = noise**2 * _together(pulls, own_matrix, shared, noise) * inverse
-    return Fit(*state, error, covariance, place_covariance, place_slope, noise)
+    return BundleFit(*state, error, covariance, place_covariance, place_slope, noise)
 
 
 def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: float) -> float:
@@ -238,7 +238,7 @@ def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: floa
 
 
 def _residuals(
-    lens: Lens, rotations: FloatArray, translations: FloatArray, sight: Sight
+    lens: Lens, rotations: FloatArray, translations: FloatArray, sight: PointObservations
 ) -> FloatArray:
     seen = np.einsum("nij,nj->ni", rotations[sight.view], sight.points) + translations[sight.view]
     if (seen[:, 2] <= 0.0).any():
@@ -258,7 +258,7 @@ def _moved(
 
 
 def slopes_of(
-    state: tuple[Lens, FloatArray, FloatArray], names: Sequence[str], sight: Sight
+    state: tuple[Lens, FloatArray, FloatArray], names: Sequence[str], sight: PointObservations
 ) -> FloatArray:
     """(2 n, n_name + 6 n_view) how pixels follow the parameters, by central differences."""
     n, n_view, count = len(names), len(state[1]), len(sight.view)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.model.fields import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
-from fixel.vision.bundle import Fit, Sight, fit, lens_with
+from fixel.vision.bundle import BundleFit, PointObservations, fit, lens_with
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
 from fixel.vision.opencv import opencv
@@ -35,7 +35,7 @@ CELLS: Final = 16  # across the picture, of the map of where boards were seen
 
 @final
 @dataclass(frozen=True, slots=True)
-class View:
+class BoardView:
     """A picture in which a board was found.
 
     Attributes
@@ -53,7 +53,7 @@ class View:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Dropped:
+class SkippedPicture:
     """A picture, or corners of one, that were not used, and why."""
 
     name: str
@@ -94,7 +94,7 @@ class LensCalibration:
     camera : MeasuredCamera
         Without a place.
     used : tuple of UsedView
-    dropped : tuple of Dropped
+    dropped : tuple of SkippedPicture
     rms : float
         Of all residuals along each axis [px].
     unseen : dict of int to float
@@ -105,7 +105,7 @@ class LensCalibration:
 
     camera: MeasuredCamera
     used: tuple[UsedView, ...]
-    dropped: tuple[Dropped, ...]
+    dropped: tuple[SkippedPicture, ...]
     rms: float
     unseen: Mapping[int, float] = field(default_factory=dict)
 
@@ -114,7 +114,7 @@ def find_boards(
     pictures: Iterable[tuple[str, Picture]],
     board: Board,
     tell: Callable[[str], None] | None = None,
-) -> tuple[tuple[View, ...], tuple[Dropped, ...]]:
+) -> tuple[tuple[BoardView, ...], tuple[SkippedPicture, ...]]:
     """The views of a board in pictures, and the pictures that show none.
 
     Raises
@@ -131,16 +131,16 @@ def find_boards(
         except InvalidInput as problem:
             if "mirrored" in str(problem.found):
                 raise problem.within(name) from None
-            dropped.append(Dropped(name, f"{problem.found}"))
+            dropped.append(SkippedPicture(name, f"{problem.found}"))
             continue
         height, width = picture.shape[:2]
-        views.append(View(name, (width, height), corners))
+        views.append(BoardView(name, (width, height), corners))
     return tuple(views), tuple(dropped)
 
 
 def calibrate_lens(
-    views: Sequence[View],
-    dropped: Sequence[Dropped] = (),
+    views: Sequence[BoardView],
+    dropped: Sequence[SkippedPicture] = (),
     *,
     coefficients: int | None = None,
     fisheye: bool = False,
@@ -149,9 +149,9 @@ def calibrate_lens(
 
     Parameters
     ----------
-    views : sequence of View
+    views : sequence of BoardView
         At least four, tilted against each other.
-    dropped : sequence of Dropped
+    dropped : sequence of SkippedPicture
         Pictures left out before.
     coefficients : int, optional
         How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Left
@@ -177,7 +177,7 @@ def calibrate_lens(
         worst = _worst_view(found, sight, left)
         if worst is None:
             break
-        out.append(Dropped(left[worst].name, _too_far(found, sight, worst)))
+        out.append(SkippedPicture(left[worst].name, _too_far(found, sight, worst)))
         del left[worst]
     found, sight, wrong = _without_wrong_corners(found, sight, names)
     unseen: dict[int, float] = {}
@@ -192,7 +192,7 @@ def calibrate_lens(
                 break
     for view, count in zip(left, wrong, strict=True):
         if count:
-            out.append(Dropped(view.name, f"{count} of its corners are off by far"))
+            out.append(SkippedPicture(view.name, f"{count} of its corners are off by far"))
     _refuse_loose(found, names)
     camera = MeasuredCamera(
         lens=found.lens,
@@ -207,7 +207,7 @@ def calibrate_lens(
     return LensCalibration(camera, used, tuple(out), rms, unseen)
 
 
-def _held_out(found: Fit, sight: Sight) -> tuple[dict[int, float], bool]:
+def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, float], bool]:
     """Residuals in pictures left out, by number of coefficients [px], and whether 5 are too few.
 
     A third of the pictures at a time is left out, the lens found without them, and their places
@@ -251,15 +251,15 @@ def _sees_corners(lens: Lens) -> bool:
 
 
 def _views(
-    found: Fit, sight: Sight, which: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray, Sight]:
+    found: BundleFit, sight: PointObservations, which: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, PointObservations]:
     """Places and corners of some views, numbered anew."""
     corners = sight.only(which[sight.view])
     number = np.cumsum(which) - 1
     return (
         found.rotations[which],
         found.translations[which],
-        Sight(corners.points, corners.pixels, number[corners.view]),
+        PointObservations(corners.points, corners.pixels, number[corners.view]),
     )
 
 
@@ -272,7 +272,7 @@ def _names(coefficients: int, fisheye: bool) -> tuple[str, ...]:
     return ("fx", "fy", "cx", "cy", *(FISHEYE if fisheye else BROWN)[:coefficients])
 
 
-def _one_size(views: Sequence[View]) -> tuple[int, int]:
+def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
     sizes = [view.size for view in views] or [(1, 1)]
     usual = max(set(sizes), key=sizes.count)
     others = [view for view in views if view.size != usual]
@@ -290,7 +290,7 @@ def _one_size(views: Sequence[View]) -> tuple[int, int]:
     return usual
 
 
-def _refuse_few(views: Sequence[View], dropped: Sequence[Dropped]) -> None:
+def _refuse_few(views: Sequence[BoardView], dropped: Sequence[SkippedPicture]) -> None:
     if len(views) >= LEAST_PICTURES:
         return
     reasons = "; ".join(f"{each.name}: {each.reason}" for each in dropped[:3])
@@ -304,7 +304,7 @@ def _refuse_few(views: Sequence[View], dropped: Sequence[Dropped]) -> None:
     )
 
 
-def _refuse_parallel(views: Sequence[View], size: tuple[int, int]) -> None:
+def _refuse_parallel(views: Sequence[BoardView], size: tuple[int, int]) -> None:
     """Parallel boards say nothing of the focal length: each may be small and near or large and far.
 
     How the boards stand is told from their vanishing lines with a rough focal length, which only
@@ -329,8 +329,8 @@ def _refuse_parallel(views: Sequence[View], size: tuple[int, int]) -> None:
 
 
 def _fitted(
-    views: Sequence[View], size: tuple[int, int], names: tuple[str, ...], fisheye: bool
-) -> tuple[Fit, Sight]:
+    views: Sequence[BoardView], size: tuple[int, int], names: tuple[str, ...], fisheye: bool
+) -> tuple[BundleFit, PointObservations]:
     cv2 = opencv()
     places = [view.corners.places for view in views]
     solid = [np.column_stack([p, np.zeros(len(p))]).astype(np.float32) for p in places]
@@ -361,7 +361,7 @@ def _fitted(
         fisheye=fisheye,
     )
     rotations = np.array([cv2.Rodrigues(turn)[0] for turn in turns])
-    sight = Sight(
+    sight = PointObservations(
         np.concatenate(solid).astype(np.float64),
         np.concatenate([view.corners.pixels for view in views]),
         np.repeat(np.arange(len(views)), [len(p) for p in places]),
@@ -369,7 +369,9 @@ def _fitted(
     return fit(lens, names, rotations, np.array(shifts)[:, :, 0], sight), sight
 
 
-def _worst_view(found: Fit, sight: Sight, views: Sequence[View]) -> int | None:
+def _worst_view(
+    found: BundleFit, sight: PointObservations, views: Sequence[BoardView]
+) -> int | None:
     """A picture whose corners fit much worse than those of the others, if there is one."""
     rms = [_rms(found.residuals[sight.view == k]) for k in range(len(views))]
     worst = int(np.argmax(rms))
@@ -377,15 +379,15 @@ def _worst_view(found: Fit, sight: Sight, views: Sequence[View]) -> int | None:
     return worst if rms[worst] > max(WORSE * others, TOLERABLE) else None
 
 
-def _too_far(found: Fit, sight: Sight, worst: int) -> str:
+def _too_far(found: BundleFit, sight: PointObservations, worst: int) -> str:
     own, rest = (_rms(found.residuals[which]) for which in (sight.view == worst,
                                                              sight.view != worst))  # fmt: skip
     return f"corners off by {own:.2f} px, those of the others by {rest:.2f} px: moved or bent?"
 
 
 def _without_wrong_corners(
-    found: Fit, sight: Sight, names: tuple[str, ...]
-) -> tuple[Fit, Sight, list[int]]:
+    found: BundleFit, sight: PointObservations, names: tuple[str, ...]
+) -> tuple[BundleFit, PointObservations, list[int]]:
     """The same without corners that are far from where the others say."""
     n_view = len(found.rotations)
     wrong = np.zeros(n_view, dtype=int)
@@ -403,7 +405,7 @@ def _without_wrong_corners(
     return found, sight, wrong.tolist()
 
 
-def _refuse_loose(found: Fit, names: tuple[str, ...]) -> None:
+def _refuse_loose(found: BundleFit, names: tuple[str, ...]) -> None:
     deviation = np.sqrt(np.maximum(np.diag(found.covariance)[:2], 0.0))
     if not (deviation < LOOSE_FOCAL * found.lens.focal).all():
         raise InvalidInput(
@@ -426,7 +428,7 @@ def _seen(pixels: FloatArray, size: tuple[int, int]) -> FloatArray:
     return counts
 
 
-def _used(found: Fit, sight: Sight, k: int, name: str) -> UsedView:
+def _used(found: BundleFit, sight: PointObservations, k: int, name: str) -> UsedView:
     own = found.residuals[sight.view == k]
     tilt = float(np.arccos(min(1.0, abs(found.rotations[k, 2, 2]))))
     return UsedView(name, len(own), _rms(own), tilt, own)

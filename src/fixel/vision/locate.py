@@ -21,7 +21,7 @@ NOW_AND_THEN: Final = 15
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Located:
+class FramePoses:
     """What one frame shows.
 
     Attributes
@@ -77,11 +77,11 @@ class Locator:
         self._scene = scene
         self.names, self._followers = followers_of(replace(rig, parts=own), things, AUTO)
         self._looks = 0
-        self._standing = Located()
+        self._standing = FramePoses()
         self._finder = FixelFinder(rig, scene.fixels)
         self._finds = 0
 
-    def see(self, frame: Frame) -> Located:
+    def see(self, frame: Frame) -> FramePoses:
         """Where everything is in this frame."""
         try:
             refuse_size(self.rig, frame)
@@ -91,7 +91,7 @@ class Locator:
                 for name, sight in follower.see(frame).items()
             }
         except InvalidInput as problem:
-            return Located(
+            return FramePoses(
                 parts={name: Sighting(reason="not looked for") for name in self.names},
                 problems=(_told(problem),),
             )
@@ -101,16 +101,16 @@ class Locator:
         self._looks += 1
         return replace(self._standing, parts=parts)
 
-    def _what_stands(self, frame: Frame, seen: bool) -> Located:
+    def _what_stands(self, frame: Frame, seen: bool) -> FramePoses:
         """Camera, plate and fixels."""
         try:
             watched = refuse_moved(self.rig, frame)
             if not seen:
                 refuse_flipped(self.rig, frame.luma)
         except InvalidInput as problem:
-            return Located(problems=(_told(problem),))
+            return FramePoses(problems=(_told(problem),))
         remarks = (UNWATCHED,) if self.rig.plate and not watched else ()
-        return Located(fixels=self._fixels(frame), remarks=remarks)
+        return FramePoses(fixels=self._fixels(frame), remarks=remarks)
 
     def _fixels(self, frame: Frame) -> dict[str, FloatArray]:
         """Places out of the last few frames; a fixel may be moved to another hole meanwhile."""

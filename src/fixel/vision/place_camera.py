@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import FloatArray, vector
 from fixel.vision.boards import Board, Picture, gray_of
-from fixel.vision.bundle import Fit, Sight, fit, slopes_of
+from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
 from fixel.vision.camera import Camera
 from fixel.vision.find_tags import find_tags
 from fixel.vision.lens import Lens
@@ -139,7 +139,7 @@ def place_by_points(
     The pixels count as uncertain by `noise` [px] at least, along each axis.
     """
     lens = measured.lens
-    sight = Sight(points, pixels, np.zeros(len(points), dtype=np.intp))
+    sight = PointObservations(points, pixels, np.zeros(len(points), dtype=np.intp))
     rotation, translation = _start(lens, points, pixels)
     # Places alone: how they follow the lens is told by its own slopes, see `_joint`.
     found = fit(lens, (), rotation[None], translation[None], sight)
@@ -174,7 +174,7 @@ def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArr
 
 
 def _joint(
-    measured: MeasuredCamera, found: Fit, sight: Sight, least: float
+    measured: MeasuredCamera, found: BundleFit, sight: PointObservations, least: float
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Errors of lens and place together: the place was found with the lens as it is said to be."""
     of_lens = [k for k, name in enumerate(measured.names) if name not in PLACE]

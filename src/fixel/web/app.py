@@ -21,7 +21,7 @@ import fixel
 from fixel.errors import FixelError
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
-from fixel.web.problems import OUR_MISTAKE, Problem, answer, problem_of
+from fixel.web.problems import OUR_MISTAKE, Refusal, answer, problem_of
 from fixel.web.security import LOOPBACK, BodyLimit, Gate, Guard, SecurityHeaders
 
 HERE: Final = Path(str(files("fixel.web")))
@@ -187,7 +187,7 @@ def _tell_problems(app: FastAPI, render: Any) -> None:
     @app.exception_handler(HTTPException)
     def missing(request: Request, error: HTTPException) -> Response:
         if request.url.path.startswith("/api/"):  # with characters that no address of it has
-            problem = Problem(status=error.status_code, sentence=f"{error.detail}.")
+            problem = Refusal(status=error.status_code, sentence=f"{error.detail}.")
             return answer(problem, dict(error.headers or {}))
         more = {"sentence": f"{error.detail}.", "hint": "The navigation leads to what there is."}
         return HTMLResponse(

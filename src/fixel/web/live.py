@@ -48,7 +48,7 @@ class Drawing:
         return bytes(data)
 
 
-class Shot(NamedTuple):
+class LiveFrame(NamedTuple):
     """What is shown at one moment: the number of the change, the picture if any, the status."""
 
     number: int
@@ -79,7 +79,7 @@ class LiveView:
     def __init__(self, quality: int = 80) -> None:
         self._quality = quality
         self._lock = threading.Lock()
-        self._shot = Shot(0, None, "{}")
+        self._shot = LiveFrame(0, None, "{}")
         self._waiting: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
         self._watchers = 0
         self._closed = False
@@ -106,7 +106,7 @@ class LiveView:
         drawing = None if picture is None else Drawing(picture, self._quality)
         with self._lock:
             number, old, _ = self._shot
-            self._shot = Shot(number + 1, drawing or old, report)
+            self._shot = LiveFrame(number + 1, drawing or old, report)
             waiting = list(self._waiting.items())
         _wake(waiting)
 
@@ -123,7 +123,7 @@ class LiveView:
         return self._watchers > 0
 
     @property
-    def newest(self) -> Shot:
+    def newest(self) -> LiveFrame:
         """The newest picture and report."""
         with self._lock:
             return self._shot
@@ -133,7 +133,7 @@ class LiveView:
         """The newest status, as JSON."""
         return self.newest.report
 
-    async def after(self, number: int, patience: float) -> Shot | None:
+    async def after(self, number: int, patience: float) -> LiveFrame | None:
         """The newest that is newer than this, or the old one after `patience` [s]; None: closed."""
         event, loop = asyncio.Event(), asyncio.get_running_loop()
         with self._lock:
@@ -148,7 +148,7 @@ class LiveView:
                 self._waiting.pop(event, None)
         return self._open_shot()
 
-    def _open_shot(self) -> Shot | None:
+    def _open_shot(self) -> LiveFrame | None:
         return None if self._closed else self._shot
 
     async def pictures(self) -> AsyncIterator[bytes]:

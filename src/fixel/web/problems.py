@@ -27,7 +27,7 @@ ABSENT = 404
 CONFLICT = 409
 
 
-class Problem(BaseModel):
+class Refusal(BaseModel):
     """Why a request was refused."""
 
     status: int = Field(description="of HTTP, from 400 to 499; 500 for a mistake in fixel")
@@ -38,14 +38,14 @@ class Problem(BaseModel):
     hint: str | None = Field(default=None, description="what to do next")
 
 
-def problem_of(error: FixelError) -> Problem:
+def problem_of(error: FixelError) -> Refusal:
     """The document of what fixel raises on purpose."""
     sentence = str(error)
     match error:
         case InvalidInput():
             found: Any = error.found
             missing = repr(found) == "ABSENT"
-            return Problem(
+            return Refusal(
                 status=UNPROCESSABLE,
                 sentence=sentence,
                 where=error.where,
@@ -54,17 +54,17 @@ def problem_of(error: FixelError) -> Problem:
                 hint=error.hint,
             )
         case NotStored():
-            return Problem(status=ABSENT, sentence=sentence, where=error.what, hint=error.hint)
+            return Refusal(status=ABSENT, sentence=sentence, where=error.what, hint=error.hint)
         case DatasetMissing():
-            return Problem(status=ABSENT, sentence=sentence, where=error.folder, hint=error.hint)
+            return Refusal(status=ABSENT, sentence=sentence, where=error.folder, hint=error.hint)
         case StoreRefused() | JobRefused():
-            return Problem(status=CONFLICT, sentence=sentence, where=error.reason, hint=error.hint)
+            return Refusal(status=CONFLICT, sentence=sentence, where=error.reason, hint=error.hint)
         case _:
-            return Problem(status=UNPROCESSABLE, sentence=sentence)
+            return Refusal(status=UNPROCESSABLE, sentence=sentence)
 
 
 def tell_problems(api: FastAPI) -> None:
-    """Answer every failure of an API with a `Problem`."""
+    """Answer every failure of an API with a `Refusal`."""
 
     @api.exception_handler(FixelError)
     def refused(_: Request, error: FixelError) -> JSONResponse:
@@ -76,7 +76,7 @@ def tell_problems(api: FastAPI) -> None:
         where = ".".join(str(part) for part in first["loc"])
         found, expected = reprlib.repr(first.get("input")), str(first["msg"])
         return answer(
-            Problem(
+            Refusal(
                 status=UNPROCESSABLE,
                 sentence=f"{where}: {expected[:1].lower()}{expected[1:]}",
                 where=where,
@@ -94,15 +94,15 @@ def tell_problems(api: FastAPI) -> None:
 
     @api.exception_handler(Exception)
     def unforeseen(_: Request, error: Exception) -> JSONResponse:
-        return answer(Problem(status=500, sentence=OUR_MISTAKE))
+        return answer(Refusal(status=500, sentence=OUR_MISTAKE))
 
     @api.exception_handler(HTTPException)
     def other(_: Request, error: HTTPException) -> JSONResponse:
         return answer(
-            Problem(status=error.status_code, sentence=str(error.detail)), dict(error.headers or {})
+            Refusal(status=error.status_code, sentence=str(error.detail)), dict(error.headers or {})
         )
 
 
-def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
+def answer(problem: Refusal, headers: dict[str, str] | None = None) -> JSONResponse:
     """A problem as an answer."""
     return JSONResponse(problem.model_dump(), status_code=problem.status, headers=headers)

@@ -15,12 +15,12 @@ from typing import Any, Final, final
 from fastapi import FastAPI
 
 import fixel
-from fixel.database.browsing import View
+from fixel.database.browsing import ExperimentView
 from fixel.database.project import Project
 from fixel.web import api as resources
 from fixel.web import pages as shown
 from fixel.web.app import Page
-from fixel.web.problems import Problem, tell_problems
+from fixel.web.problems import Refusal, tell_problems
 from fixel.web.serve import HERE_ONLY, WebServer
 
 ABOUT: Final = """Experiments, simulations, calibrations and domains of one project.
@@ -28,14 +28,14 @@ ABOUT: Final = """Experiments, simulations, calibrations and domains of one proj
 Lengths are in metres, angles in radians, times in seconds, unless a field's name ends with another
 unit (`error_mm`). Long arrays are objects `{"dtype": "<f8", "shape": [n, 3], "base64": "..."}`:
 little-endian, row after row. A refused request is answered with a status from 400 to 499 and a
-`Problem`.
+`Refusal`.
 
 Programs send `Authorization: Bearer TOKEN` with the token of the link that `fixel serve` printed.
 """
 
 
 @final
-class Desk:
+class ProjectContext:
     """What the pages of one project share.
 
     Parameters
@@ -51,7 +51,9 @@ class Desk:
     def __init__(self, project: Project) -> None:
         self.project = project
         self.store = project.store()
-        self.store.browse(View(limit=1))  # so that the first page does not wait for its statements
+        self.store.browse(
+            ExperimentView(limit=1)
+        )  # so that the first page does not wait for its statements
 
     @property
     def name(self) -> str:
@@ -68,13 +70,13 @@ class Desk:
         self.store.close()
 
 
-def project_pages(desk: Desk) -> list[Page]:
+def project_pages(desk: ProjectContext) -> list[Page]:
     """All pages, in the order of the navigation."""
     found = [page for module in _modules(shown) for page in module.pages(desk)]
     return sorted(found, key=lambda page: (not page.listed, page.place))
 
 
-def project_api(desk: Desk) -> FastAPI:
+def project_api(desk: ProjectContext) -> FastAPI:
     """The interface for programs, to be mounted."""
     api = FastAPI(
         title=f"fixel: {desk.name}",
@@ -83,7 +85,7 @@ def project_api(desk: Desk) -> FastAPI:
         docs_url=None,  # these pages load scripts from elsewhere
         redoc_url=None,
         openapi_url="/openapi.json",
-        responses={"4XX": {"model": Problem}, 422: {"model": Problem}},
+        responses={"4XX": {"model": Refusal}, 422: {"model": Refusal}},
     )
     for module in _modules(resources):
         api.include_router(module.router(desk))
@@ -91,7 +93,9 @@ def project_api(desk: Desk) -> FastAPI:
     return api
 
 
-def project_server(desk: Desk, *, port: int | None = None, host: str = HERE_ONLY) -> WebServer:
+def project_server(
+    desk: ProjectContext, *, port: int | None = None, host: str = HERE_ONLY
+) -> WebServer:
     """A server of all of it; it is not started yet."""
     pages = project_pages(desk)
     return WebServer(pages, port=port, host=host, api=project_api(desk), name=desk.name)

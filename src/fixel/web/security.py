@@ -21,7 +21,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from fixel.web.problems import Problem, answer
+from fixel.web.problems import Refusal, answer
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 WORD_HEADER: Final = "x-fixel-word"  # carries the word of our own pages
@@ -221,7 +221,7 @@ def _refusal(scope: Scope, status: int, words: tuple[str, str]) -> Response:
     sentence, hint = words
     headers = {"www-authenticate": "Bearer"} if status == 401 else None
     if scope.get("path", "").startswith("/api/"):
-        problem = Problem(status=status, sentence=f"{sentence} {hint}", hint=hint)
+        problem = Refusal(status=status, sentence=f"{sentence} {hint}", hint=hint)
         return answer(problem, headers)
     return PlainTextResponse(f"{sentence} {hint}\n", status_code=status, headers=headers)
 

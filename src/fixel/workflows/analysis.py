@@ -34,11 +34,11 @@ ARRAYS: Final = "arrays.npz"
 NOTHING: Final = 1e-7  # [mm or deg]
 
 
-class _Entry(BaseModel):
+class _StoredFigure(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TextTable(_Entry):
+class TextTable(_StoredFigure):
     """A table as people read it: units in the head."""
 
     title: str
@@ -52,14 +52,14 @@ def rounded(value: float, digits: int = 3) -> str:
     return f"{value if abs(value) >= NOTHING else 0.0:.{digits}g}"
 
 
-class Shown(_Entry):
+class AnalysisFigure(_StoredFigure):
     """A picture of an analysis."""
 
     name: str  # of its files, without ending
     caption: str
 
 
-class Analysis(_Entry):
+class Analysis(_StoredFigure):
     """The answer to one question about a project.
 
     Attributes
@@ -73,7 +73,7 @@ class Analysis(_Entry):
     warnings : tuple of str
         What a reader must know before believing it, in plain words.
     tables : tuple of TextTable
-    pictures : tuple of Shown
+    pictures : tuple of AnalysisFigure
     methods : tuple of str
         Sentences for the methods paragraph of a paper.
     references : tuple of str
@@ -97,7 +97,7 @@ class Analysis(_Entry):
     headline: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     tables: tuple[TextTable, ...] = ()
-    pictures: tuple[Shown, ...] = ()
+    pictures: tuple[AnalysisFigure, ...] = ()
     methods: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
     numbers: dict[str, Any] = {}
@@ -110,7 +110,7 @@ class Analysis(_Entry):
     seconds: float = 0.0
 
 
-class Kept(NamedTuple):
+class StoredAnalysis(NamedTuple):
     """An analysis in its folder."""
 
     folder: Path
@@ -141,7 +141,7 @@ def keep(
     analysis: Analysis,
     pictures: Sequence[Picture] = (),
     arrays: Mapping[str, Any] | None = None,
-) -> Kept:
+) -> StoredAnalysis:
     """Write an analysis into its project; its own file comes last, so it is there whole or not.
 
     Parameters
@@ -163,17 +163,17 @@ def keep(
             path.write_bytes(bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
     done = analysis.model_copy(
         update={
-            "pictures": tuple(Shown(name=p.name, caption=p.caption) for p in pictures),
+            "pictures": tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures),
             "version": version("fixel"),
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         }
     )
     with written_whole(folder / CONTENT) as path:
         path.write_text(json.dumps(done.model_dump(), indent=1, allow_nan=False), encoding="utf-8")
-    return Kept(folder, done)
+    return StoredAnalysis(folder, done)
 
 
-def kept(project: Project, kind: Kind | None = None) -> list[Kept]:
+def kept(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
     """Analyses of a project, the newest first.
 
     Raises
@@ -187,7 +187,9 @@ def kept(project: Project, kind: Kind | None = None) -> list[Kept]:
     return found
 
 
-def kept_and_not(project: Project, kind: Kind | None = None) -> tuple[list[Kept], list[FixelError]]:
+def kept_and_not(
+    project: Project, kind: Kind | None = None
+) -> tuple[list[StoredAnalysis], list[FixelError]]:
     """Analyses of a project, the newest first, and why others cannot be read."""
     paths = sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}"))
     every, unreadable = each_readable(_kept, paths)
@@ -195,9 +197,9 @@ def kept_and_not(project: Project, kind: Kind | None = None) -> tuple[list[Kept]
     return sorted(found, key=lambda one: one.analysis.created, reverse=True), unreadable
 
 
-def _kept(path: Path) -> Kept:
+def _kept(path: Path) -> StoredAnalysis:
     with readable(path, f"delete the folder {path.parent}, and make the analysis again"):
-        return Kept(path.parent, Analysis.model_validate_json(path.read_bytes()))
+        return StoredAnalysis(path.parent, Analysis.model_validate_json(path.read_bytes()))
 
 
 def _name_of(analysis: Analysis) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from fixel.drawing.chart import AbstractChart, Table, draw_chart
+from fixel.drawing.chart import AbstractChart, ChartTable, draw_chart
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 
@@ -52,7 +52,7 @@ def write_picture(folder: Path, picture: Picture) -> list[Path]:
     return paths
 
 
-def _write_table(path: Path, table: Table) -> None:
+def _write_table(path: Path, table: ChartTable) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(table.columns)

@@ -27,12 +27,12 @@ from fixel.io.atomic import written_whole
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
-from fixel.jobs.folder import Job, Run, Status
+from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import Progress
+from fixel.jobs.work import JobProgress
 
-Show = Callable[[Progress], None]
+Show = Callable[[JobProgress], None]
 Say = Callable[[str], None]
 
 START_S: Final = 30.0  # [s] for a detached coordinator to begin
@@ -57,14 +57,14 @@ class JobStatus:
         One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone.
     kept : int
         Answers in the journal, this session's and those before.
-    status : Status
+    status : JobState
         The coordinator's own word.
     """
 
     folder: str
     state: str
     kept: int
-    status: Status
+    status: JobState
 
     @property
     def ended(self) -> bool:
@@ -108,7 +108,7 @@ def arrange(
     site: Site | None = None,
     lease_s: float | None = None,
     accept_version: bool = False,
-) -> Run:
+) -> RunSettings:
     """Say how a job is to be run; what is None stays as it was.
 
     Raises
@@ -187,7 +187,7 @@ def run_on_slurm(folder: Path) -> str:
         number = submit(script)
     except SlurmTrouble as trouble:
         raise JobRefused(f"sbatch refuses the coordinator: {trouble}") from None
-    files.write_status(folder, Status(reason=f"the coordinator waits in the queue as {number}"))
+    files.write_status(folder, JobState(reason=f"the coordinator waits in the queue as {number}"))
     files.log(folder, f"submitted the coordinator as {number}")
     return number
 
@@ -309,7 +309,7 @@ def _refuse_running(folder: Path) -> None:
         )
 
 
-def _refuse_impossible(run: Run) -> None:
+def _refuse_impossible(run: RunSettings) -> None:
     if run.workers:
         from fixel.jobs.link import listening, refuse_without_dask
 

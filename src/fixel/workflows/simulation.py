@@ -32,7 +32,7 @@ Part = TypeVar("Part", AbstractMotionModel, AbstractSolver)
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method:
+class SimulationMethod:
     """How to simulate, in place of what the file says; None leaves it to the file.
 
     Parameters
@@ -84,7 +84,7 @@ class Outputs:
 def simulate_file(
     path: str | Path,
     overrides: Sequence[str] = (),
-    method: Method | None = None,
+    method: SimulationMethod | None = None,
     outputs: Outputs | None = None,
     *,
     say: Say | None = None,
@@ -98,7 +98,7 @@ def simulate_file(
         Scene file.
     overrides : sequence of str
         Changes to it, as `path.to.key=value`.
-    method : Method, optional
+    method : SimulationMethod, optional
     outputs : Outputs, optional
     say : callable, optional
         Called with a sentence when something takes its time.
@@ -115,7 +115,7 @@ def simulate_file(
     InvalidInput
         A scene, method or file name that cannot be.
     """
-    method, outputs = method or Method(), outputs or Outputs()
+    method, outputs = method or SimulationMethod(), outputs or Outputs()
     scene_file = load_scene(path, overrides)
     motion, stepper, solver = parts(scene_file, method)
     refuse_method(scene_file.scene, solver)
@@ -134,7 +134,7 @@ def simulate_file(
 
 
 def parts(
-    scene_file: SceneFile, method: Method
+    scene_file: SceneFile, method: SimulationMethod
 ) -> tuple[AbstractMotionModel, AbstractStepper, AbstractSolver]:
     """Motion model, stepper and solver of a scene file, as changed by `method`."""
     return (
@@ -158,7 +158,7 @@ def write_outputs(
             animate_simulation(simulation, temporary, progress=progress)
 
 
-def _stepper(scene_file: SceneFile, method: Method) -> AbstractStepper:
+def _stepper(scene_file: SceneFile, method: SimulationMethod) -> AbstractStepper:
     if method.step is not None and method.tolerance is not None:
         raise InvalidInput(
             "step and tolerance",

@@ -10,7 +10,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 from fixel.vision.tracking.loops import edges_expected
 from fixel.vision.tracking.optics import optics_of, seen_at
-from fixel.vision.tracking.outline import Edges
+from fixel.vision.tracking.outline import OutlineEdges
 from fixel.vision.tracking.solver import plausible
 
 LENSES = {
@@ -42,7 +42,7 @@ def test_edges_move_with_the_pose_as_they_are_said_to(name):
     seen = camera(name)
     random = np.random.default_rng(2)
     angle = random.uniform(0.0, 2.0 * np.pi, 9)
-    edges = Edges(
+    edges = OutlineEdges(
         point=random.uniform(-0.02, 0.02, (9, 2)),
         outward=np.column_stack((np.cos(angle), np.sin(angle))),
         height=np.full(9, 0.025),

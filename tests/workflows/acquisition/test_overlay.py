@@ -15,7 +15,7 @@ from tests.vision.plate import plate_picture, small_rig
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import jpeg_of
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
-from fixel.testbed.frame_source import Arrived, FrameSource, Stream
+from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.workflows.acquisition.overlay import Overlay, frames_of, watch, write_picture
@@ -231,7 +231,7 @@ class Hangs(FrameSource):
         return Stream((640, 360), 30.0, jpeg=False, live=True)
 
     def frames(self):
-        yield Arrived(0.0, pixels=np.zeros((360, 640, 3), np.uint8))
+        yield CameraPicture(0.0, pixels=np.zeros((360, 640, 3), np.uint8))
         self.closed.wait(20.0)
 
     def close(self):

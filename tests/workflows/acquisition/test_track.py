@@ -29,7 +29,7 @@ from fixel.model.shape import placed
 from fixel.testing.painted import moving, painted, tag_rig
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Tag
-from fixel.vision.tracking import FoundFixel, Sighting, Tracked
+from fixel.vision.tracking import FilmTracks, FoundFixel, Sighting
 from fixel.vision.tracking.judge import judged
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.acquisition.track_charts import drawn
@@ -184,7 +184,7 @@ def pushed(along, first=0, fixels=()):
             own[:first] = [Sighting(reason="a hand")] * first
         parts[name] = judged(name, time, own)
     return experiment_of(
-        Tracked(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),
+        FilmTracks(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),
         tag_rig(),
         scene(),
         None,

@@ -16,13 +16,13 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import draw_all, pictures_of
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.report_data import Desk
-from fixel.workflows.calibration.request import Choice, Request, entry_of
+from fixel.workflows.calibration.report_data import CalibrationReportData
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
 from fixel.workflows.calibration.result import Curve
 from fixel.workflows.calibration.retrace import UNKNOWN, retraced
 
 PLANNED = thesis_plan().experiments
-QUICK = Choice(name="pattern-search", options={"threshold_delta": 0.2})
+QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def _done(lab, n=4, **changes):
     scenes = [target.case.scene for target in few.targets]
     unknowns = [entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)]
     settings = {"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes
-    folder = run.prepare(project, few, Request(**settings))
+    folder = run.prepare(project, few, CalibrationRequest(**settings))
     run.run(folder)
     return run.collect(project, folder, "test", {})
 
@@ -178,7 +178,9 @@ def test_what_could_not_be_calibrated_is_drawn_too(lab):
     lost = replace(done.outcome.found[3], errors=np.array([np.inf]), trace=None, note="crashed")
     outcome = replace(done.outcome, found=(*done.outcome.found[:3], lost))
 
-    pictures = {p.name: p.chart for p in pictures_of(Desk(replace(done, outcome=outcome)))}
+    pictures = {
+        p.name: p.chart for p in pictures_of(CalibrationReportData(replace(done, outcome=outcome)))
+    }
     for chart in pictures.values():
         chart.figure()
 
@@ -188,7 +190,7 @@ def test_what_could_not_be_calibrated_is_drawn_too(lab):
 
 
 def test_simulated_experiments_never_look_real(lab):
-    desk = Desk(_done(lab, mode="each"))
+    desk = CalibrationReportData(_done(lab, mode="each"))
 
     assert desk.banner.startswith("SIMULATED by ")
     assert all(banner == desk.banner for banner in desk.banners)
@@ -197,14 +199,14 @@ def test_simulated_experiments_never_look_real(lab):
 def test_a_search_that_went_another_way_tells_nothing(lab):
     done = _done(lab, n=1, mode="each")
     trace, box = done.outcome.found[0].trace, box_of(done.request.space)
-    feasible = Desk(done).comparer.feasible
+    feasible = CalibrationReportData(done).comparer.feasible
 
     went = retraced(done.request, trace, box, feasible)
     assert went.begins[:2].tolist() == [0, 1]
     assert went.ends == []
     elsewhere = trace._replace(points=trace.points + 1e-9)
     assert retraced(done.request, elsewhere, box, feasible) is UNKNOWN
-    squares = done.request.model_copy(update={"optimiser": Choice(name="least-squares")})
+    squares = done.request.model_copy(update={"optimiser": NamedOptions(name="least-squares")})
     assert retraced(squares, trace, box, feasible) is UNKNOWN
 
 
@@ -224,7 +226,7 @@ def test_pictures_of_a_search_with_failed_evaluations(lab, tmp_path):
     errors[1::3] = np.inf
     failed = replace(one, trace=one.trace._replace(errors=errors))
     broken = replace(done, outcome=replace(done.outcome, found=(failed,)))
-    search = next(p for p in pictures_of(Desk(broken)) if p.name == "search")
+    search = next(p for p in pictures_of(CalibrationReportData(broken)) if p.name == "search")
     low, high = search.chart.figure().axes[0].get_ylim()
     assert high < 10.0 * np.sqrt(errors[np.isfinite(errors)].max())
     assert low > 0.0

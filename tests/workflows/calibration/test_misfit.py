@@ -22,8 +22,13 @@ from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.detail import tell
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.report_data import Desk
-from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
+from fixel.workflows.calibration.report_data import CalibrationReportData
+from fixel.workflows.calibration.request import (
+    LEAST_SQUARES,
+    CalibrationRequest,
+    NamedOptions,
+    entry_of,
+)
 from fixel.workflows.calibration.stored import calibrated, parameters_of, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
 from fixel.workflows.report.of_calibration import calibration_warnings, parameters_section
@@ -40,10 +45,10 @@ def found(tmp_path_factory):
             store.add_experiment(one)
         chosen = run.choose(store, (), Query())
     scenes = [target.case.scene for target in chosen.targets]
-    request = Request(
+    request = CalibrationRequest(
         mode="joint",
         unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes)],
-        optimiser=Choice(name=LEAST_SQUARES),
+        optimiser=NamedOptions(name=LEAST_SQUARES),
         motion="quasistatic",
     )
     folder = run.prepare(project, chosen, request)
@@ -70,7 +75,9 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         told = tell(project, store, done.ids[-1])
         one = calibrated(store, done.ids[-1])
     summary = done.summary()["found"][-1]
-    chart = next(p.chart for p in pictures_of(Desk(done)) if p.name == "parameters")
+    chart = next(
+        p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "parameters"
+    )
     report = {row[0]: row[1] for row in parameters_section(one, []).tables[0].rows}
     lines = lines_of(done, project.folder, [])
     for row, drawn in zip(told.rows, chart.rows, strict=True):

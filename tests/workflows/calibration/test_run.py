@@ -14,7 +14,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.errors import InvalidInput
-from fixel.jobs.work import Stopped
+from fixel.jobs.work import StopRequest
 from fixel.model import Trajectory, UniformPressure
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
@@ -25,14 +25,19 @@ from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.detail import listed
 from fixel.workflows.calibration.files import read_targets, target_files
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted, held, read_space
-from fixel.workflows.calibration.request import Choice, Request, entry_of, usual_optimiser
+from fixel.workflows.calibration.request import (
+    CalibrationRequest,
+    NamedOptions,
+    entry_of,
+    usual_optimiser,
+)
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers
 from fixel.workflows.calibration.stored import calibrated, searched_space
 from fixel.workflows.jobs import run_here, status_of
 from fixel.workflows.project.filters import view_of
 
 PLANNED = thesis_plan().experiments
-QUICK = Choice(name="pattern-search", options={"threshold_delta": 0.05})
+QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.05})
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +64,9 @@ def _request(chosen, **changes):
     scenes = [target.case.scene for target in chosen.targets]
     names = ["mu_pusher", "tripod_radius_mm=10:60:30"]
     unknowns = [entry_of(u) for u in fitted(names, scenes)]
-    return Request(**({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes))
+    return CalibrationRequest(
+        **({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes)
+    )
 
 
 def _done(project, chosen, request):
@@ -158,7 +165,7 @@ def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, 
         if progress.done >= 1:
             raise KeyboardInterrupt
 
-    with pytest.raises((KeyboardInterrupt, Stopped)):
+    with pytest.raises((KeyboardInterrupt, StopRequest)):
         run.run(folder, progress=stop_soon)
     assert run.prepare(project, chosen, request) == folder
     run.run(folder)
@@ -257,7 +264,7 @@ run.run(Path({str(folder)!r}))
 
 def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
     """A root mean square is kept as its square, and shown in mm."""
-    request = _request(chosen, mode="joint", error=Choice(name="root-mean-square"))
+    request = _request(chosen, mode="joint", error=NamedOptions(name="root-mean-square"))
     done = _done(project, chosen, request)
     (one,) = done.outcome.together
     with project.store() as store:
@@ -283,7 +290,7 @@ def _many(chosen, speeds=3, each=20):
         for speed in range(speeds)
         for k in range(each * (speed + 1))
     ]
-    return run.Chosen(ids=list(range(len(targets))), targets=targets, left_out={})
+    return run.ExperimentSelection(ids=list(range(len(targets))), targets=targets, left_out={})
 
 
 def test_a_sample_keeps_the_share_of_every_condition_and_follows_its_seed(chosen):
@@ -331,7 +338,7 @@ def test_least_squares_is_the_usual_search_for_sums_of_squares():
 @pytest.mark.parametrize("optimiser", ["pattern-search", "least-squares"])
 def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project, chosen, optimiser):
     request = _request(
-        chosen, mode="joint", optimiser=Choice(name=optimiser), budget=1e-6, verdicts=True
+        chosen, mode="joint", optimiser=NamedOptions(name=optimiser), budget=1e-6, verdicts=True
     )
     folder = run.prepare(project, chosen, request)
 
@@ -426,9 +433,12 @@ def test_space_files_that_cannot_be(tmp_path, content, said):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"error": Choice(name="mean-sqare")}, "did you mean 'mean-square'"),
-        ({"optimiser": Choice(name="simplex")}, "expected one of pattern-search"),
-        ({"optimiser": Choice(name="pattern-search", options={"delta": 1})}, "the option delta"),
+        ({"error": NamedOptions(name="mean-sqare")}, "did you mean 'mean-square'"),
+        ({"optimiser": NamedOptions(name="simplex")}, "expected one of pattern-search"),
+        (
+            {"optimiser": NamedOptions(name="pattern-search", options={"delta": 1})},
+            "the option delta",
+        ),
         ({"motion": "static"}, "one of dynamic"),
         ({"noise_position": 1e-4}, "both, or neither"),
         ({"unknowns": []}, "no unknown"),
@@ -443,7 +453,7 @@ def test_what_cannot_be_asked_for_is_refused_before_work_starts(project, chosen,
 def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
     request = _request(
         chosen,
-        error=Choice(name="end-pose", options={"angle_scale": 0.05}),
+        error=NamedOptions(name="end-pose", options={"angle_scale": 0.05}),
         noise_position=1e-4,
         noise_angle=2e-3,
         motion="quasistatic",

@@ -23,7 +23,7 @@ def test_a_check_that_breaks_has_failed(monkeypatch):
     monkeypatch.setattr(self_test, "_CHECKS", {"broken": broken})
 
     assert self_test.self_test() == [
-        self_test.Check("broken", False, "ZeroDivisionError: oh no", None)
+        self_test.SelfCheck("broken", False, "ZeroDivisionError: oh no", None)
     ]
 
 

@@ -9,11 +9,11 @@ from fixel.cli.main import app
 from fixel.database.query import Query
 from fixel.domain.domain import Claim
 from fixel.workflows.domain.commands import command_of
-from fixel.workflows.domain.request import Asked
+from fixel.workflows.domain.request import DomainRequest
 
 
 def test_every_option_of_the_command_that_is_written_is_one():
-    asked = Asked(
+    asked = DomainRequest(
         query=Query(dataset="mit", conditions={"surface": "abs"}, flagged=True),
         calibration=3,
         fit=("mu_pusher=0:1:0.2",),
@@ -34,4 +34,4 @@ def test_every_option_of_the_command_that_is_written_is_one():
     assert words[:4] == ["fixel", "domain", "--project", "my lab"]
     assert "--all" in words
     relative = Claim(threshold=1.0, measure="relative")
-    assert command_of(Path(), Asked(), relative) == "fixel domain --relative 1"
+    assert command_of(Path(), DomainRequest(), relative) == "fixel domain --relative 1"

@@ -22,7 +22,7 @@ from fixel.workflows.calibration.result import GROWTH
 from fixel.workflows.calibration.stored import calibrated
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import explore, threshold_in
-from fixel.workflows.growth.run import Asked, run_growth
+from fixel.workflows.growth.run import GrowthRequest, run_growth
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
 
 def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
     project, _ = lab
-    found, done = run_growth(project, Asked(threshold="2.0", sizes={"y": (3,)}))
+    found, done = run_growth(project, GrowthRequest(threshold="2.0", sizes={"y": (3,)}))
     assert len(kept(project, "growth")) == 1
     assert {shown.name for shown in done.analysis.pictures} == {
         "growth_matrix", "growth_steps", "axis_square_x", "axis_square_y", "axis_square_theta",

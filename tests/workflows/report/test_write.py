@@ -23,8 +23,8 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.request import Choice, Request, entry_of
-from fixel.workflows.calibration.stored import Calibrated, calibrated
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.bibliography import WORKS, bibtex, line, works
 from fixel.workflows.report.of_calibration import calibration_warnings
@@ -45,10 +45,10 @@ def project(tmp_path_factory):
             store.add_experiment(experiment)
         chosen = run.choose(store, (), Query())
     scenes = [target.case.scene for target in chosen.targets]
-    request = Request(
+    request = CalibrationRequest(
         mode="joint",
         unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)],
-        optimiser=Choice(name="pattern-search", options={"threshold_delta": 0.2}),
+        optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
         verdicts=False,
     )
     folder = run.prepare(made, chosen, request)
@@ -172,7 +172,7 @@ def test_verdicts_become_warnings(project):
         Estimate(label=f"p{k}", unit="-", value=1.0, verdict=verdict)
         for k, verdict in enumerate(verdicts)
     )
-    words = calibration_warnings(Calibrated(1, replace(one.record, estimates=estimates)), {})
+    words = calibration_warnings(CalibratedValues(1, replace(one.record, estimates=estimates)), {})
     assert [any(word.startswith(f"p{k} ") for word in words) for k in range(4)] == [
         True,
         True,

@@ -17,7 +17,7 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.analysis import kept
-from fixel.workflows.calibration.stored import Calibrated
+from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.uncertainty import report
 from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 
@@ -131,7 +131,7 @@ def _beside(low, high, quantiles, of=1):
         estimates=(estimate,),
     )
     found = SimpleNamespace(
-        compared=Calibrated(7, record),
+        compared=CalibratedValues(7, record),
         predicted=[SimpleNamespace(held_out=False)] * of,
         posterior=SimpleNamespace(
             labels=("mu_pusher",), units=("-",), quantiles=lambda: np.array(quantiles)[:, None]

@@ -35,7 +35,7 @@ MOST_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushe
 
 @final
 @dataclass(frozen=True, slots=True)
-class Table:
+class CsvRows:
     """Rows of a CSV file, as text until asked for numbers.
 
     Parameters
@@ -93,7 +93,7 @@ class Table:
         return value
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> CsvRows:
     """The rows of a CSV file, plain or compressed with gzip."""
     opened = gzip.open if path.suffix == ".gz" else open
     try:
@@ -116,7 +116,7 @@ def read_table(path: Path) -> Table:
                 found=f"{len(row)} cells",
                 expected=f"{len(header)}, as in the header",
             )
-    return Table(path.name, dict(zip(header, zip(*body, strict=True), strict=True)))
+    return CsvRows(path.name, dict(zip(header, zip(*body, strict=True), strict=True)))
 
 
 def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from fixel.datasets.raw.base import (
     MM,
+    CsvRows,
     FloatArray,
-    Table,
     ellipse,
     member,
     only_file,
@@ -50,7 +50,7 @@ class MitPushes:
 
     Attributes
     ----------
-    table : Table
+    table : CsvRows
         The rows as they stand in the file; every array below has one row for each.
     shapes : mapping from name to Shape
         In the frame of the dataset's poses.
@@ -68,7 +68,7 @@ class MitPushes:
 
     name: ClassVar[str] = "mit_push_endpoints"
     folder: Path
-    table: Table
+    table: CsvRows
     shapes: dict[str, Shape]
     start: FloatArray
     end: FloatArray

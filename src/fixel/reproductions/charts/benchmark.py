@@ -30,7 +30,7 @@ SHADES: Final = (palette.BODY, palette.TOUCHED, palette.CONE, palette.TRAIL, pal
 HALF: Final = 0.5
 
 
-class Panel(NamedTuple):
+class ProtocolPanel(NamedTuple):
     """One protocol."""
 
     protocol: str
@@ -43,7 +43,7 @@ class Panel(NamedTuple):
 class BenchmarkPicture(NamedTuple):
     """Protocols in order; the groups of the first are drawn one by one."""
 
-    panels: Sequence[Panel]
+    panels: Sequence[ProtocolPanel]
 
     @classmethod
     def of(cls, scored: Sequence[tuple[str, Sequence[Any], Any, Any]]) -> BenchmarkPicture:
@@ -56,7 +56,7 @@ class BenchmarkPicture(NamedTuple):
                 for model in position
             }
             groups = [f"{row['surface']} {row['shape']}" for row in fine]
-            panels.append(Panel(protocol, groups, mean, position, angle))
+            panels.append(ProtocolPanel(protocol, groups, mean, position, angle))
         return cls(panels)
 
 
@@ -79,7 +79,7 @@ def _fill(figure: Figure, picture: BenchmarkPicture) -> None:
     figure.legend(handles, labels, frameon=False, loc="outside lower right", ncols=4)
 
 
-def _groups(axes: Axes, panel: Panel) -> None:
+def _groups(axes: Axes, panel: ProtocolPanel) -> None:
     """Mean errors of the groups, a line each from the worst model to the best."""
     place = np.arange(len(panel.groups))[::-1]
     shown = [model for model in MODELS if model in panel.mean]

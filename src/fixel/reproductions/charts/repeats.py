@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Table, clean, legend_below, log_scale, sheet
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    ChartTable,
+    clean,
+    legend_below,
+    log_scale,
+    sheet,
+)
 from fixel.kernels.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -50,10 +58,10 @@ class RepeatPicture(AbstractChart):
         legend_below(figure, [left])
         return figure
 
-    def table(self) -> Table:
+    def table(self) -> ChartTable:
         names = ("measured", "median", "least", "limit")
         columns = tuple(f"{n}_{unit}" for n in names for unit in ("m", "rad"))
-        return Table(
+        return ChartTable(
             ("group", "kind", *columns),
             [
                 (g.name, g.kind, *(float(x) for n in names for x in getattr(g, n)))

@@ -6,7 +6,7 @@ import time as clock
 from pathlib import Path
 
 from fixel.datasets.raw import MitPushes, RpiTrials, read_dataset
-from fixel.reproductions.replay.choose import Choice, columns_and_values, names_and_numbers
+from fixel.reproductions.replay.choose import ReplayRequest, columns_and_values, names_and_numbers
 from fixel.reproductions.replay.mit_push import replay_pushes
 from fixel.reproductions.replay.mit_timeseries import replay_runs
 from fixel.reproductions.replay.report import Progress, Replay, Timing
@@ -14,7 +14,7 @@ from fixel.reproductions.replay.rpi_2dgad import replay_trials
 
 
 def replay_dataset(
-    folder: str | Path, choice: Choice | None = None, progress: Progress | None = None
+    folder: str | Path, choice: ReplayRequest | None = None, progress: Progress | None = None
 ) -> Replay:
     """Replay the pushes of a folder.
 
@@ -22,7 +22,7 @@ def replay_dataset(
     ----------
     folder : str or Path
         One of the datasets that `fixel.datasets.raw` knows.
-    choice : Choice, optional
+    choice : ReplayRequest, optional
         Which records, with which values; all of them with nominal values where left out.
     progress : callable, optional
         Told after each part how many records of how many are done, and what they are.
@@ -34,7 +34,7 @@ def replay_dataset(
     InvalidInput
         Files, a selection or a value that cannot be.
     """
-    choice = choice or Choice(select={}, settings={})
+    choice = choice or ReplayRequest(select={}, settings={})
     progress = progress or _silent
     started = clock.perf_counter()
     data = read_dataset(Path(folder))
@@ -65,8 +65,8 @@ def _silent(done: int, of: int, what: str) -> None:
 
 
 __all__ = [
-    "Choice",
     "Replay",
+    "ReplayRequest",
     "Timing",
     "columns_and_values",
     "draw_replay",

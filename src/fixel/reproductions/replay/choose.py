@@ -16,7 +16,7 @@ from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
+class ReplayRequest:
     """What the caller asks of a replay.
 
     Parameters

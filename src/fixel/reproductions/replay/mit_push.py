@@ -22,7 +22,13 @@ from fixel.model import (
     pose_error,
 )
 from fixel.reproductions.charts.replay import PushExample, PushPicture
-from fixel.reproductions.replay.choose import Choice, matching, motion_named, settings_from, spread
+from fixel.reproductions.replay.choose import (
+    ReplayRequest,
+    matching,
+    motion_named,
+    settings_from,
+    spread,
+)
 from fixel.reproductions.replay.report import (
     FloatArray,
     Progress,
@@ -48,14 +54,14 @@ FAR = 1.0  # where the template's pusher waits, clear of the object [m]
 
 
 def replay_pushes(
-    data: MitPushes, choice: Choice, progress: Progress, reading: float = 0.0
+    data: MitPushes, choice: ReplayRequest, progress: Progress, reading: float = 0.0
 ) -> Replay:
     """Simulate recorded pushes from their measured start along their measured stroke.
 
     Parameters
     ----------
     data : MitPushes
-    choice : Choice
+    choice : ReplayRequest
     progress : callable
     reading : float
         Time it took to read the data [s].
@@ -148,7 +154,7 @@ def _whole(name: str, value: float) -> int:
     return int(value)
 
 
-def _usable(data: MitPushes, choice: Choice) -> tuple[NDArray[np.intp], dict[str, int]]:
+def _usable(data: MitPushes, choice: ReplayRequest) -> tuple[NDArray[np.intp], dict[str, int]]:
     """Rows to replay, and how many were left out for which reason."""
     fits = matching(data.table.columns, choice.select, len(data))
     astray = (np.abs(data.gap_start) > LARGEST_GAP) | (data.gap_end < -LARGEST_GAP)

@@ -23,7 +23,13 @@ from fixel.model import (
     pose_error,
 )
 from fixel.reproductions.charts.replay import WindowCurve, WindowPicture
-from fixel.reproductions.replay.choose import Choice, matching, motion_named, settings_from, spread
+from fixel.reproductions.replay.choose import (
+    ReplayRequest,
+    matching,
+    motion_named,
+    settings_from,
+    spread,
+)
 from fixel.reproductions.replay.report import (
     FloatArray,
     Progress,
@@ -53,7 +59,7 @@ DEEPEST, FARTHEST = 2e-3, 2e-3
 WRITTEN_EVERY = 0.1
 
 
-class Window(NamedTuple):
+class RunWindow(NamedTuple):
     """A stretch of a run; times from its start."""
 
     run: PushRun
@@ -67,10 +73,10 @@ class Window(NamedTuple):
     gap: FloatArray  # (n,) of the tip, at the waypoints [m]
 
 
-class Outcome(NamedTuple):
+class WindowOutcome(NamedTuple):
     """What came of one window."""
 
-    window: Window
+    window: RunWindow
     motion: str
     status: int
     pose: FloatArray  # (n_sample, 3)
@@ -78,13 +84,15 @@ class Outcome(NamedTuple):
     angle: FloatArray  # (n_sample,) absolute error [rad]
 
 
-def replay_runs(data: PushRuns, choice: Choice, progress: Progress, reading: float = 0.0) -> Replay:
+def replay_runs(
+    data: PushRuns, choice: ReplayRequest, progress: Progress, reading: float = 0.0
+) -> Replay:
     """Drive the measured path of the pusher, window by window.
 
     Parameters
     ----------
     data : PushRuns
-    choice : Choice
+    choice : ReplayRequest
     progress : callable
     reading : float
         Time it took to read the data [s].
@@ -136,7 +144,7 @@ def replay_runs(data: PushRuns, choice: Choice, progress: Progress, reading: flo
     )
 
 
-def cut(run: PushRun, length: float) -> list[Window]:
+def cut(run: PushRun, length: float) -> list[RunWindow]:
     """Equal windows of about that length [s]; 0 for one window."""
     begin = max(float(run.pusher[0, 0]), float(run.object.time[0]))
     end = min(float(run.pusher[-1, 0]), float(run.object.time[-1]))
@@ -150,7 +158,7 @@ def cut(run: PushRun, length: float) -> list[Window]:
     ]
 
 
-def doubt(window: Window) -> str | None:
+def doubt(window: RunWindow) -> str | None:
     """Why a window says nothing about pushing, if so."""
     if window.gap[0] < -DEEPEST:
         return "tip starts more than 2 mm inside the object: tracking lost"
@@ -167,13 +175,13 @@ def usual_motion(run: PushRun, mu_support: float) -> str:
     return "dynamic" if coast > LONGEST_COAST else "quasistatic"
 
 
-def _window(run: PushRun, number: int, begin: float, end: float) -> Window:
+def _window(run: PushRun, number: int, begin: float, end: float) -> RunWindow:
     instants = run.pusher[:, 0]
     inner = instants[(instants > begin) & (instants < end)]
     time = np.concatenate(([begin], inner, [end]))
     tip = np.column_stack([np.interp(time, instants, column) for column in run.pusher.T[1:]])
     seen = run.object.time[(run.object.time > begin) & (run.object.time <= end)]
-    return Window(
+    return RunWindow(
         run=run,
         number=number,
         begin=begin,
@@ -186,16 +194,16 @@ def _window(run: PushRun, number: int, begin: float, end: float) -> Window:
     )
 
 
-def _outcome(window: Window, settings: dict[str, float], choice: Choice) -> Outcome:
+def _outcome(window: RunWindow, settings: dict[str, float], choice: ReplayRequest) -> WindowOutcome:
     motion = motion_named(choice.motion or usual_motion(window.run, settings["mu_support"]))
     result = _simulate(window, settings, motion)
     pose = result.pose_of("object")[0]
     position, angle = pose_error(pose, window.measured)
-    return Outcome(window, motion.name, int(result.status[0]), pose, position, np.abs(angle))
+    return WindowOutcome(window, motion.name, int(result.status[0]), pose, position, np.abs(angle))
 
 
 def _simulate(
-    window: Window, settings: dict[str, float], motion: AbstractMotionModel
+    window: RunWindow, settings: dict[str, float], motion: AbstractMotionModel
 ) -> BatchResult:
     run = window.run
     way = float(np.hypot(*np.diff(window.waypoints[:, 1:3], axis=0).T).sum())
@@ -239,7 +247,7 @@ def _simulate(
     return result
 
 
-def _row(outcome: Outcome) -> Row:
+def _row(outcome: WindowOutcome) -> Row:
     window = outcome.window
     travel = np.diff(np.vstack((window.start, window.measured))[:, :2], axis=0)
     written = np.searchsorted(
@@ -269,7 +277,7 @@ def _row(outcome: Outcome) -> Row:
     }
 
 
-def _aggregates(outcomes: list[Outcome]) -> list[Row]:
+def _aggregates(outcomes: list[WindowOutcome]) -> list[Row]:
     names = list(dict.fromkeys(outcome.window.run.name for outcome in outcomes))
     groups = [(name, [o for o in outcomes if o.window.run.name == name]) for name in names]
     if len(groups) > 1:
@@ -277,7 +285,7 @@ def _aggregates(outcomes: list[Outcome]) -> list[Row]:
     return [{"run": name, **_aggregate(own)} for name, own in groups]
 
 
-def _aggregate(outcomes: list[Outcome]) -> Row:
+def _aggregate(outcomes: list[WindowOutcome]) -> Row:
     rows = [_row(outcome) for outcome in outcomes]
     return {
         "windows": len(rows),
@@ -305,7 +313,7 @@ def _notes(runs: list[PushRun], left_out: Counter[str]) -> list[str]:
     return notes
 
 
-def _picture(outcomes: list[Outcome]) -> WindowPicture:
+def _picture(outcomes: list[WindowOutcome]) -> WindowPicture:
     return WindowPicture(
         [
             WindowCurve(

@@ -21,7 +21,13 @@ from fixel.model import (
     pose_error,
 )
 from fixel.reproductions.charts.replay import TrialCurve, TrialPicture
-from fixel.reproductions.replay.choose import Choice, matching, motion_named, settings_from, spread
+from fixel.reproductions.replay.choose import (
+    ReplayRequest,
+    matching,
+    motion_named,
+    settings_from,
+    spread,
+)
 from fixel.reproductions.replay.report import (
     ANGLE_LENGTH,
     FloatArray,
@@ -45,7 +51,7 @@ LAB_STEP = 1.0 / FRAME_RATE
 OBJECT, ACTUATOR = "object", "actuator"
 
 
-class Motion(NamedTuple):
+class ObjectMotion(NamedTuple):
     """Poses of the object at video frames."""
 
     frame: FloatArray  # (n,)
@@ -53,7 +59,7 @@ class Motion(NamedTuple):
 
 
 def replay_trials(
-    data: RpiTrials, choice: Choice, progress: Progress, reading: float = 0.0
+    data: RpiTrials, choice: ReplayRequest, progress: Progress, reading: float = 0.0
 ) -> Replay:
     """Drive the measured actuator path of every complete trial, and set the laboratory's own
     simulation beside it.
@@ -61,7 +67,7 @@ def replay_trials(
     Parameters
     ----------
     data : RpiTrials
-    choice : Choice
+    choice : ReplayRequest
     progress : callable
     reading : float
         Time it took to read the data [s].
@@ -228,19 +234,19 @@ def _lab(trial: RpiTrial) -> LabSimulation:
     return trial.lab
 
 
-def _parameters(trial: RpiTrial, choice: Choice) -> tuple[Parameters, float]:
+def _parameters(trial: RpiTrial, choice: ReplayRequest) -> tuple[Parameters, float]:
     nominal = {**trial.parameters, "gravity": GRAVITY}
     values = settings_from(nominal, choice.settings)
     gravity = values.pop("gravity")
     return Parameters(values), gravity
 
 
-def _replay_trial(trial: RpiTrial, choice: Choice) -> tuple[list[Row], TrialPicture]:
+def _replay_trial(trial: RpiTrial, choice: ReplayRequest) -> tuple[list[Row], TrialPicture]:
     parameters, gravity = _parameters(trial, choice)
     motion = motion_named(choice.motion or "dynamic")
     valid = (trial.frame >= trial.start_frame) & (trial.frame <= trial.end_frame)
     time = trial.time[valid] - trial.time[valid][0]
-    measured = Motion(trial.frame[valid].astype(np.float64), trial.object_pose[valid])
+    measured = ObjectMotion(trial.frame[valid].astype(np.float64), trial.object_pose[valid])
     rows: list[Row] = []
     curves = [TrialCurve("measured", time, measured.pose)]
     for path, label in ((trial.marker, "actuator marker"), (trial.filtered, "smoothed actuator")):

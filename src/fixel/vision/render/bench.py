@@ -11,12 +11,12 @@ from fixel.model import Scene
 from fixel.model.fields import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import Canvas, FloatPicture, Window
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.plate import backdrop, falloff
 from fixel.vision.render.shadows import shade, shadow_window
-from fixel.vision.render.solids import Placed, Solid, painting_order, place
+from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
 from fixel.vision.render.things import (
     body_solid,
     fixel_solid,
@@ -32,7 +32,7 @@ Poses = Mapping[str, FloatArray]
 HAND: Final = "hand"  # name of its pose among those of bodies and pushers
 
 
-class Bench:
+class RenderedBench:
     """Pictures of a scene on the bench.
 
     What rests is painted once; what moves, in the window that it and its shadows can touch.
@@ -68,7 +68,7 @@ class Bench:
         self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
         self._plate = backdrop(rig, self._eye, seed)
         self._falloff = falloff(self._eye, looks.vignetting)
-        self._still = self._developed(Window(0, 0, *self._size), self._painted([]))
+        self._still = self._developed(PictureWindow(0, 0, *self._size), self._painted([]))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -85,7 +85,7 @@ class Bench:
             hand where there is a pose for `HAND`.
         """
         placed = [self._placed(poses) for poses in instants]
-        window = Window(0, 0, 0, 0)
+        window = PictureWindow(0, 0, 0, 0)
         for moving in placed:
             for thing in moving:
                 window = window.joined(thing.window)
@@ -102,15 +102,17 @@ class Bench:
             self._paste(picture, window, light, margin)
         return picture
 
-    def _placed(self, poses: Poses) -> list[Placed]:
+    def _placed(self, poses: Poses) -> list[PlacedSolid]:
         placed = [place(solid, poses[name], self._eye) for name, solid in self._moving]
         if HAND in poses:
             placed.append(place(self._hand, poses[HAND], self._eye))
         return placed
 
-    def _painted(self, moving: Sequence[Placed], window: Window | None = None) -> FloatPicture:
+    def _painted(
+        self, moving: Sequence[PlacedSolid], window: PictureWindow | None = None
+    ) -> FloatPicture:
         """What rests and what moves, sharp, in a window."""
-        window = window or Window(0, 0, *self._size)
+        window = window or PictureWindow(0, 0, *self._size)
         depth, eye = self._looks.shadows, self._eye
         things = [*self._resting, *moving]
         picture = self._plate[window.slices].copy()
@@ -128,7 +130,7 @@ class Bench:
         return picture
 
     def _shades(
-        self, thing: Placed, things: Sequence[Placed], window: Window
+        self, thing: PlacedSolid, things: Sequence[PlacedSolid], window: PictureWindow
     ) -> dict[float, FloatPicture]:
         """Shadows of higher things on the faces of one that has marks."""
         if not thing.solid.inks:
@@ -140,18 +142,18 @@ class Bench:
             return {}
         return {level: dimmed for _, level in thing.strokes if level is not None}
 
-    def _developed(self, window: Window, light: FloatPicture) -> FloatPicture:
+    def _developed(self, window: PictureWindow, light: FloatPicture) -> FloatPicture:
         """Blurred by the lens, darker towards the corners."""
         if self._looks.blur > 0.0:
             light = opencv().GaussianBlur(light, (0, 0), self._looks.blur)
         return np.asarray(light * self._falloff[window.slices][..., None])
 
     def _paste(
-        self, picture: FloatPicture, window: Window, light: FloatPicture, margin: int
+        self, picture: FloatPicture, window: PictureWindow, light: FloatPicture, margin: int
     ) -> None:
         """Put a window into the picture, but for the margin that blurring has spoilt."""
         light = self._developed(window, light)
-        inner = Window(
+        inner = PictureWindow(
             window.left + (margin if window.left > 0 else 0),
             window.top + (margin if window.top > 0 else 0),
             0,

@@ -13,7 +13,7 @@ from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import Canvas, FloatPicture, Stroke, Window, window_of
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.plate import falloff
@@ -80,7 +80,7 @@ class BrightField:
 
     def _sharp(self, poses: Poses) -> FloatPicture:
         picture = self._ground.copy()
-        canvas = Canvas(Window(0, 0, *self._size), picture)
+        canvas = Canvas(PictureWindow(0, 0, *self._size), picture)
         full = np.ones(picture.shape[:2], np.float32)
         still = np.zeros(3)
         for name, outline, height in self._outlines:

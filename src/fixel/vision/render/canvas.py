@@ -14,7 +14,7 @@ from fixel.vision.render.fill import cover_most, paint
 FloatPicture = NDArray[np.float32]
 
 
-class Window(NamedTuple):
+class PictureWindow(NamedTuple):
     """Columns from `left` and rows from `top` of a picture, so many of each [px]."""
 
     left: int
@@ -30,7 +30,7 @@ class Window(NamedTuple):
             slice(self.left, self.left + self.width),
         )
 
-    def joined(self, other: Window) -> Window:
+    def joined(self, other: PictureWindow) -> PictureWindow:
         """The smallest window that holds both; an empty one adds nothing."""
         if not self.width or not self.height:
             return other
@@ -39,16 +39,16 @@ class Window(NamedTuple):
         left, top = min(self.left, other.left), min(self.top, other.top)
         right = max(self.left + self.width, other.left + other.width)
         bottom = max(self.top + self.height, other.top + other.height)
-        return Window(left, top, right - left, bottom - top)
+        return PictureWindow(left, top, right - left, bottom - top)
 
-    def grown(self, margin: int, size: tuple[int, int]) -> Window:
+    def grown(self, margin: int, size: tuple[int, int]) -> PictureWindow:
         """So much larger on every side, within a picture of (width, height)."""
         left, top = max(self.left - margin, 0), max(self.top - margin, 0)
         right = min(self.left + self.width + margin, size[0])
         bottom = min(self.top + self.height + margin, size[1])
-        return Window(left, top, max(right - left, 0), max(bottom - top, 0))
+        return PictureWindow(left, top, max(right - left, 0), max(bottom - top, 0))
 
-    def meets(self, other: Window) -> bool:
+    def meets(self, other: PictureWindow) -> bool:
         """Whether they have a pixel in common."""
         return (
             self.left < other.left + other.width
@@ -58,12 +58,12 @@ class Window(NamedTuple):
         )
 
 
-def window_of(points: FloatArray, size: tuple[int, int]) -> Window:
+def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
     """The pixels that polygons with corners (n, 2) [px] can touch, in a picture (width, height)."""
     low, high = np.floor(points.min(axis=0)) - 1.0, np.ceil(points.max(axis=0)) + 1.0
     left, top = (int(x) for x in np.clip(low, 0, size))
     right, bottom = (int(x) for x in np.clip(high + 1.0, 0, size))
-    return Window(left, top, right - left, bottom - top)
+    return PictureWindow(left, top, right - left, bottom - top)
 
 
 @final
@@ -100,14 +100,14 @@ class Stroke:
     colour : (3,) float64
         Blue, green, red, from 0 to 255.
     grain : Grain
-    window : Window
+    window : PictureWindow
         What it can touch of the whole picture.
     """
 
     points: FloatArray
     starts: NDArray[np.int64]
     colour: FloatArray
-    window: Window
+    window: PictureWindow
     grain: Grain = PLAIN
 
 
@@ -116,7 +116,7 @@ class Stroke:
 class Canvas:
     """A window of a picture, in light that is linear in grey levels."""
 
-    window: Window
+    window: PictureWindow
     picture: FloatPicture
     cover: FloatArray = field(init=False)
 

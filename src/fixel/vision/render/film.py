@@ -14,7 +14,7 @@ from fixel.model.fields import FloatArray
 from fixel.simulation import Simulation
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.render.bench import HAND, Bench, Poses
+from fixel.vision.render.bench import HAND, Poses, RenderedBench
 from fixel.vision.render.bright_field import BrightField
 from fixel.vision.render.canvas import FloatPicture
 from fixel.vision.render.hand import Occlusion
@@ -27,8 +27,8 @@ MOST_INSTANTS: Final = 6
 Motion = Simulation | Mapping[str, Trajectory]
 
 
-class View(Protocol):
-    """What a film is made of: `Bench` or `BrightField`."""
+class FilmView(Protocol):
+    """What a film is made of: `RenderedBench` or `BrightField`."""
 
     @property
     def size(self) -> tuple[int, int]: ...
@@ -36,11 +36,11 @@ class View(Protocol):
     def light(self, instants: Sequence[Poses]) -> FloatPicture: ...
 
 
-def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> View:
+def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> FilmView:
     """The bench under a lamp, or the microscope's bright field."""
     if looks.lighting == "through":
         return BrightField(scene, rig, looks, seed)
-    return Bench(scene, rig, looks, seed)
+    return RenderedBench(scene, rig, looks, seed)
 
 
 def film_scene(

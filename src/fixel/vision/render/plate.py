@@ -12,7 +12,7 @@ from fixel.model.chance import stream
 from fixel.model.fields import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import Canvas, FloatPicture, Stroke, Window, window_of
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.ink import inks
 from fixel.vision.render.solids import circle, polygon
@@ -45,7 +45,7 @@ def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
     middle = _middle(eye)
     metal = _brushed(places, seed) + _sheen(places, middle)
     picture = np.asarray(WOOD * _planks(places, seed)[..., None], dtype=np.float32)
-    canvas = Canvas(Window(0, 0, *size), picture)
+    canvas = Canvas(PictureWindow(0, 0, *size), picture)
     light = np.ones(picture.shape[:2], np.float32)
     for stroke in _plate_strokes(eye, middle):
         canvas.paint(stroke, light)
@@ -92,7 +92,7 @@ def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
     size = eye.size
     share = np.zeros((size[1], size[0], 3), np.float32)
     outline = polygon(_corners(middle), eye.pixel_size()).points
-    canvas = Canvas(Window(0, 0, *size), share)
+    canvas = Canvas(PictureWindow(0, 0, *size), share)
     canvas.paint(_level(eye, outline, np.ones(3)), np.ones(share.shape[:2], np.float32))
     return share
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from fixel.model.fields import FloatArray
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import FloatPicture, Window, cover, window_of
+from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.eye import Eye
-from fixel.vision.render.solids import Placed
+from fixel.vision.render.solids import PlacedSolid
 
 COARSE: Final = 4  # [px] a value; shadows are soft
 
@@ -24,9 +24,9 @@ SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
 REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
 
 
-def shadow_window(things: Sequence[Placed], eye: Eye) -> Window:
+def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
     """The pixels on which the shadows of solids can fall on the plane."""
-    window = Window(0, 0, 0, 0)
+    window = PictureWindow(0, 0, 0, 0)
     for thing in things:
         high = thing.solid.high
         for piece in thing.footprint:
@@ -37,16 +37,16 @@ def shadow_window(things: Sequence[Placed], eye: Eye) -> Window:
 
 
 def shade(
-    window: Window, level: float, casters: Sequence[Placed], eye: Eye, depth: float
+    window: PictureWindow, level: float, casters: Sequence[PlacedSolid], eye: Eye, depth: float
 ) -> FloatPicture | None:
     """What is left of the light on a level, in a window of the picture.
 
     Parameters
     ----------
-    window : Window
+    window : PictureWindow
     level : float
         Height of the face above the plane [m].
-    casters : sequence of Placed
+    casters : sequence of PlacedSolid
         Those below the level throw none.
     eye : Eye
     depth : float

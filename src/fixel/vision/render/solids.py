@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.model import Disk, Shape
 from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
-from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, Stroke, Window, window_of
+from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, window_of
 from fixel.vision.render.eye import Eye
 
 CHORD: Final = 8.0  # [px] of a straight edge that may be drawn as a line, in spite of the lens
@@ -157,7 +157,7 @@ class Solid:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedSolid:
     """A solid at a pose, as polygons in the picture.
 
     Attributes
@@ -167,20 +167,20 @@ class Placed:
         In the world [m].
     strokes : tuple of (Stroke, float or None)
         In the order of painting; with the height on which shadows may fall, for upper faces [m].
-    window : Window
+    window : PictureWindow
         Of all strokes.
     """
 
     solid: Solid
     footprint: tuple[FloatArray, ...]
     strokes: tuple[tuple[Stroke, float | None], ...]
-    window: Window
+    window: PictureWindow
 
 
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 
-def place(solid: Solid, pose: FloatArray, eye: Eye) -> Placed:
+def place(solid: Solid, pose: FloatArray, eye: Eye) -> PlacedSolid:
     """Put a solid at a pose (3,) [m, m, rad]."""
     size = eye.size
     strokes: list[tuple[Stroke, float | None]] = []
@@ -195,7 +195,7 @@ def place(solid: Solid, pose: FloatArray, eye: Eye) -> Placed:
     for stroke, _ in strokes[1:]:
         window = window.joined(stroke.window)
     footprint = tuple(placed(piece, pose) for piece in solid.footprint)
-    return Placed(solid, footprint, tuple(strokes), window)
+    return PlacedSolid(solid, footprint, tuple(strokes), window)
 
 
 def _slab_strokes(
@@ -272,14 +272,14 @@ def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
     return Grain(solid.grain, matrix / GRAIN_PITCH)
 
 
-def painting_order(things: list[Placed], eye: FloatArray) -> list[Placed]:
+def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSolid]:
     """Those that hide others after these.
 
     Upright solids hide what lies behind them as seen from the foot of the camera. Where footprints
     overlap, the higher one is on top.
     """
     left = list(things)
-    ordered: list[Placed] = []
+    ordered: list[PlacedSolid] = []
     while left:
         # A thing that hides none of the others may be painted; in a circle, the first one is.
         free = (a for a in left if not any(_hides(a, b, eye) for b in left if b is not a))
@@ -289,7 +289,7 @@ def painting_order(things: list[Placed], eye: FloatArray) -> list[Placed]:
     return ordered
 
 
-def _hides(a: Placed, b: Placed, eye: FloatArray) -> bool:
+def _hides(a: PlacedSolid, b: PlacedSolid, eye: FloatArray) -> bool:
     """Whether some of `a` may lie before some of `b`."""
     return a.window.meets(b.window) and any(
         _piece_hides(p, q, a.solid.high >= b.solid.high, eye)

@@ -5,19 +5,19 @@ from fixel.vision.tracking.follow import AUTO, METHODS, track
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
 from fixel.vision.tracking.tags import Tags
-from fixel.vision.tracking.tracked import FoundFixel, PartTrack, Tracked
+from fixel.vision.tracking.tracked import FilmTracks, FoundFixel, PartTrack
 
 __all__ = [
     "AUTO",
     "METHODS",
     "AbstractFollower",
     "AbstractTracking",
+    "FilmTracks",
     "FoundFixel",
     "PartTrack",
     "Sighting",
     "Silhouette",
     "Stickers",
     "Tags",
-    "Tracked",
     "track",
 ]

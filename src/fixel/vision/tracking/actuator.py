@@ -14,7 +14,7 @@ MOVING: Final = 0.3  # of the largest speed: below, it stands
 LEAST_TRAVEL: Final = 8.0  # standard deviations of a position, below which nothing moved
 
 
-class Motion(NamedTuple):
+class ActuatorMotion(NamedTuple):
     """How the actuator moved.
 
     Attributes
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
     back: tuple[float, float] | None = None
 
 
-def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
+def motion_of(time: FloatArray, place: FloatArray, noise: float) -> ActuatorMotion:
     """Speed of a path and its steady part.
 
     Parameters
@@ -65,7 +65,7 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
     away = np.hypot(*(place - place[0]).T)
     farthest = int(np.argmax(away))  # where it ends, unless it goes home before the film ends
     way, travel = place[farthest] - place[0], float(away[farthest])
-    still = Motion(np.zeros(len(time)), 0.0, np.zeros(2), travel, time[0], time[-1], False)
+    still = ActuatorMotion(np.zeros(len(time)), 0.0, np.zeros(2), travel, time[0], time[-1], False)
     if len(time) < 8 or travel < LEAST_TRAVEL * noise:
         return still
     direction = way / travel
@@ -81,7 +81,7 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> Motion:
     first, last = steady[0], steady[-1]
     back = first + np.flatnonzero(speed[first:last] < -MOVING * cruise)
     between = (float(time[back[0]]), float(time[back[-1]])) if len(back) else None
-    return Motion(
+    return ActuatorMotion(
         speed, cruise, direction, travel, float(time[first]), float(time[last]), True, between
     )
 

@@ -104,7 +104,7 @@ class AbstractTracking(ABC):
 
 
 @final
-class Prediction:
+class PartPrediction:
     """Where a part should be now, from where it was.
 
     Time stamps of arrival may be uneven where the pictures are not, so that the motion is also

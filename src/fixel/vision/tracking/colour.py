@@ -15,7 +15,7 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.cover import RING, cover
 from fixel.vision.tracking.loops import box_of
 from fixel.vision.tracking.optics import optics_of, seen_at
-from fixel.vision.tracking.outline import Edges, Fit, circle_edges, fit_pose
+from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose
 
 # Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
 HUES: Final = {
@@ -97,7 +97,7 @@ def _round(box: np.ndarray[tuple[int], np.dtype[np.int32]]) -> bool:
 
 def fit_sticker(
     frame: Frame, camera: Camera, sticker: Sticker, place: FloatArray, reach: float
-) -> Fit | str:
+) -> PoseFit | str:
     """Where a sticker lies, from the edge of what it covers.
 
     Its colour and that of what is around it are read where it is expected, so that it does not
@@ -117,7 +117,7 @@ def fit_sticker(
 
     Returns
     -------
-    Fit, or a reason why there is none.
+    PoseFit, or a reason why there is none.
     """
     radius = sticker.diameter / 2.0
     edges = _rim(radius, sticker.height)
@@ -126,7 +126,7 @@ def fit_sticker(
     window, corner = _window(frame, middle, RING[1] * in_pixels + RIM)
     if window is None:
         return f"the {sticker.colour} sticker is out of the picture"
-    fit: Fit | None = None
+    fit: PoseFit | None = None
     pose = np.append(place, 0.0)
     for look in (reach, 3.2):
         u, v = seen_at(camera, pose[:2], sticker.height)
@@ -146,11 +146,11 @@ def fit_sticker(
 
 
 @functools.lru_cache(maxsize=32)
-def _rim(radius: float, height: float) -> Edges:
+def _rim(radius: float, height: float) -> OutlineEdges:
     return circle_edges(radius, height, dark_inside=False, points=32)
 
 
-def _in_pixels(camera: Camera, edges: Edges, place: FloatArray) -> float:
+def _in_pixels(camera: Camera, edges: OutlineEdges, place: FloatArray) -> float:
     """Radius of a circle at a place, as the picture has it on average [px]."""
     box = np.empty((2, 2))
     if not box_of(optics_of(camera), edges.thing, np.append(place, 0.0), box):

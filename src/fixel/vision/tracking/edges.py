@@ -32,7 +32,7 @@ class EdgeLine(NamedTuple):
     normal: FloatArray
 
 
-class Found(NamedTuple):
+class EdgePoints(NamedTuple):
     """What was found there.
 
     Attributes
@@ -51,7 +51,7 @@ class Found(NamedTuple):
     clear: BoolArray
 
 
-def find_edges(picture: Gray, line: EdgeLine, reach: float) -> Found:
+def find_edges(picture: Gray, line: EdgeLine, reach: float) -> EdgePoints:
     """Where edges are along their normals.
 
     Parameters
@@ -66,4 +66,4 @@ def find_edges(picture: Gray, line: EdgeLine, reach: float) -> Found:
     found = np.empty((n, 3))
     clear = np.empty(n, dtype=np.bool_)
     edges_along(picture, line.pixel, line.normal, reach, found, clear)
-    return Found(found[:, 0], found[:, 1], found[:, 2], clear)
+    return EdgePoints(found[:, 0], found[:, 1], found[:, 2], clear)

@@ -11,7 +11,7 @@ from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Fixel
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.outline import Edges, Fit, circle_edges, fit_pose, window_of
+from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.tracked import FoundFixel
 
 REACH_FIRST: Final = 10.0  # [px] from where the scene has it
@@ -64,7 +64,7 @@ class FixelFinder:
 
     def _fit(
         self, frame: Frame, fixel: Fixel, ring: Ring, start: FloatArray, reach: float
-    ) -> tuple[Fit, Ring] | None:
+    ) -> tuple[PoseFit, Ring] | None:
         """Where a ring is, and how wide."""
         assert isinstance(fixel.shape, Disk)
         share, dark = ring
@@ -102,7 +102,7 @@ class FixelFinder:
         return tuple(result)
 
 
-def _wider(edges: Edges, fit: Fit) -> float:
+def _wider(edges: OutlineEdges, fit: PoseFit) -> float:
     """How far the edges of a circle lie beyond it, wherever its middle is [px]."""
     slope = np.column_stack((np.ones(len(edges.outward)), edges.outward))[fit.used]
     return float(np.linalg.lstsq(slope, fit.found[fit.used, 0], rcond=None)[0][0])

@@ -30,7 +30,7 @@ from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
 from fixel.vision.tracking.tag_reader import other_families, tag_corners
 from fixel.vision.tracking.tags import Tags
-from fixel.vision.tracking.tracked import PartTrack, Tracked
+from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())
@@ -50,7 +50,7 @@ def track(
     method: str | AbstractTracking = AUTO,
     register: bool = False,
     progress: Callable[[int], None] | None = None,
-) -> Tracked:
+) -> FilmTracks:
     """Find the parts of a rig in all frames of a film.
 
     Parameters
@@ -106,7 +106,7 @@ def track(
     _refuse_unseen(rig, sightings, first)
     time = np.array(times)
     doubted = plate.doubted(time)
-    return Tracked(
+    return FilmTracks(
         method=method if isinstance(method, str) else method.name,
         rig=rig,
         time=time,

@@ -96,7 +96,7 @@ def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
     return np.asarray(result)
 
 
-class _Clock(NamedTuple):
+class _MotionTimes(NamedTuple):
     """Times by which motion is judged.
 
     Attributes
@@ -110,12 +110,12 @@ class _Clock(NamedTuple):
     time: FloatArray
     slack: FloatArray
 
-    def only(self, rows: NDArray[np.int64]) -> _Clock:
+    def only(self, rows: NDArray[np.int64]) -> _MotionTimes:
         """The clock at some of the frames."""
-        return _Clock(self.time[rows], self.slack[rows])
+        return _MotionTimes(self.time[rows], self.slack[rows])
 
 
-def _clocks(time: FloatArray) -> tuple[_Clock, ...]:
+def _clocks(time: FloatArray) -> tuple[_MotionTimes, ...]:
     """The time stamps with their uncertainty, and where they are uneven a count of the frames.
 
     Stamps of arrival come late by what the computer did meanwhile, and then the frames were taken
@@ -123,11 +123,11 @@ def _clocks(time: FloatArray) -> tuple[_Clock, ...]:
     either of the clocks is believed.
     """
     scatter = stamp_scatter(time)
-    stamps = _Clock(time, SPREAD * scatter)
+    stamps = _MotionTimes(time, SPREAD * scatter)
     if not scatter.any():
         return (stamps,)
     period = (time[-1] - time[0]) / (len(time) - 1)
-    return stamps, _Clock(period * np.arange(len(time)), scatter)
+    return stamps, _MotionTimes(period * np.arange(len(time)), scatter)
 
 
 def stamp_scatter(time: FloatArray) -> FloatArray:
@@ -152,7 +152,7 @@ def stamp_scatter(time: FloatArray) -> FloatArray:
     return np.where(scatter < EVEN * period, 0.0, scatter)
 
 
-def _alone(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> BoolArray:
+def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
     """(n,) which poses agree with their neighbours neither before nor after nor around."""
     n = len(pose)
     if n < 2 * NEIGHBOURS + 1:
@@ -169,7 +169,7 @@ def _alone(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> BoolArra
 
 
 def _disagreement(
-    clock: _Clock, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    clock: _MotionTimes, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
 ) -> FloatArray:
     """(n, 2) distance [m] and angle [rad] of poses from a robust line through some neighbours."""
     time = clock.time
@@ -204,7 +204,7 @@ def _within(off: FloatArray, rate: FloatArray, slack: FloatArray) -> FloatArray:
     return np.asarray(off - late[:, None] * rate)
 
 
-def _between_jumps(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> BoolArray:
+def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
     """(n,) which poses lie on pieces of a track that do not go on from the longest one."""
     n = len(pose)
     bad = np.zeros(n, dtype=bool)
@@ -236,18 +236,20 @@ def _between_jumps(clocks: Sequence[_Clock], pose: FloatArray, scale: float) -> 
     return np.asarray(~good)
 
 
-def _lasted(clock: _Clock) -> FloatArray:
+def _lasted(clock: _MotionTimes) -> FloatArray:
     """(n - 1,) durations of steps, none much shorter than the usual one [s]."""
     step = np.diff(clock.time)
     return np.asarray(np.maximum(step, 0.25 * np.median(step)))
 
 
-def _rates(clock: _Clock, pose: FloatArray) -> FloatArray:
+def _rates(clock: _MotionTimes, pose: FloatArray) -> FloatArray:
     """(n - 1, 3) speeds from pose to pose [m/s, rad/s]."""
     return np.asarray(np.diff(pose, axis=0) / _lasted(clock)[:, None])
 
 
-def _jumps(clock: _Clock, rate: FloatArray, limit: FloatArray, fastest: FloatArray) -> BoolArray:
+def _jumps(
+    clock: _MotionTimes, rate: FloatArray, limit: FloatArray, fastest: FloatArray
+) -> BoolArray:
     """(n - 1,) which steps are farther than the speeds before and after explain."""
     step = np.diff(clock.time)
     off = _beyond(rate, *_beside(rate)) * _lasted(clock)[:, None]
@@ -258,7 +260,7 @@ def _jumps(clock: _Clock, rate: FloatArray, limit: FloatArray, fastest: FloatArr
 
 
 def _goes_on(
-    clock: _Clock,
+    clock: _MotionTimes,
     pose: FloatArray,
     pieces: tuple[np.int64, NDArray[np.int64]],
     speed: FloatArray,

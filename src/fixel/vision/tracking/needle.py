@@ -14,7 +14,7 @@ from fixel.model import Shape
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.base import Prediction, Sighting
+from fixel.vision.tracking.base import PartPrediction, Sighting
 from fixel.vision.tracking.edges import EdgeLine, find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are looked for
@@ -67,7 +67,7 @@ class NeedleFollower:
     shape: Shape
     height: float
     _needle: Needle | None = None
-    _prediction: Prediction | None = None
+    _prediction: PartPrediction | None = None
 
     def see(
         self, frame: Frame, part: FloatArray | None, dark: NDArray[np.uint8] | None
@@ -121,7 +121,7 @@ class NeedleFollower:
         scale = self.camera.metres_per_pixel(self.height)
         pose = self._pose_of(tip, needle)
         if self._prediction is None:
-            self._prediction = Prediction()
+            self._prediction = PartPrediction()
         self._prediction.seen(frame.time, pose)
         self._needle = needle
         return Sighting(

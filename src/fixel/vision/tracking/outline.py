@@ -34,7 +34,7 @@ SETTLED: Final = 0.35  # [px] of movement below which a second look at the same 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Edges(Comparable):
+class OutlineEdges(Comparable):
     """Points on the edges of a thing.
 
     Attributes
@@ -59,7 +59,7 @@ class Edges(Comparable):
         settle(self, thing=np.column_stack((self.point, self.outward, self.height)))
 
 
-class Fit(NamedTuple):
+class PoseFit(NamedTuple):
     """A pose and how far to believe it.
 
     Attributes
@@ -97,7 +97,7 @@ class Fit(NamedTuple):
 def fit_pose(
     picture: Gray,
     camera: Camera,
-    edges: Edges,
+    edges: OutlineEdges,
     pose: FloatArray,
     *,
     reach: float,
@@ -105,14 +105,14 @@ def fit_pose(
     rounds: int = 4,
     corner: tuple[int, int] = (0, 0),
     spread: float | None = 0.0,
-) -> Fit | None:
+) -> PoseFit | None:
     """Move a pose until the edges lie where the picture has them.
 
     Parameters
     ----------
     picture : (height, width) uint8
     camera : Camera
-    edges : Edges
+    edges : OutlineEdges
     pose : (3,) float64
         To start from.
     reach : float
@@ -129,7 +129,7 @@ def fit_pose(
 
     Returns
     -------
-    Fit, or None where too few edges are to be seen to tell a pose.
+    PoseFit, or None where too few edges are to be seen to tell a pose.
     """
     n, m = len(edges.point), 3 if turns else 2
     free = m + (spread is None)
@@ -162,22 +162,22 @@ def fit_pose(
     full[:m, :m] = covariance[:m, :m]
     share = np.count_nonzero(used) / n
     spread = float(step[m]) if spread is None else spread
-    return Fit(pose, full, float(residual), share, used, found, spread)
+    return PoseFit(pose, full, float(residual), share, used, found, spread)
 
 
 def fit_spread(
     picture: Gray,
     camera: Camera,
-    edges: Edges,
+    edges: OutlineEdges,
     pose: FloatArray,
     *,
     reach: float,
     last: float,
     rounds: int = 4,
     corner: tuple[int, int] = (0, 0),
-) -> Fit | None:
+) -> PoseFit | None:
     """As `fit_pose`, and how far dark spreads: as far as last time [px], where not all shows."""
-    fit: Fit | None = None
+    fit: PoseFit | None = None
     for spread in (None, last):
         fit = fit_pose(
             picture, camera, edges, pose, reach=reach, rounds=rounds, corner=corner, spread=spread
@@ -188,7 +188,7 @@ def fit_spread(
 
 
 def window_of(
-    frame: Frame, camera: Camera, edges: Edges, pose: FloatArray, reach: float
+    frame: Frame, camera: Camera, edges: OutlineEdges, pose: FloatArray, reach: float
 ) -> tuple[Gray, tuple[int, int]] | None:
     """What a fit may look at, and its corner in the picture; None where that is out of it."""
     box = np.empty((2, 2))
@@ -205,11 +205,13 @@ def window_of(
     return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)
 
 
-def circle_edges(radius: float, height: float, *, dark_inside: bool, points: int = 40) -> Edges:
+def circle_edges(
+    radius: float, height: float, *, dark_inside: bool, points: int = 40
+) -> OutlineEdges:
     """Points on a circle about the origin."""
     angle = 2.0 * np.pi * np.arange(points) / points
     outward = np.column_stack((np.cos(angle), np.sin(angle)))
-    return Edges(
+    return OutlineEdges(
         point=radius * outward,
         outward=outward if dark_inside else -outward,
         height=np.full(points, height),

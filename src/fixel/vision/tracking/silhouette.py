@@ -22,13 +22,13 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
-    Prediction,
+    PartPrediction,
     Sighting,
     Thing,
     vague,
 )
 from fixel.vision.tracking.needle import NeedleFollower
-from fixel.vision.tracking.outline import Edges, fit_spread
+from fixel.vision.tracking.outline import OutlineEdges, fit_spread
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
@@ -84,7 +84,7 @@ class Silhouette(AbstractTracking):
 class _SilhouetteFollower(AbstractFollower):
     def __init__(self, rig: Rig, things: Mapping[str, Thing]) -> None:
         part, *probe = things
-        self._part = _Outlined(rig, part, things[part])
+        self._part = _OutlineTrack(rig, part, things[part])
         self._probe = (
             NeedleFollower(
                 camera=rig.camera,
@@ -114,7 +114,7 @@ class _SilhouetteFollower(AbstractFollower):
 
 
 @final
-class _Outlined:
+class _OutlineTrack:
     """One outline, from frame to frame."""
 
     def __init__(self, rig: Rig, name: str, thing: Thing) -> None:
@@ -125,7 +125,7 @@ class _Outlined:
         self._height = rig.parts[name].height
         self._scale = rig.camera.metres_per_pixel(self._height)
         self._edges = outline_edges(thing.shape, self._height, CORNER * self._scale)
-        self._prediction = Prediction()
+        self._prediction = PartPrediction()
         self._spread = 0.0
 
     def followed(self, frame: Frame) -> Sighting:
@@ -177,7 +177,7 @@ class _Outlined:
             if sight.pose is not None and self._better(sight, best):
                 best = sight
         if best is not followed or best.pose is None:
-            self._prediction = Prediction()
+            self._prediction = PartPrediction()
         if best.pose is None:
             return Sighting(reason="nothing in the picture has its outline")
         if best is not followed:
@@ -231,7 +231,7 @@ class _Outlined:
         return starts
 
 
-def outline_edges(shape: Shape, height: float, corner: float) -> Edges:
+def outline_edges(shape: Shape, height: float, corner: float) -> OutlineEdges:
     """Points on an outline, dark inside, none within `corner` [m] of a corner."""
     if isinstance(shape, Disk):
         angle = 2.0 * np.pi * np.arange(POINTS) / POINTS
@@ -239,7 +239,7 @@ def outline_edges(shape: Shape, height: float, corner: float) -> Edges:
         point = shape.radius * outward
     else:
         point, outward = _along(shape.outline, corner)
-    return Edges(
+    return OutlineEdges(
         point=point,
         outward=outward,
         height=np.full(len(point), height),

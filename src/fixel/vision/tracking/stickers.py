@@ -17,7 +17,7 @@ from fixel.vision.marks import Rig, Sticker
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
-    Prediction,
+    PartPrediction,
     Sighting,
     Thing,
     search_margin,
@@ -89,7 +89,7 @@ class _StickeredPart:
         self._everything = everything
         self._scale = camera.metres_per_pixel(max(sticker.height for sticker in own))
         self._place = np.array([sticker.place for sticker in own])
-        self._prediction = Prediction()
+        self._prediction = PartPrediction()
         self._lost = 0
         self._why_not = ""
 

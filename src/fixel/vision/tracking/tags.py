@@ -20,7 +20,7 @@ from fixel.vision.tracking.base import (
     MARGIN,
     AbstractFollower,
     AbstractTracking,
-    Prediction,
+    PartPrediction,
     Sighting,
     Thing,
     search_margin,
@@ -29,7 +29,7 @@ from fixel.vision.tracking.base import (
 )
 from fixel.vision.tracking.loops import cells_right, cells_shown
 from fixel.vision.tracking.optics import optics_of
-from fixel.vision.tracking.outline import Edges, Fit, fit_spread, window_of
+from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
@@ -106,7 +106,7 @@ class _TaggedPart:
         self._cells = tuple(_cells_on(tag) for tag in tags)
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
-        self._prediction = Prediction()
+        self._prediction = PartPrediction()
         self._spread = 0.0
         self._lost = 0
         self._why_not = ""
@@ -170,7 +170,7 @@ class _TaggedPart:
             share=fit.share,
         )
 
-    def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
+    def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: PoseFit) -> int:
         """How many tags read as they should, at a pose."""
         optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
         agreeing = 0
@@ -182,7 +182,7 @@ class _TaggedPart:
                 agreeing += share >= AGREES
         return agreeing
 
-    def _agreeing_partly(self, picture: Gray, corner: tuple[int, int], fit: Fit) -> int:
+    def _agreeing_partly(self, picture: Gray, corner: tuple[int, int], fit: PoseFit) -> int:
         """How many tags read as they should where they show, of two sides that meet at least."""
         optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
         agreeing = 0
@@ -199,7 +199,7 @@ class _TaggedPart:
             agreeing += shown >= LEAST_SHOWN * len(white) and right >= AGREES_PARTLY * shown
         return agreeing
 
-    def _near(self, fit: Fit, pose: FloatArray) -> bool:
+    def _near(self, fit: PoseFit, pose: FloatArray) -> bool:
         """Whether a fit is so near where the part was expected that it is no other thing."""
         x, y, angle = fit.pose - pose
         off = np.hypot(x, y) + abs(angle) * max(tag.size for tag in self._tags)
@@ -243,7 +243,7 @@ class _TaggedPart:
         return window, np.array([left, top], dtype=np.float64)
 
 
-def tag_edges(tag: Tag, group: int) -> Edges:
+def tag_edges(tag: Tag, group: int) -> OutlineEdges:
     """Points on the sides of a tag's black square."""
     along = np.linspace(FROM_CORNERS, 1.0 - FROM_CORNERS, POINTS)[:, None]
     sides = [
@@ -254,14 +254,14 @@ def tag_edges(tag: Tag, group: int) -> Edges:
     point = on_tag(tag, np.concatenate(sides))
     turned = (on_tag(tag, outward) - tag.pose[:2]) / tag.size
     n = len(point)
-    return Edges(
+    return OutlineEdges(
         point=point, outward=turned, height=np.full(n, tag.height), group=np.full(n, group)
     )
 
 
-def joined(edges: Sequence[Edges]) -> Edges:
+def joined(edges: Sequence[OutlineEdges]) -> OutlineEdges:
     """All edges of a part."""
-    return Edges(
+    return OutlineEdges(
         point=np.concatenate([e.point for e in edges]),
         outward=np.concatenate([e.outward for e in edges]),
         height=np.concatenate([e.height for e in edges]),

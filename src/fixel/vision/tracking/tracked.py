@@ -125,7 +125,7 @@ class FoundFixel(Comparable):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tracked(Comparable):
+class FilmTracks(Comparable):
     """What one film shows.
 
     Attributes

@@ -25,7 +25,7 @@ class NoteOut(BaseModel):
     created_utc: str
 
 
-class RowOut(BaseModel):
+class ExperimentRowOut(BaseModel):
     """A line of the table."""
 
     id: int
@@ -53,10 +53,10 @@ class RowOut(BaseModel):
     deleted: bool
 
 
-class TableOut(BaseModel):
+class ExperimentPageOut(BaseModel):
     """One page of the table."""
 
-    experiments: list[RowOut]
+    experiments: list[ExperimentRowOut]
     total: int = Field(description="that match, on this page or not")
     faulty: int = Field(description="of these, with a fault in their data")
     meant: str | None = Field(description="a filter that was perhaps meant, where nothing matches")
@@ -85,7 +85,7 @@ class VocabularyOut(BaseModel):
     conditions: dict[str, ValuesOut]
 
 
-class AxisOut(BaseModel):
+class CoverageAxisOut(BaseModel):
     """An axis of the coverage."""
 
     name: str
@@ -96,8 +96,8 @@ class AxisOut(BaseModel):
 class CoverageOut(BaseModel):
     """How many experiments there are at each place of a plane of configurations."""
 
-    x: AxisOut
-    y: AxisOut
+    x: CoverageAxisOut
+    y: CoverageAxisOut
     number: list[list[int]] = Field(description="a row for each place along x")
     shapes: list[str]
     layouts: list[str]

@@ -12,8 +12,8 @@ from fixel.errors import NotStored
 from fixel.workflows.analysis import Kind, kept_and_not
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
-    from fixel.workflows.analysis import Kept
+    from fixel.web.project import ProjectContext
+    from fixel.workflows.analysis import StoredAnalysis
 
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
@@ -25,7 +25,7 @@ class PictureOut(BaseModel):
     caption: str
 
 
-class TableOut(BaseModel):
+class TextTableOut(BaseModel):
     """A table as people read it."""
 
     title: str
@@ -43,7 +43,7 @@ class AnalysisOut(BaseModel):
     warnings: list[str]
     headline: list[str]
     pictures: list[PictureOut]
-    tables: list[TableOut]
+    tables: list[TextTableOut]
     methods: list[str]
     command: str
     calibrations: list[int]
@@ -56,7 +56,7 @@ class AnalysesOut(BaseModel):
     unreadable: list[str] = Field(description="why others cannot be shown")
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/analyses`."""
     found = APIRouter(tags=["analyses"])
 
@@ -92,7 +92,7 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _analysis(one: Kept) -> AnalysisOut:
+def _analysis(one: StoredAnalysis) -> AnalysisOut:
     analysis = one.analysis
     return AnalysisOut(
         name=one.folder.name,
@@ -103,7 +103,7 @@ def _analysis(one: Kept) -> AnalysisOut:
         headline=list(analysis.headline),
         pictures=[PictureOut(name=p.name, caption=p.caption) for p in analysis.pictures],
         tables=[
-            TableOut(title=t.title, head=list(t.head), rows=[list(row) for row in t.rows])
+            TextTableOut(title=t.title, head=list(t.head), rows=[list(row) for row in t.rows])
             for t in analysis.tables
         ],
         methods=list(analysis.methods),

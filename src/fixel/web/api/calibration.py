@@ -19,9 +19,9 @@ from fixel.workflows.calibration.request import UnknownEntry
 from fixel.workflows.calibration.run import sampled
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
-    from fixel.web.views.calibration_progress import Watched
-    from fixel.workflows.calibration.detail import Listed, Residual, Told
+    from fixel.web.project import ProjectContext
+    from fixel.web.views.calibration_progress import CalibrationProgress
+    from fixel.workflows.calibration.detail import CalibrationDetail, CalibrationSummary, Residual
 
 MOST_LISTED: Final = 500
 MOST_KEPT: Final = 64  # calibrations at hand; what is stored never changes
@@ -104,7 +104,7 @@ class CalibrationsOut(BaseModel):
     unreadable: list[str] = Field(description="why jobs of others cannot be shown")
 
 
-class RowOut(BaseModel):
+class EstimateOut(BaseModel):
     """An unknown, in SI units."""
 
     label: str
@@ -167,7 +167,7 @@ class CalibrationOut(BaseModel):
     name: str
     unit: str = Field(description="of errors: mm^2 or mm")
     level: float = Field(description="of the intervals")
-    parameters: list[RowOut]
+    parameters: list[EstimateOut]
     residuals: list[ResidualOut] = Field(description="the worst first")
     worst: list[ResidualOut]
     objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
@@ -221,7 +221,7 @@ class UnknownIn(RequestBody):
     start: Finite
 
 
-class BeginIn(RequestBody):
+class CalibrationIn(RequestBody):
     """A calibration to begin."""
 
     filter: Filter = Field(default="", description="as on the page Experiments")
@@ -253,13 +253,13 @@ class BegunOut(BaseModel):
     stored: list[int] = Field(default_factory=list)
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/calibrations`."""
     found = APIRouter(prefix="/calibrations", tags=["calibrations"])
     watch = Watch(desk.project)
 
     @lru_cache(maxsize=MOST_KEPT)
-    def at_hand(number: int) -> Told:
+    def at_hand(number: int) -> CalibrationDetail:
         return detail.tell(desk.project, desk.store, number)
 
     @found.get("", summary="All calibrations, those of one run together")
@@ -303,7 +303,7 @@ def router(desk: Desk) -> APIRouter:
         )
 
     @found.post("", summary="Begin one, in a process of its own")
-    def start(wanted: BeginIn) -> BegunOut:
+    def start(wanted: CalibrationIn) -> BegunOut:
         entries = [
             UnknownEntry(name=one.name, low=one.low, high=one.high, nominal=one.start)
             for one in wanted.unknowns
@@ -365,12 +365,12 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _listed(one: Listed) -> ListedOut:
+def _listed(one: CalibrationSummary) -> ListedOut:
     content = one._asdict()
     return ListedOut(created_utc=content.pop("created"), **content)
 
 
-def _running(one: Watched, desk: Desk) -> dict[str, Any]:
+def _running(one: CalibrationProgress, desk: ProjectContext) -> dict[str, Any]:
     status, request = one.status.status, one.request
     left = status.left_s
     at_most = left is None and one.most is not None and one.rate > 0.0
@@ -403,14 +403,14 @@ def _running(one: Watched, desk: Desk) -> dict[str, Any]:
     }
 
 
-def _whole(one: Told, desk: Desk) -> CalibrationOut:
+def _whole(one: CalibrationDetail, desk: ProjectContext) -> CalibrationOut:
     record = one.record
     return CalibrationOut(
         id=one.id,
         name=record.name,
         unit=one.unit,
         level=one.level,
-        parameters=[RowOut(**row._asdict()) for row in one.rows],
+        parameters=[EstimateOut(**row._asdict()) for row in one.rows],
         residuals=[_residual(residual) for residual in one.residuals],
         worst=[_residual(residual) for residual in one.worst],
         objective=Array.of(one.objective) if len(one.objective) else None,

@@ -15,7 +15,7 @@ from fixel.web.views import live_comparison
 
 if TYPE_CHECKING:
     from fixel.model import Experiment
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_AT_ONCE: Final = 50  # about a second of work
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
@@ -82,7 +82,7 @@ class SimulateIn(RequestBody):
     ids: list[Id] = Field(min_length=1, max_length=MOST_AT_ONCE)
 
 
-class SimulatedOut(BaseModel):
+class NewSimulationsOut(BaseModel):
     """What came of it; those that have such a simulation, or no scene, are in neither."""
 
     stored: list[int] = Field(description="experiments")
@@ -95,7 +95,7 @@ class KeptOut(BaseModel):
     id: Id
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/experiments/{number}/comparison`."""
     found = APIRouter(tags=["compare"])
     at_hand = live_comparison.CompareDesk(desk.store)
@@ -141,13 +141,15 @@ def router(desk: Desk) -> APIRouter:
     @found.post(
         "/experiments/simulate", summary="Keep simulations with nominal values, where there is none"
     )
-    def simulate(wanted: SimulateIn) -> SimulatedOut:
-        return SimulatedOut(**at_hand.keep_nominal(wanted.ids, desk.folder)._asdict())
+    def simulate(wanted: SimulateIn) -> NewSimulationsOut:
+        return NewSimulationsOut(**at_hand.keep_nominal(wanted.ids, desk.folder)._asdict())
 
     return found
 
 
-def _answered(held: live_comparison.Held, experiment: Experiment, desk: Desk) -> ComparedOut:
+def _answered(
+    held: live_comparison.ComparedSimulation, experiment: Experiment, desk: ProjectContext
+) -> ComparedOut:
     same = experiment, desk.folder, held.parameters, held.method
     return ComparedOut(
         motion=MotionOut.of(held.motion),

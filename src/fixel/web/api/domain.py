@@ -17,7 +17,7 @@ from fixel.web.views import job_list
 from fixel.web.views.domain_views import (
     MOST_GROUPS,
     DomainDesk,
-    View,
+    MapView,
     axes_offered,
     held_out_mm,
     place_of,
@@ -27,12 +27,12 @@ from fixel.web.views.domain_views import (
 from fixel.workflows import jobs
 from fixel.workflows.domain import job
 from fixel.workflows.domain.commands import command_of
-from fixel.workflows.domain.request import Asked
+from fixel.workflows.domain.request import DomainRequest
 
 if TYPE_CHECKING:
     from fixel.domain.cells import CellAxis
-    from fixel.web.project import Desk
-    from fixel.workflows.analysis import Kept
+    from fixel.web.project import ProjectContext
+    from fixel.workflows.analysis import StoredAnalysis
 
 Measure = Literal["absolute", "relative"]
 Threshold = Annotated[
@@ -103,7 +103,7 @@ class PointOut(BaseModel):
     fold: int
 
 
-class AxisOut(BaseModel):
+class MapAxisOut(BaseModel):
     """A coordinate the map may go over."""
 
     name: str
@@ -132,7 +132,7 @@ class ViewOut(BaseModel):
     nominal: int = Field(description="number of a cell")
     counts: list[list[int]] = Field(description="experiments, by group and cell")
     points: list[PointOut]
-    axes: list[AxisOut]
+    axes: list[MapAxisOut]
     chosen: list[str] = Field(description="axes of this map")
     aside: int = Field(description="experiments left out: offset along something that is no axis")
     simulated: bool
@@ -181,7 +181,7 @@ class FitOut(BaseModel):
     seconds: float = Field(description="for how long it has been fitted to these axes")
 
 
-class BeginIn(RequestBody):
+class DomainIn(RequestBody):
     """A map to make."""
 
     by: list[Annotated[Text, Field(min_length=1, max_length=80)]] = Field(
@@ -189,7 +189,7 @@ class BeginIn(RequestBody):
     )
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/domain`."""
     found = APIRouter(tags=["domain"])
     at_hand = DomainDesk(desk.project, desk.store)
@@ -206,8 +206,8 @@ def router(desk: Desk) -> APIRouter:
         )
 
     @found.post("/domain", summary="Make a map, in a process of its own")
-    def begin(wanted: BeginIn) -> DomainJobOut:
-        asked = Asked(by=tuple(wanted.by))
+    def begin(wanted: DomainIn) -> DomainJobOut:
+        asked = DomainRequest(by=tuple(wanted.by))
         with job_list.room(desk.project.folder):
             folder = job.begin(desk.project, asked, _first_command(desk, wanted.by))
         return _job(jobs.status_of(folder))
@@ -293,14 +293,14 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _first_command(desk: Desk, by: Any) -> str:
+def _first_command(desk: ProjectContext, by: Any) -> str:
     import shlex
 
     words = ["fixel", "domain", "--project", str(desk.folder)]
     return shlex.join([*words, "--by", ",".join(by)] if by else words)
 
 
-def _listed(one: Kept) -> MapOut:
+def _listed(one: StoredAnalysis) -> MapOut:
     analysis = one.analysis
     return MapOut(
         name=one.folder.name,
@@ -325,7 +325,7 @@ def _job(one: jobs.JobStatus) -> DomainJobOut:
     )
 
 
-def _view(one: View) -> ViewOut:
+def _view(one: MapView) -> ViewOut:
     domain, question = one.domain, one.kept.analysis.question
     if len(domain.cells) * min(len(domain.groups), MOST_GROUPS) > 40_000:
         raise InvalidInput("axis", found="more cells than a page can show", expected="fewer")
@@ -363,14 +363,14 @@ def _view(one: View) -> ViewOut:
         nominal=domain.cells.nominal,
         counts=domain.counts[:MOST_GROUPS].tolist(),
         points=points,
-        axes=[AxisOut(**axis._asdict()) for axis in axes_offered(one)],
+        axes=[MapAxisOut(**axis._asdict()) for axis in axes_offered(one)],
         chosen=[axis.name for axis in domain.cells.axes],
         aside=one.aside,
         simulated=not one.gathered.is_real,
     )
 
 
-def _panel(one: View, k: int) -> PanelOut:
+def _panel(one: MapView, k: int) -> PanelOut:
     across, up = one.axes_of(k)
     return PanelOut(
         across=_strip(across), up=None if up is None else _strip(up), cells=one.table[k]

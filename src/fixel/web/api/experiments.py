@@ -10,26 +10,26 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 
-from fixel.database.browsing import Row
+from fixel.database.browsing import ExperimentRow
 from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.formats.trajectory_file import plain_numbers
 from fixel.model import Experiment, Trajectory
 from fixel.model.trajectory import turned
 from fixel.web.api._experiments import (
-    AxisOut,
+    CoverageAxisOut,
     CoverageOut,
     ExperimentOut,
+    ExperimentPageOut,
+    ExperimentRowOut,
     FlagOut,
     IdsOut,
     NoteOut,
     OutlinesOut,
-    RowOut,
     SeenOut,
     SignalOut,
     SimulationOut,
     SimulationsOut,
-    TableOut,
     TactileOut,
     TrackOut,
     TrajectoryOut,
@@ -44,7 +44,7 @@ from fixel.workflows.project.filters import coverage, view_of, vocabulary
 from fixel.workflows.project.suggestions import meant_filter
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_ROWS: Final = 500  # on one page
 MOST_THUMBNAILS: Final = 5000  # kept; about 2 kB each
@@ -59,7 +59,7 @@ Filter = Annotated[
 ]
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/experiments`, `/coverage` and `/vocabulary`."""
     found = APIRouter(tags=["experiments"])
     _add_table(found, desk)
@@ -67,7 +67,7 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _add_table(router: APIRouter, desk: Desk) -> None:
+def _add_table(router: APIRouter, desk: ProjectContext) -> None:
     @router.get("/experiments", summary="One page of the table, sorted and filtered")
     def table(
         filter: Filter = "",
@@ -75,12 +75,14 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
         descending: bool = False,
         limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
         offset: Annotated[int, Query(ge=0, le=LARGEST)] = 0,
-    ) -> TableOut:
+    ) -> ExperimentPageOut:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
         leaf = desk.store.browse(view)
         rows = [row_out(row) for row in leaf.rows]
         meant = None if leaf.total else meant_filter(desk.store, filter)
-        return TableOut(experiments=rows, total=leaf.total, faulty=leaf.faulty, meant=meant)
+        return ExperimentPageOut(
+            experiments=rows, total=leaf.total, faulty=leaf.faulty, meant=meant
+        )
 
     @router.get("/experiments/ids", summary="Ids of all that match, in order")
     def ids(
@@ -115,7 +117,9 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
     ) -> CoverageOut:
         found = coverage(desk.store, view_of(filter), x, y)
         axes = {
-            name: AxisOut(name=axis.name, edges=axis.edges.tolist(), centres=axis.centres.tolist())
+            name: CoverageAxisOut(
+                name=axis.name, edges=axis.edges.tolist(), centres=axis.centres.tolist()
+            )
             for name, axis in (("x", found.x), ("y", found.y))
         }
         return CoverageOut(
@@ -129,7 +133,7 @@ def _add_table(router: APIRouter, desk: Desk) -> None:
         )
 
 
-def _add_one(router: APIRouter, desk: Desk) -> None:
+def _add_one(router: APIRouter, desk: ProjectContext) -> None:
     store = desk.store
     drawn = Thumbnails(lambda number: thumbnail(store.experiment(number)))
 
@@ -218,10 +222,10 @@ def _add_one(router: APIRouter, desk: Desk) -> None:
         )
 
 
-def row_out(row: Row) -> RowOut:
+def row_out(row: ExperimentRow) -> ExperimentRowOut:
     """A line of the table, for JSON."""
     dx, dy = row.end[0] - row.start[0], row.end[1] - row.start[1]
-    return RowOut(
+    return ExperimentRowOut(
         id=row.id,
         dataset=row.dataset,
         name=row.name,
@@ -246,7 +250,7 @@ def row_out(row: Row) -> RowOut:
     )
 
 
-def experiment_out(desk: Desk, number: int) -> ExperimentOut:
+def experiment_out(desk: ProjectContext, number: int) -> ExperimentOut:
     """All that is known of an experiment but for what is long, for JSON."""
     experiment: Experiment = desk.store.experiment(number)
     known = plain_numbers(summary(experiment))
@@ -264,7 +268,7 @@ def experiment_out(desk: Desk, number: int) -> ExperimentOut:
     )
 
 
-def _simulation(desk: Desk, number: int) -> SimulationOut:
+def _simulation(desk: ProjectContext, number: int) -> SimulationOut:
     record = desk.store.simulation(number)
     return SimulationOut(
         id=number,

@@ -11,7 +11,7 @@ from fixel.web.api._values import RequestBody
 from fixel.workflows.project.importing import import_texts
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 MB
 
@@ -52,7 +52,7 @@ class ImportedOut(BaseModel):
     known: bool = Field(description="stored before, and left as it is")
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/import`."""
     found = APIRouter(tags=["experiments"])
 

@@ -8,10 +8,10 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, Field
 
 from fixel.web.views import job_list
-from fixel.web.views.job_list import Posted
+from fixel.web.views.job_list import JobSummary
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_LINES: Final = 2000
 JobName = Annotated[str, Path(min_length=1, max_length=255, description="of its folder")]
@@ -80,7 +80,7 @@ class LogOut(BaseModel):
     whole: bool = Field(description="whether these are all")
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/jobs`."""
     found = APIRouter(tags=["jobs"])
     project = desk.project.folder
@@ -112,12 +112,12 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _detail(job: Posted) -> JobDetailOut:
+def _detail(job: JobSummary) -> JobDetailOut:
     found = [] if job.status is None else job_list.workers(job)
     return JobDetailOut(job=job_out(job), workers=[WorkerOut(**one._asdict()) for one in found])
 
 
-def job_out(job: Posted) -> JobOut:
+def job_out(job: JobSummary) -> JobOut:
     """A job, for JSON."""
     known = job.status
     said = None if known is None else known.status

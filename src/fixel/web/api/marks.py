@@ -11,7 +11,7 @@ from fixel.model import Flag
 from fixel.web.api._values import Id, RequestBody, Text
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_MARKED: Final = 20_000  # in one act
 
@@ -20,7 +20,7 @@ class _MarkBody(RequestBody):
     ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
 
 
-class Marked(_MarkBody):
+class MarkRequest(_MarkBody):
     """Which experiments."""
 
 
@@ -50,7 +50,7 @@ class ChangedOut(BaseModel):
     changed: list[int]
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/experiments/flag` and so on; `changed` says what taking it back means."""
     found = APIRouter(tags=["marks"])
     store = desk.store
@@ -65,11 +65,11 @@ def router(desk: Desk) -> APIRouter:
         return ChangedOut(changed=store.unflag_all(asked.ids, asked.name))
 
     @found.post("/experiments/delete", summary="Leave experiments out of everything")
-    def delete(asked: Marked) -> ChangedOut:
+    def delete(asked: MarkRequest) -> ChangedOut:
         return ChangedOut(changed=store.delete_all(asked.ids))
 
     @found.post("/experiments/undelete", summary="Take deletions of experiments back")
-    def undelete(asked: Marked) -> ChangedOut:
+    def undelete(asked: MarkRequest) -> ChangedOut:
         return ChangedOut(changed=store.delete_all(asked.ids, back=True))
 
     @found.post("/experiments/note", summary="Write a note beside experiments")
@@ -78,11 +78,11 @@ def router(desk: Desk) -> APIRouter:
         return ChangedOut(changed=store.annotate(asked.ids, asked.text))
 
     @found.post("/notes/delete", summary="Delete notes, by their ids")
-    def delete_notes(asked: Marked) -> ChangedOut:
+    def delete_notes(asked: MarkRequest) -> ChangedOut:
         return ChangedOut(changed=store.delete_notes(asked.ids))
 
     @found.post("/notes/undelete", summary="Take deletions of notes back, by their ids")
-    def undelete_notes(asked: Marked) -> ChangedOut:
+    def undelete_notes(asked: MarkRequest) -> ChangedOut:
         return ChangedOut(changed=store.delete_notes(asked.ids, back=True))
 
     return found

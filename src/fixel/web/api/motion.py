@@ -11,10 +11,10 @@ from fixel.model import Disk
 from fixel.model.shape import Shape
 from fixel.web.api._values import Array, Id, Number
 from fixel.web.views.live_comparison import CompareDesk
-from fixel.web.views.motion_views import Motion, Story, story_of_experiment
+from fixel.web.views.motion_views import MotionView, Story, story_of_experiment
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_SIMULATIONS = 8
 
@@ -86,7 +86,7 @@ class MotionOut(BaseModel):
     advice: str = Field(description="what to do about it")
 
     @classmethod
-    def of(cls, motion: Motion) -> MotionOut:
+    def of(cls, motion: MotionView) -> MotionOut:
         """A motion as a document."""
         contacts, touch, errors = motion.contacts, motion.touch, motion.errors
         return cls(
@@ -160,7 +160,7 @@ Simulations = Annotated[
 ]
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/experiments/{number}/motion`."""
     found = APIRouter(tags=["motion"])
     at_hand = CompareDesk(desk.store)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 import fixel
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 
 class ProjectOut(BaseModel):
@@ -22,7 +22,7 @@ class ProjectOut(BaseModel):
     flags: dict[str, int] = Field(description="how many experiments carry each")
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/project`."""
     found = APIRouter(tags=["project"])
 

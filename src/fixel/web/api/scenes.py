@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from fastapi import APIRouter, HTTPException, Path, Request
 from pydantic import AfterValidator, BaseModel, Field
 
-from fixel.jobs.worker_process import Cancelled
+from fixel.jobs.worker_process import CallCancellation
 from fixel.web.api._values import Number, RequestBody, Text
 from fixel.web.api.motion import StoryOut
 from fixel.web.views import scene_editor
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 NOBODY_WAITS = 499  # of HTTP, as nginx counts it
 GLANCE = 0.05  # [s] between two looks whether the browser still waits
@@ -65,7 +65,7 @@ class TextOut(BaseModel):
     text: str = Field(description="YAML")
 
 
-class SimulatedOut(BaseModel):
+class SceneMotionOut(BaseModel):
     """What became of a scene."""
 
     story: StoryOut
@@ -75,7 +75,7 @@ class SimulatedOut(BaseModel):
 ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/scenes` and `/simulate`."""
     found = APIRouter(tags=["scenes"])
 
@@ -110,7 +110,7 @@ def router(desk: Desk) -> APIRouter:
         f"steps and {scene_editor.MOST_DURATION:g} s of simulated time. "
         "Ends when the connection does.",
     )
-    async def simulate(wanted: SceneIn, request: Request) -> SimulatedOut:
+    async def simulate(wanted: SceneIn, request: Request) -> SceneMotionOut:
         gone = threading.Event()
         watch = asyncio.create_task(_watch(request, gone))
         try:
@@ -123,13 +123,13 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def _simulated(scene: dict[str, Any], gone: threading.Event) -> SimulatedOut:
+def _simulated(scene: dict[str, Any], gone: threading.Event) -> SceneMotionOut:
     scene_editor.check_scene(scene)  # what cannot be needs no other process
     try:
-        answer: scene_editor.Simulated = scene_editor.beside().call(scene, gone.is_set)
-    except Cancelled:
+        answer: scene_editor.SceneMotion = scene_editor.beside().call(scene, gone.is_set)
+    except CallCancellation:
         raise HTTPException(NOBODY_WAITS, "Nobody waits for this any more.") from None
-    return SimulatedOut(story=StoryOut.of(answer.story), summary=answer.summary)
+    return SceneMotionOut(story=StoryOut.of(answer.story), summary=answer.summary)
 
 
 async def _watch(request: Request, gone: threading.Event) -> None:

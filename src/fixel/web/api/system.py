@@ -14,10 +14,10 @@ from pydantic import BaseModel, Field
 from fixel.errors import JobRefused
 from fixel.web.views import system_status
 from fixel.workflows.diagnostics.self_test import RESIDUAL
-from fixel.workflows.project.maintenance import Checked
+from fixel.workflows.project.maintenance import CheckResult
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 MOST_TROUBLES: Final = 200  # that are told of
 
@@ -123,7 +123,7 @@ class BackedUpOut(BaseModel):
 BackupName = Annotated[str, Path(min_length=1, max_length=80)]
 
 
-def router(desk: Desk) -> APIRouter:
+def router(desk: ProjectContext) -> APIRouter:
     """`/system`."""
     found = APIRouter(tags=["system"])
     project = desk.project
@@ -172,7 +172,7 @@ def router(desk: Desk) -> APIRouter:
     return found
 
 
-def system_out(desk: Desk) -> SystemOut:
+def system_out(desk: ProjectContext) -> SystemOut:
     """All of it that needs no computing, for JSON."""
     project = desk.project
     here, tables, room = (
@@ -204,13 +204,13 @@ def system_out(desk: Desk) -> SystemOut:
     )
 
 
-def _backup(kept: system_status.Kept) -> BackupOut:
+def _backup(kept: system_status.BackupFile) -> BackupOut:
     return BackupOut(
         name=kept.name, path=str(kept.file.resolve()), size_bytes=kept.size, made_utc=kept.made_utc
     )
 
 
-def _checked(found: Checked) -> DatabaseCheckOut:
+def _checked(found: CheckResult) -> DatabaseCheckOut:
     told = found.troubles[:MOST_TROUBLES]
     return DatabaseCheckOut(
         ok=not found.troubles,

@@ -9,12 +9,12 @@ from fastapi import Request
 from fixel.web.app import API, Page
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 METHODS: Final = ("get", "post", "put", "patch", "delete")
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/api`."""
     operations: list[dict[str, str]] = []
 

@@ -16,7 +16,7 @@ from fixel.workflows.calibration.result import SEARCHED
 
 if TYPE_CHECKING:
     from fixel.model.records import CalibrationRecord
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
 HIDDEN = (  # told elsewhere
@@ -24,7 +24,7 @@ HIDDEN = (  # told elsewhere
 )  # fmt: skip
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/calibrations` and below."""
     watch = Watch(desk.project)
 

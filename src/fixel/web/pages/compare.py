@@ -11,12 +11,12 @@ from fixel.errors import NotStored
 from fixel.web.app import Page
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 OFFERED: Final = 300  # names in the list from which an experiment is chosen
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/compare?experiment=KEY`."""
 
     def fill(request: Request) -> dict[str, Any]:

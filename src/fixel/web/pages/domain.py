@@ -11,10 +11,10 @@ from fixel.web.app import Page
 from fixel.workflows.analysis import kept_and_not
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/domain?map=NAME`; the newest map where left out."""
 
     def fill(request: Request) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from fixel.web.app import Page
 from fixel.workflows.project.compare import summary
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 LARGEST_ID = 2**31 - 1
 
@@ -37,7 +37,7 @@ def number_in(request: Request, what: str, hint: str) -> int:
     return number
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/experiments/{number}`."""
 
     def fill(request: Request) -> dict[str, Any]:
@@ -166,13 +166,13 @@ def _instant(iso: str) -> str:
     return f"{iso[:10]} {iso[11:16]} UTC" if len(iso) >= 16 else iso
 
 
-def command(desk: Desk, experiment: Experiment) -> str:
+def command(desk: ProjectContext, experiment: Experiment) -> str:
     """What to type for the same."""
     folder = str(desk.folder)
     return shlex.join(["fixel", "show", experiment.key, "--project", folder, "--plot", "run.png"])
 
 
-def python(desk: Desk, experiment: Experiment) -> str:
+def python(desk: ProjectContext, experiment: Experiment) -> str:
     """What to write in a script for the same."""
     folder = str(desk.folder)
     return (

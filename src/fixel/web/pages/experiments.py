@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from fixel.web.app import Page
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/experiments`."""
     context = {"folder": shlex.quote(str(desk.folder))}
     return [

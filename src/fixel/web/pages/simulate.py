@@ -12,13 +12,13 @@ from fixel.web.app import Page
 from fixel.web.views import scene_editor
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 OFFERED: Final = 300  # names in the list from which an experiment is chosen
 FIRST: Final = "grasp"  # the example that is there to begin with
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
 
     def fill(request: Request) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from fixel.web.api.system import system_out
 from fixel.web.app import Page
 
 if TYPE_CHECKING:
-    from fixel.web.project import Desk
+    from fixel.web.project import ProjectContext
 
 
-def pages(desk: Desk) -> list[Page]:
+def pages(desk: ProjectContext) -> list[Page]:
     """`/system`."""
 
     def fill(_: Request) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, TypeVar, final
 
 from fixel.errors import JobRefused
-from fixel.jobs.worker_process import Bounded, Cancelled
+from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
@@ -22,7 +22,7 @@ ENDS_WITHIN: Final = 2.0  # [s]
 
 @final
 @dataclass
-class Fit:
+class BackgroundFit:
     """One that is on its way.
 
     Attributes
@@ -58,10 +58,10 @@ class Fits(Generic[K, A]):
 
     def __init__(self, function: Callable[[Any], A]) -> None:
         self._function = function
-        self._fits: dict[K, Fit] = {}
+        self._fits: dict[K, BackgroundFit] = {}
         self._lock = threading.Lock()
 
-    def joined(self, key: K) -> Fit | None:
+    def joined(self, key: K) -> BackgroundFit | None:
         """One that is on its way, for one more who asks; raises what one has failed with."""
         with self._lock:
             fit = self._fits.get(key)
@@ -73,7 +73,7 @@ class Fits(Generic[K, A]):
             fit._asked = time.monotonic()
             return fit
 
-    def begun(self, key: K, argument: Any, put: Callable[[A], None]) -> Fit:
+    def begun(self, key: K, argument: Any, put: Callable[[A], None]) -> BackgroundFit:
         """A new one, unless somebody else was faster; `put` is told the answer.
 
         Raises
@@ -89,7 +89,7 @@ class Fits(Generic[K, A]):
                 raise JobRefused(
                     f"{MOST} maps are being fitted to other axes", hint="wait for one, or stop one"
                 )
-            fit = self._fits[key] = Fit()
+            fit = self._fits[key] = BackgroundFit()
         threading.Thread(target=self._run, args=(key, fit, argument, put), daemon=True).start()
         return fit
 
@@ -101,11 +101,11 @@ class Fits(Generic[K, A]):
             fit._stopped.set()
             fit.ended.wait(ENDS_WITHIN)
 
-    def _run(self, key: K, fit: Fit, argument: Any, put: Callable[[A], None]) -> None:
+    def _run(self, key: K, fit: BackgroundFit, argument: Any, put: Callable[[A], None]) -> None:
         try:
-            with Bounded(self._function, limit=LIMIT, hint="choose fewer cells") as beside:
+            with WorkerProcess(self._function, limit=LIMIT, hint="choose fewer cells") as beside:
                 put(beside.call(argument, fit._nobody_waits))
-        except Cancelled:
+        except CallCancellation:
             pass
         except Exception as problem:  # for who asks next
             fit._problem = problem

@@ -14,8 +14,8 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import Unknown
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
-from fixel.workflows.calibration.request import Choice, Request, UnknownEntry
-from fixel.workflows.calibration.run import Chosen, prepare, stored_points
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, UnknownEntry
+from fixel.workflows.calibration.run import ExperimentSelection, prepare, stored_points
 from fixel.workflows.calibration.unattended import MODULE
 from fixel.workflows.project.filters import view_of
 
@@ -30,7 +30,7 @@ OPTIMISERS: Final = {
 }
 
 
-class Offered(NamedTuple):
+class ParameterOption(NamedTuple):
     """A parameter one may search for."""
 
     unknown: Unknown
@@ -48,13 +48,13 @@ class Offer(NamedTuple):
         Experiments that match, but for those with a fault in their data.
     faulty : int
         Those.
-    unknowns : list of Offered
+    unknowns : list of ParameterOption
         The usual ones first.
     """
 
     ids: list[int]
     faulty: int
-    unknowns: list[Offered]
+    unknowns: list[ParameterOption]
 
 
 def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> Offer:
@@ -74,11 +74,11 @@ def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> Offer:
         except InvalidInput:
             continue
         info = info_of(name)
-        offered.append(Offered(unknown, info.unit, info.meaning, name in first))
+        offered.append(ParameterOption(unknown, info.unit, info.meaning, name in first))
     return Offer(found, faulty, offered)
 
 
-def chosen_from(store: Store, filter: str, ids: Sequence[int] = ()) -> Chosen:
+def chosen_from(store: Store, filter: str, ids: Sequence[int] = ()) -> ExperimentSelection:
     """The experiments that match and can be compared; a refusal where there are none."""
     found, _ = _matching(store, filter, ids)
     targets, kept, left_out = _targets(store, found)
@@ -90,10 +90,12 @@ def chosen_from(store: Store, filter: str, ids: Sequence[int] = ()) -> Chosen:
             expected="one at least with a scene and measured poses, and no fault",
             hint="try the filter on the page Experiments",
         )
-    return Chosen(ids=kept, targets=targets, left_out=left_out)
+    return ExperimentSelection(ids=kept, targets=targets, left_out=left_out)
 
 
-def begin(project: Project, store: Store, chosen: Chosen, request: Request) -> Path:
+def begin(
+    project: Project, store: Store, chosen: ExperimentSelection, request: CalibrationRequest
+) -> Path:
     """Run a calibration in a process of its own, which outlives this one; the folder of its job.
 
     One that was begun before, and stopped, goes on.
@@ -127,7 +129,7 @@ def request_from(
     optimiser: str,
     most: int | None,
     **more: Any,
-) -> Request:
+) -> CalibrationRequest:
     """A request out of a form's fields; `most` evaluations of a search, where that is limited."""
     options: dict[str, Any] = {}
     if most is not None:
@@ -139,12 +141,12 @@ def request_from(
                 expected="nothing; it ends by itself",
             )
         options[limits[optimiser]] = most
-    return Request.model_validate(
+    return CalibrationRequest.model_validate(
         {
             "name": name,
             "mode": mode,
             "unknowns": list(unknowns),
-            "optimiser": Choice(name=optimiser, options=options),
+            "optimiser": NamedOptions(name=optimiser, options=options),
             **more,
         }
     )

@@ -21,7 +21,7 @@ from fixel.jobs import folder as files
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows import jobs
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
-from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
 from fixel.workflows.calibration.run import MAKER, experiments_of, request_of, stored_ids
 from fixel.workflows.calibration.unattended import collected
@@ -36,7 +36,7 @@ LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 
 @final
 @dataclass
-class Progress:
+class JournalProgress:
     """What the journal of one job has said so far."""
 
     seen: int = 0  # blocks
@@ -51,7 +51,7 @@ class Progress:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Watched:
+class CalibrationProgress:
     """A calibration's job, as far as it is.
 
     Attributes
@@ -59,7 +59,7 @@ class Watched:
     name : str
         Of its folder.
     status : JobStatus
-    request : Request
+    request : CalibrationRequest
     experiments : list of int
         Ids.
     stage : str
@@ -86,7 +86,7 @@ class Watched:
 
     name: str
     status: jobs.JobStatus
-    request: Request
+    request: CalibrationRequest
     experiments: list[int]
     stage: str
     objective: list[float]
@@ -112,7 +112,7 @@ class Watch:
     def __init__(self, project: Project) -> None:
         self._project = project
         self._lock = threading.Lock()
-        self._known: dict[str, Progress] = {}
+        self._known: dict[str, JournalProgress] = {}
 
     def folder(self, name: str) -> Path:
         """Of a calibration's job; a refusal where there is none of the name."""
@@ -121,7 +121,7 @@ class Watch:
             raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
         return found
 
-    def unfinished(self) -> tuple[list[Watched], list[FixelError]]:
+    def unfinished(self) -> tuple[list[CalibrationProgress], list[FixelError]]:
         """Calibrations that are not stored yet, the newest first, and why others cannot be read.
 
         Those that are done become stored.
@@ -131,15 +131,15 @@ class Watch:
         found, unreadable = each_readable(self._look_if_open, newest)
         return [seen for seen in found if seen is not None and not seen.stored], unreadable
 
-    def _look_if_open(self, folder: Path) -> Watched | None:
+    def _look_if_open(self, folder: Path) -> CalibrationProgress | None:
         return None if stored_ids(folder) else self.look(folder)
 
-    def look(self, folder: Path, since: int = 0) -> Watched:
+    def look(self, folder: Path, since: int = 0) -> CalibrationProgress:
         """How far one is; of the objective only what came after so many evaluations."""
         status = jobs.status_of(folder)
         request, ids = request_of(folder), experiments_of(folder)
         with self._lock:
-            progress = self._known.setdefault(folder.name, Progress())
+            progress = self._known.setdefault(folder.name, JournalProgress())
             _read(folder / files.JOURNAL, progress, request, len(ids))
             objective = [_shared(e, request, len(ids)) for e in progress.objective]
             rate = 0.0 if status.ended else _rate(progress)
@@ -147,7 +147,7 @@ class Watch:
         if status.state == "done" and not stored:
             stored = self._collected(folder)
         nominal = np.array(progress.nominal)
-        return Watched(
+        return CalibrationProgress(
             name=folder.name,
             status=status,
             request=request,
@@ -175,7 +175,7 @@ class Watch:
         return [one for one in found if files.made_by(one, MAKER)]
 
 
-def _read(journal: Path, progress: Progress, request: Request, n: int) -> None:
+def _read(journal: Path, progress: JournalProgress, request: CalibrationRequest, n: int) -> None:
     """What the journal has more than last time."""
     size = journal.stat().st_size if journal.is_file() else 0
     if size == progress.size or size == 0:
@@ -190,7 +190,13 @@ def _read(journal: Path, progress: Progress, request: Request, n: int) -> None:
     progress.rate.append((time.monotonic(), len(progress.objective)))
 
 
-def _take(name: str, arrays: dict[str, Any], progress: Progress, request: Request, n: int) -> None:
+def _take(
+    name: str,
+    arrays: dict[str, Any],
+    progress: JournalProgress,
+    request: CalibrationRequest,
+    n: int,
+) -> None:
     stage, _, rest = name.rpartition(" ")[0].rpartition("/")
     first = rest == "0"
     progress.stage = stage
@@ -213,18 +219,18 @@ def _take(name: str, arrays: dict[str, Any], progress: Progress, request: Reques
         progress.objective += squares.tolist()
 
 
-def _combined(table: FloatArray, request: Request) -> FloatArray:
+def _combined(table: FloatArray, request: CalibrationRequest) -> FloatArray:
     if request.combine == "largest":
         return np.asarray(table.max(axis=1))
     return np.asarray(table.sum(axis=1) if request.combine == "sum" else table.mean(axis=1))
 
 
-def _shared(error: float, request: Request, n: int) -> float:
+def _shared(error: float, request: CalibrationRequest, n: int) -> float:
     """A sum of errors as their mean, which can be held against those of other calibrations."""
     return error / n if request.combine == "sum" else error
 
 
-def _start(nominal: FloatArray, request: Request) -> float | None:
+def _start(nominal: FloatArray, request: CalibrationRequest) -> float | None:
     if not len(nominal):
         return None
     value = float(_combined(nominal[None], request)[0])
@@ -232,7 +238,7 @@ def _start(nominal: FloatArray, request: Request) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _rate(progress: Progress) -> float:
+def _rate(progress: JournalProgress) -> float:
     now = time.monotonic()
     while len(progress.rate) > 2 and now - progress.rate[0][0] > RATE_WINDOW_S:
         progress.rate.popleft()
@@ -242,7 +248,7 @@ def _rate(progress: Progress) -> float:
     return (len(progress.objective) - count) / max(now - begun, 1e-3)
 
 
-def _most(request: Request) -> int | None:
+def _most(request: CalibrationRequest) -> int | None:
     if request.least_squares is not None or request.mode == "each":
         return None
     made = request.made_optimiser

@@ -18,14 +18,14 @@ from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, usual_threshold
-from fixel.domain.evidence import Evidence, Measure, value_of
+from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.web.views.background_fits import Fit, Fits
-from fixel.workflows.analysis import Kept, kept_and_not
-from fixel.workflows.domain.evidence import Gathered, gathered_before, mark_of
-from fixel.workflows.domain.request import Asked, asked_again
+from fixel.web.views.background_fits import BackgroundFit, Fits
+from fixel.workflows.analysis import StoredAnalysis, kept_and_not
+from fixel.workflows.domain.evidence import DomainEvidence, gathered_before, mark_of
+from fixel.workflows.domain.request import DomainRequest, asked_again
 from fixel.workflows.domain.run import is_fitted, refuse_axes, spread_out
 
 MOST_MAPS: Final = 12  # at hand
@@ -34,21 +34,21 @@ MOST_GROUPS: Final = 40
 MOST_ON_AXIS: Final = 60  # values of a text that may be an axis
 
 
-class Axis(NamedTuple):
+class MapAxis(NamedTuple):
     """A coordinate the map may go over."""
 
     name: str
     distinct: int
 
 
-class View(NamedTuple):
+class MapView(NamedTuple):
     """A map for every threshold.
 
     Attributes
     ----------
-    kept : Kept
-    asked : Asked
-    gathered : Gathered
+    kept : StoredAnalysis
+    asked : DomainRequest
+    gathered : DomainEvidence
     domain : DomainMap
     aside : int
         Experiments left out, since they were offset along something else.
@@ -56,9 +56,9 @@ class View(NamedTuple):
         Cells of every strip or grid: panels, rows from below, columns.
     """
 
-    kept: Kept
-    asked: Asked
-    gathered: Gathered
+    kept: StoredAnalysis
+    asked: DomainRequest
+    gathered: DomainEvidence
     domain: DomainMap
     aside: int
     table: list[list[list[int]]]
@@ -69,7 +69,7 @@ class View(NamedTuple):
         return self.domain.cells
 
     @property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> HeldOutErrors:
         """What the map rests on."""
         return self.domain.evidence
 
@@ -102,7 +102,7 @@ class View(NamedTuple):
         return usual_threshold(self.evidence, self.domain.measure)
 
 
-class Shown(NamedTuple):
+class ThresholdMap(NamedTuple):
     """A map at one threshold.
 
     Attributes
@@ -140,15 +140,17 @@ class DomainDesk:
     def __init__(self, project: Project, store: Store) -> None:
         self._project = project
         self._store = store
-        self._views: OrderedDict[Key, View] = OrderedDict()
+        self._views: OrderedDict[Key, MapView] = OrderedDict()
         self._fits: Fits[Key, tuple[DomainMap, int]] = Fits(_spread_out)
         self._lock = threading.Lock()  # of the views; nothing is computed under it
 
-    def maps(self) -> tuple[list[Kept], list[FixelError]]:
+    def maps(self) -> tuple[list[StoredAnalysis], list[FixelError]]:
         """The newest first, and why others cannot be read."""
         return kept_and_not(self._project, "domain")
 
-    def view(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> View:
+    def view(
+        self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None
+    ) -> MapView:
         """A map along some axes, those it was made for where left out.
 
         Raises
@@ -161,10 +163,10 @@ class DomainDesk:
             Axes or a measure that the experiments do not allow.
         """
         found = self._looked_up(name, axes, measure)
-        if isinstance(found, Fit):
+        if isinstance(found, BackgroundFit):
             found.ended.wait(PATIENCE)
             found = self._looked_up(name, axes, measure)
-        if isinstance(found, Fit):
+        if isinstance(found, BackgroundFit):
             raise JobRefused(
                 f"the map is being fitted to these axes, for {found.seconds:.0f} s so far",
                 hint="ask again in a while",
@@ -179,22 +181,24 @@ class DomainDesk:
         Where nobody has, it is begun. Raises as `view` does.
         """
         found = self._looked_up(name, axes, measure)
-        return found.seconds if isinstance(found, Fit) else None
+        return found.seconds if isinstance(found, BackgroundFit) else None
 
     def stop(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> None:
         """End the fit of a map, if there is one."""
         self._fits.stop(self._key(self._named(name), axes, measure))
 
-    def _named(self, name: str) -> Kept:
+    def _named(self, name: str) -> StoredAnalysis:
         one = next((one for one in self.maps()[0] if one.folder.name == name), None)
         if one is None:
             raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
         return one
 
-    def _key(self, one: Kept, axes: tuple[str, ...], measure: Measure | None) -> Key:
+    def _key(self, one: StoredAnalysis, axes: tuple[str, ...], measure: Measure | None) -> Key:
         return (one.folder.name, one.analysis.created, *axes, measure or "")
 
-    def _looked_up(self, name: str, axes: tuple[str, ...], measure: Measure | None) -> View | Fit:
+    def _looked_up(
+        self, name: str, axes: tuple[str, ...], measure: Measure | None
+    ) -> MapView | BackgroundFit:
         """A map at hand, or on its way: two who ask for the same wait for one answer."""
         one = self._named(name)
         key = self._key(one, axes, measure)
@@ -208,8 +212,8 @@ class DomainDesk:
         return self._begun(key, one, axes, measure)
 
     def _begun(
-        self, key: Key, one: Kept, axes: tuple[str, ...], measure: Measure | None
-    ) -> View | Fit:
+        self, key: Key, one: StoredAnalysis, axes: tuple[str, ...], measure: Measure | None
+    ) -> MapView | BackgroundFit:
         asked = asked_again(one.analysis.question)
         changed = bool(axes) or (measure or asked.measure) != asked.measure
         if axes:
@@ -221,16 +225,18 @@ class DomainDesk:
         known = {} if changed else one.arrays
         if is_fitted(known):
             domain, aside = spread_out(gathered, asked, known)
-            return self._put(key, View(one, asked, gathered, domain, aside, _table(domain.cells)))
+            return self._put(
+                key, MapView(one, asked, gathered, domain, aside, _table(domain.cells))
+            )
         refuse_axes(gathered, asked)
 
         def put(answer: tuple[DomainMap, int]) -> None:
             domain, aside = answer
-            self._put(key, View(one, asked, gathered, domain, aside, _table(domain.cells)))
+            self._put(key, MapView(one, asked, gathered, domain, aside, _table(domain.cells)))
 
         return self._fits.begun(key, (gathered, asked), put)
 
-    def _gathered(self, one: Kept, asked: Asked) -> Gathered:
+    def _gathered(self, one: StoredAnalysis, asked: DomainRequest) -> DomainEvidence:
         newest = next(iter(one.analysis.calibrations), None)
         mark = str(one.analysis.numbers.get("evidence", "")) or mark_of(self._store, asked, newest)
         gathered = gathered_before(self._project, self._store, asked, mark)
@@ -241,7 +247,7 @@ class DomainDesk:
             )
         return gathered
 
-    def _put(self, key: Key, view: View) -> View:
+    def _put(self, key: Key, view: MapView) -> MapView:
         with self._lock:
             self._views[key] = view
             while len(self._views) > MOST_MAPS:
@@ -249,11 +255,11 @@ class DomainDesk:
         return view
 
 
-def _spread_out(question: tuple[Gathered, Asked]) -> tuple[DomainMap, int]:
+def _spread_out(question: tuple[DomainEvidence, DomainRequest]) -> tuple[DomainMap, int]:
     return spread_out(*question)
 
 
-def shown(view: View, threshold: float | None, level: float, confidence: float) -> Shown:
+def shown(view: MapView, threshold: float | None, level: float, confidence: float) -> ThresholdMap:
     """A map at a threshold; its usual one where left out."""
     domain = view.domain
     claim = Claim(
@@ -270,26 +276,26 @@ def shown(view: View, threshold: float | None, level: float, confidence: float) 
         inside[g, domain.cells.component([v.colour == TRUSTED for v in own])] = 1
     every = np.array(colours)
     counts = {name: int((every == k).sum()) for k, name in enumerate(COLOURS)}
-    return Shown(claim, np.array(chance), every, inside, counts)
+    return ThresholdMap(claim, np.array(chance), every, inside, counts)
 
 
-def suggested(view: View, claim: Claim, most: int = 3) -> list[Proposal]:
+def suggested(view: MapView, claim: Claim, most: int = 3) -> list[Proposal]:
     """Experiments that would teach most."""
     return proposals(view.domain, claim, most)
 
 
-def axes_offered(view: View) -> list[Axis]:
+def axes_offered(view: MapView) -> list[MapAxis]:
     """Coordinates that differ among the experiments, and may be an axis."""
     found = []
     for name, column in sorted(view.gathered.evidence.coordinates.items()):
         values = {value for value in column if value is not None}
         text = any(isinstance(value, str) for value in values)
         if len(values) > 1 and not (text and len(values) > MOST_ON_AXIS):
-            found.append(Axis(name, len(values)))
+            found.append(MapAxis(name, len(values)))
     return found
 
 
-def held_out_mm(view: View) -> FloatArray:
+def held_out_mm(view: MapView) -> FloatArray:
     """(n,) held-out errors in the unit of the threshold: mm, or a share above the own best."""
     scores = view.domain.scores
     return np.array([value_of(s, view.domain.measure) if np.isfinite(s) else s for s in scores])

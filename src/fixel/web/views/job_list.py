@@ -39,7 +39,7 @@ class Worker(NamedTuple):
     reason: str  # why it refused
 
 
-class Posted(NamedTuple):
+class JobSummary(NamedTuple):
     """A job on the board."""
 
     name: str
@@ -67,13 +67,13 @@ class Posted(NamedTuple):
         return f"fixel jobs {verb} {shlex.quote(str(self.folder))}"
 
 
-def board(project: Path) -> list[Posted]:
+def board(project: Path) -> list[JobSummary]:
     """The jobs of a project, the newest first."""
     found = [_posted(folder) for folder in _folders(project).values()]
     return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
 
 
-def posted(project: Path, name: str) -> Posted:
+def posted(project: Path, name: str) -> JobSummary:
     """The job of a name; names are compared with those that are there, and are never paths."""
     folders = _folders(project)
     if name not in folders:
@@ -81,7 +81,7 @@ def posted(project: Path, name: str) -> Posted:
     return _posted(folders[name])
 
 
-def workers(job: Posted) -> list[Worker]:
+def workers(job: JobSummary) -> list[Worker]:
     """Who computes for a job, and who did: those of now first."""
     owner = files.coordinator_of(job.folder)
     found = [_worker(job.folder, name, owner) for name in _worker_names(job.folder)]
@@ -89,7 +89,7 @@ def workers(job: Posted) -> list[Worker]:
     return sorted(found, key=lambda worker: order.index(worker.state))[:MOST_WORKERS]
 
 
-def log_tail(job: Posted, lines: int) -> tuple[list[str], bool]:
+def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
     """The last lines of a job's log, and whether these are all."""
     path = job.folder / files.LOG
     if not path.is_file():
@@ -104,12 +104,12 @@ def log_tail(job: Posted, lines: int) -> tuple[list[str], bool]:
     return found[-lines:], size <= MOST_LOG and len(found) <= lines
 
 
-def cancel(job: Posted) -> None:
+def cancel(job: JobSummary) -> None:
     """End a job and its workers; what was finished stays."""
     jobs.cancel(job.folder)
 
 
-def resume(job: Posted) -> None:
+def resume(job: JobSummary) -> None:
     """Go on with a job in a process of its own, as it was run before."""
     if not job.can_resume:
         raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
@@ -142,13 +142,15 @@ def _folders(project: Path) -> dict[str, Path]:
     return {folder.name.encode("utf-8", "replace").decode(): folder for folder in sorted(found)}
 
 
-def _posted(folder: Path) -> Posted:
+def _posted(folder: Path) -> JobSummary:
     name = folder.name.encode("utf-8", "replace").decode()
     try:
         job, status = files.read_job(folder), jobs.status_of(folder)
     except (FixelError, OSError) as problem:
-        return Posted(name, folder, UNREADABLE, None, str(problem), "", "")
-    return Posted(name, folder, status.state, status, status.status.reason, job.maker, job.made_utc)
+        return JobSummary(name, folder, UNREADABLE, None, str(problem), "", "")
+    return JobSummary(
+        name, folder, status.state, status, status.status.reason, job.maker, job.made_utc
+    )
 
 
 def _worker_names(folder: Path) -> list[str]:

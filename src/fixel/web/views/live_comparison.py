@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.target import scene_of
-from fixel.database.browsing import View
+from fixel.database.browsing import ExperimentView
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
@@ -22,10 +22,10 @@ from fixel.model.space import Unknown
 from fixel.simulation import AbstractMotionModel, simulate
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.stepper import Adaptive
-from fixel.web.views.motion_views import Motion, compared_motion, stored_motion
+from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.result import GROWTH
-from fixel.workflows.calibration.stored import Calibrated
+from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import Comparison, comparison
 
@@ -37,7 +37,7 @@ MOST_SETS: Final = 40  # that are offered of one kind, the newest first
 SetKind = Literal["nominal", "calibration", "simulation"]
 
 
-class ParameterSet(NamedTuple):
+class StoredSet(NamedTuple):
     """Values somebody may want to look at."""
 
     id: str  # "nominal", "calibration-3", "simulation-12"
@@ -48,10 +48,10 @@ class ParameterSet(NamedTuple):
     error_mm2: float | None  # the thesis's E where it is known already
 
 
-class Held(NamedTuple):
+class ComparedSimulation(NamedTuple):
     """A simulation held against what was measured; no errors where it stopped early."""
 
-    motion: Motion
+    motion: MotionView
     parameters: Parameters
     method: str  # name of the motion model
     position_rms: float | None  # [m]
@@ -62,7 +62,7 @@ class Held(NamedTuple):
     wall_time: float | None  # of the simulation alone [s]
 
 
-class Simulated(NamedTuple):
+class NewSimulations(NamedTuple):
     """Experiments with a simulation that is new, and why others have none."""
 
     stored: list[int]
@@ -108,12 +108,12 @@ class CompareDesk:
             self._sliders[number] = _sliders(self.experiment(number))
         return self._sliders[number]
 
-    def sets(self, number: int) -> list[ParameterSet]:
+    def sets(self, number: int) -> list[StoredSet]:
         """What is offered for comparison: the scene's own values, what calibrations found, and
         what stored simulations were made with."""
         experiment = self.experiment(number)
         scene_of(experiment)
-        found = [ParameterSet("nominal", "nominal", "nominal", Parameters(), DYNAMIC, None)]
+        found = [StoredSet("nominal", "nominal", "nominal", Parameters(), DYNAMIC, None)]
         for id_, record in reversed(self._store.calibration_summaries().items()):
             if record.method.get("how") != GROWTH and len(found) <= MOST_SETS:
                 found.append(_calibrated_set(id_, record, experiment, number))
@@ -121,10 +121,12 @@ class CompareDesk:
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
 
-    def compared(self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC) -> Held:
+    def compared(
+        self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC
+    ) -> ComparedSimulation:
         """A new simulation of an experiment, held against what was measured."""
         answer = self._comparison(number, parameters, motion)
-        return Held(
+        return ComparedSimulation(
             compared_motion(answer, "simulated", id="simulated"),
             answer.parameters,
             motion,
@@ -144,14 +146,14 @@ class CompareDesk:
             Adaptive(max_steps=MOST_STEPS),
         )
 
-    def stored(self, number: int, simulation: int) -> Held:
+    def stored(self, number: int, simulation: int) -> ComparedSimulation:
         """A stored simulation of an experiment, as it was when it was kept."""
         record = self._record(number, simulation)
         motion = self.simulated(number, simulation)
         known = record.error_mm2 is not None and motion.errors is not None
         position = motion.errors.position if known and motion.errors else None
         angle = motion.errors.angle if known and motion.errors else None
-        return Held(
+        return ComparedSimulation(
             motion,
             record.parameters,
             str(record.method.get("motion", DYNAMIC)),
@@ -163,7 +165,7 @@ class CompareDesk:
             None,
         )
 
-    def simulated(self, number: int, simulation: int) -> Motion:
+    def simulated(self, number: int, simulation: int) -> MotionView:
         """What moved in a stored simulation of an experiment."""
         record = self._record(number, simulation)
         label, name = f"simulation {simulation}", f"simulation-{simulation}"
@@ -184,12 +186,12 @@ class CompareDesk:
         answer = self._comparison(number, parameters, motion)
         return self._store.add_simulation(answer.record(number, command))
 
-    def keep_nominal(self, numbers: Sequence[int], folder: Path) -> Simulated:
+    def keep_nominal(self, numbers: Sequence[int], folder: Path) -> NewSimulations:
         """Store simulations with nominal values of those experiments that have none yet."""
         stored: list[int] = []
         refused: dict[int, str] = {}
         with self._keeping:  # or two pages would do the same twice
-            wanted = set(self._store.browse_unsimulated(View())).intersection(numbers)
+            wanted = set(self._store.browse_unsimulated(ExperimentView())).intersection(numbers)
             for number in sorted(wanted):
                 try:
                     experiment = self._store.experiment(number)
@@ -199,7 +201,7 @@ class CompareDesk:
                     stored.append(number)
                 except InvalidInput as problem:
                     refused[number] = str(problem)
-        return Simulated(stored, refused)
+        return NewSimulations(stored, refused)
 
 
 def warm_up() -> None:
@@ -255,12 +257,12 @@ def python_of(
 
 def _calibrated_set(
     number: int, record: CalibrationRecord, experiment: Experiment, experiment_id: int
-) -> ParameterSet:
-    one = Calibrated(number, record)
+) -> StoredSet:
+    one = CalibratedValues(number, record)
     values = one.values({**experiment.conditions, "experiment": experiment.key})
     own = next((m for m in record.members if m.experiment_id == experiment_id), None)
     label = record.name or f"calibration {number}"
-    return ParameterSet(
+    return StoredSet(
         f"calibration-{number}",
         f"{label} ({'fitted to it' if own else 'not fitted to it'})",
         "calibration",
@@ -270,9 +272,9 @@ def _calibrated_set(
     )
 
 
-def _simulated_set(number: int, record: SimulationRecord) -> ParameterSet:
+def _simulated_set(number: int, record: SimulationRecord) -> StoredSet:
     motion = str(record.method.get("motion", DYNAMIC))
-    return ParameterSet(
+    return StoredSet(
         f"simulation-{number}",
         f"simulation {number}",
         "simulation",

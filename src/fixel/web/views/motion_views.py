@@ -36,7 +36,7 @@ class Thing(NamedTuple):
     pose: FloatArray  # (3,) [m, m, rad]
 
 
-class Contacts(NamedTuple):
+class ContactViews(NamedTuple):
     """Every contact of every sample; forces are those on the first of the pair."""
 
     sample: IntArray  # (n,) not decreasing
@@ -45,7 +45,7 @@ class Contacts(NamedTuple):
     force: FloatArray  # (n, 2) in the world [N]
 
 
-class Errors(NamedTuple):
+class MotionErrors(NamedTuple):
     """How far a simulation is from what was measured."""
 
     time: FloatArray  # (n,) measured instants [s]
@@ -55,7 +55,7 @@ class Errors(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class MotionView:
     """One way everything moved.
 
     Parameters
@@ -68,10 +68,10 @@ class Motion:
         [s], on the clock of the experiment.
     pose : mapping from name to (n, 3) float64
         Of what moves; angles are continuous [m, m, rad].
-    contacts : Contacts, optional
+    contacts : ContactViews, optional
     touch : Channel, optional
         One column a fixel, 1 where it is touched.
-    errors : Errors, optional
+    errors : MotionErrors, optional
     status, advice : str
         As of a `Simulation`; empty for a measured one.
     """
@@ -81,9 +81,9 @@ class Motion:
     kind: Kind
     time: FloatArray
     pose: Mapping[str, FloatArray]
-    contacts: Contacts | None = None
+    contacts: ContactViews | None = None
     touch: Channel | None = None
-    errors: Errors | None = None
+    errors: MotionErrors | None = None
     status: str = ""
     advice: str = ""
 
@@ -102,14 +102,14 @@ class Story:
         Its centre of mass in its own frame [m]: what leaves the trail.
     things : tuple of Thing
         In the order of `Scene.names`.
-    motions : tuple of Motion
+    motions : tuple of MotionView
     """
 
     title: str
     object_name: str
     reference: FloatArray
     things: tuple[Thing, ...]
-    motions: tuple[Motion, ...]
+    motions: tuple[MotionView, ...]
 
     @property
     def box(self) -> FloatArray:
@@ -127,7 +127,7 @@ class Story:
         return np.concatenate((low - margin, high + margin))
 
 
-def story_of_scene(scene: Scene, motions: Sequence[Motion], title: str) -> Story:
+def story_of_scene(scene: Scene, motions: Sequence[MotionView], title: str) -> Story:
     """Motions of a scene that is no experiment; its first body is the object."""
     body = scene.bodies[0]
     return Story(
@@ -139,7 +139,7 @@ def story_of_scene(scene: Scene, motions: Sequence[Motion], title: str) -> Story
     )
 
 
-def story_of_experiment(experiment: Experiment, motions: Sequence[Motion]) -> Story:
+def story_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -> Story:
     """What was measured, and simulations of it.
 
     Raises
@@ -169,14 +169,14 @@ def things_of(scene: Scene, object_name: str) -> tuple[Thing, ...]:
     return (*bodies, *pushers, *fixels)
 
 
-def measured_motion(experiment: Experiment) -> Motion:
+def measured_motion(experiment: Experiment) -> MotionView:
     """What the camera and the fixels saw."""
     track = experiment.trajectory
     poses = {experiment.object_name: _continuous(track.pose)}
     pushers = scene_of(experiment).pushers
     if experiment.pusher is not None and pushers:
         poses[pushers[0].name] = _continuous(experiment.pusher.at(track.time))
-    return Motion(
+    return MotionView(
         id="measured",
         label="measured" if experiment.real else "measured (simulated testbed)",
         kind="measured",
@@ -188,12 +188,12 @@ def measured_motion(experiment: Experiment) -> Motion:
 
 def simulated_motion(
     simulation: Simulation, label: str = "simulated", *, id: str = "simulation", start: float = 0.0
-) -> Motion:
+) -> MotionView:
     """A simulation, `start` [s] later than on its own clock."""
     poses = np.stack(list(simulation.pose.values()), axis=1)
     known = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     n = int(np.argmin(np.append(known, False)))  # of those before the first that fails
-    return Motion(
+    return MotionView(
         id=id,
         label=label,
         kind="simulated",
@@ -205,38 +205,38 @@ def simulated_motion(
     )
 
 
-def compared_motion(answer: Comparison, label: str, *, id: str) -> Motion:
+def compared_motion(answer: Comparison, label: str, *, id: str) -> MotionView:
     """A simulation of an experiment, with its errors."""
     simulation = answer.simulation
     start = float(answer.simulated.time[0]) - float(simulation.time[0])
     return replace(
         simulated_motion(simulation, label, id=id, start=start),
         touch=answer.contacts,
-        errors=Errors(answer.time, answer.position, answer.angle),
+        errors=MotionErrors(answer.time, answer.position, answer.angle),
     )
 
 
 def stored_motion(
     experiment: Experiment, record: SimulationRecord, label: str, *, id: str
-) -> Motion:
+) -> MotionView:
     """A simulation as a project keeps it: poses, without contacts."""
     track = record.trajectory
     poses = {experiment.object_name: _continuous(track.pose)}
     pushers = scene_of(experiment).pushers
     if record.pusher is not None and pushers:
         poses[pushers[0].name] = _continuous(record.pusher.at(track.time))
-    return Motion(
+    return MotionView(
         id=id,
         label=label,
         kind="simulated",
         time=track.time,
         pose=poses,
-        errors=Errors(*errors_of(experiment, track)),
+        errors=MotionErrors(*errors_of(experiment, track)),
         status=record.status,
     )
 
 
-def contacts_of(simulation: Simulation, n_sample: int) -> Contacts:
+def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
     """Contacts of the first so many samples, where they are at their sample.
 
     The table of a simulation says where a contact was when the equations of its step were written.
@@ -248,7 +248,7 @@ def contacts_of(simulation: Simulation, n_sample: int) -> Contacts:
     rows = rows[rows["time"] <= instants[-1]] if n_sample else rows[:0]
     if len(rows) == 0:
         none = np.zeros((0, 2))
-        return Contacts(np.zeros(0, np.int64), np.zeros((0, 2), np.int64), none, none)
+        return ContactViews(np.zeros(0, np.int64), np.zeros((0, 2), np.int64), none, none)
     sample = np.searchsorted(instants, rows["time"])
     pair = np.column_stack((rows["body"], rows["other"]))
     written = _when_written(rows["time"], pair, rows["point"])
@@ -260,7 +260,7 @@ def contacts_of(simulation: Simulation, n_sample: int) -> Contacts:
             then, now = track.at(written[own]), track.at(rows["time"][own])
             point[own] = now[:, :2] + _turned(point[own] - then[:, :2], now[:, 2] - then[:, 2])
             force[own] = _turned(force[own], now[:, 2] - then[:, 2])
-    return Contacts(sample, pair, point, force)
+    return ContactViews(sample, pair, point, force)
 
 
 def _when_written(time: FloatArray, pair: IntArray, point: FloatArray) -> FloatArray:

@@ -12,14 +12,14 @@ from fixel.formats import SceneFile
 from fixel.formats.scene_file import scene_dict, scene_file_from_dict
 from fixel.formats.trajectory_file import plain_numbers
 from fixel.io.document import parse_json, parse_yaml, yaml_text
-from fixel.jobs.worker_process import Bounded
+from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
 from fixel.simulation.stepper import Adaptive
 from fixel.web.views.live_comparison import motion_model, warm_up
 from fixel.web.views.motion_views import Story, simulated_motion, story_of_scene
 from fixel.workflows.demo.scene_demo import example_names, example_text
-from fixel.workflows.simulation import Method, parts
+from fixel.workflows.simulation import SimulationMethod, parts
 
 LIMIT: Final = 20.0  # [s] of computing
 MOST_TEXT: Final = 512 * 1024  # [byte] of a scene file
@@ -32,7 +32,7 @@ MOST_WAYPOINTS: Final = 20_000
 SAMPLES: Final = 440  # of a motion that is shown; 40 a second for the runs of the thesis
 
 
-class Simulated(NamedTuple):
+class SceneMotion(NamedTuple):
     """A scene that was simulated, to be shown."""
 
     story: Story
@@ -89,11 +89,11 @@ def write_scene(content: Mapping[str, Any]) -> str:
     return yaml_text(scene_dict(check_scene(content)))
 
 
-def simulated(content: Any) -> Simulated:
+def simulated(content: Any) -> SceneMotion:
     """Simulate a scene given by its keys, with as many steps and samples as a page can bear."""
     file = check_scene(content)
     scene = file.scene
-    motion, stepper, solver = parts(file, Method())
+    motion, stepper, solver = parts(file, SimulationMethod())
     simulation = simulate(
         scene,
         motion=motion,
@@ -103,13 +103,13 @@ def simulated(content: Any) -> Simulated:
     )
     names = ", ".join(body.name for body in scene.bodies)
     story = story_of_scene(scene, [simulated_motion(simulation)], f"simulation of {names}")
-    return Simulated(story, plain_numbers(simulation.summary()))
+    return SceneMotion(story, plain_numbers(simulation.summary()))
 
 
 @functools.cache
-def beside() -> Bounded:
+def beside() -> WorkerProcess:
     """`simulated`, in a process of its own; one for all who ask."""
-    return Bounded(
+    return WorkerProcess(
         simulated,
         limit=LIMIT,
         ready=warm_up,

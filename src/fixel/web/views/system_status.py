@@ -19,12 +19,12 @@ from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
 from fixel.formats.trajectory_file import plain_numbers
-from fixel.jobs.worker_process import Bounded
+from fixel.jobs.worker_process import WorkerProcess
 from fixel.kernels.jit import cache_folder
 from fixel.workflows.compilation import cache_size, engine_is_cold
 from fixel.workflows.diagnostics import doctor
 from fixel.workflows.project import maintenance
-from fixel.workflows.project.maintenance import Backup, Checked
+from fixel.workflows.project.maintenance import Backup, CheckResult
 
 BACKUPS: Final = "backups"  # folder of a project
 MOST_FILES: Final = 100_000  # of the media folder, that are counted
@@ -63,7 +63,7 @@ class Installation(NamedTuple):
     compiled: bool
 
 
-class Kept(NamedTuple):
+class BackupFile(NamedTuple):
     """A backup that lies in the project."""
 
     name: str
@@ -116,7 +116,7 @@ def room(project: Project) -> Room:
 
 def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, Any]:
     """The answer of `fixel doctor --json`, from a process of its own: kernels hold others up."""
-    with Bounded(_examined, limit=SELF_TEST_LIMIT) as beside:
+    with WorkerProcess(_examined, limit=SELF_TEST_LIMIT) as beside:
         answer: dict[str, Any] = beside.call(None, nobody_waits)
     return answer
 
@@ -126,7 +126,7 @@ def _examined(_: None) -> dict[str, Any]:
     return found
 
 
-def checked(project: Project) -> Checked:
+def checked(project: Project) -> CheckResult:
     """What `fixel db check` finds."""
     return maintenance.check(project.folder)
 
@@ -155,7 +155,7 @@ def _new_name(folder: Path) -> Path:
     return file
 
 
-def backups(project: Project) -> list[Kept]:
+def backups(project: Project) -> list[BackupFile]:
     """The backups in the project's folder, the newest first."""
     folder = project.folder / BACKUPS
     if not folder.is_dir():
@@ -168,7 +168,7 @@ def backups(project: Project) -> list[Kept]:
     return sorted(found, key=lambda kept: (kept.made_utc, len(kept.name), kept.name), reverse=True)
 
 
-def backup_named(project: Project, name: str) -> Kept:
+def backup_named(project: Project, name: str) -> BackupFile:
     """One of them; names are compared with those that are there, and are never paths."""
     for kept in backups(project):
         if kept.name == name:
@@ -176,8 +176,8 @@ def backup_named(project: Project, name: str) -> Kept:
     raise NotStored(f"backup {name!r}", hint="make one with: fixel db backup FILE")
 
 
-def _kept(path: Path) -> Kept:
+def _kept(path: Path) -> BackupFile:
     known = path.stat()
     made = datetime.datetime.fromtimestamp(known.st_mtime, datetime.UTC)
     instant = made.isoformat(timespec="seconds").replace("+00:00", "Z")
-    return Kept(path.name, path, known.st_size, instant)
+    return BackupFile(path.name, path, known.st_size, instant)

@@ -19,7 +19,7 @@ RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
 MOST: Final = 600  # outlines; between them the part is drawn at the nearest
 
 
-class Seen(NamedTuple):
+class VideoOutlines(NamedTuple):
     """Outlines in pixels of the video.
 
     Attributes
@@ -49,7 +49,7 @@ def rig_named(project: Project, name: str) -> Rig | None:
     return next((rig for rig in map(rig_of, EXAMPLES) if rig.name == name), None)
 
 
-def seen_in_video(project: Project, experiment: Experiment) -> Seen | None:
+def seen_in_video(project: Project, experiment: Experiment) -> VideoOutlines | None:
     """Outlines of the measured object in its video; none without rig, scene or height, or
     where the camera was not where the rig has it."""
     rig = rig_named(project, str(experiment.conditions.get("rig", "")))
@@ -62,4 +62,4 @@ def seen_in_video(project: Project, experiment: Experiment) -> Seen | None:
     n = len(track.time)
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
     lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
-    return Seen(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))
+    return VideoOutlines(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))

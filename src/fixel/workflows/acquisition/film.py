@@ -17,7 +17,7 @@ from fixel.model.chance import stream
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_times, looks_named
-from fixel.workflows.acquisition.film_shots import Shot, shots
+from fixel.workflows.acquisition.film_shots import FilmScene, shots
 from fixel.workflows.acquisition.film_truth import Truth, tracks_of, truth_of, write_truth
 from fixel.workflows.compilation import Say, get_ready
 
@@ -74,7 +74,7 @@ class Shooting:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Filmed:
+class FilmResult:
     """One film.
 
     Attributes
@@ -112,7 +112,7 @@ def film(
     video: Path | None = None,
     say: Say | None = None,
     progress: Progress | None = None,
-) -> list[Filmed]:
+) -> list[FilmResult]:
     """Film scenes, plans and experiments.
 
     Parameters
@@ -170,7 +170,7 @@ def _looks(name: str, rig: Rig) -> Looks:
     return looks
 
 
-def _prepared(items: Iterator[Shot], say: Say | None) -> Iterator[Shot]:
+def _prepared(items: Iterator[FilmScene], say: Say | None) -> Iterator[FilmScene]:
     """The shots, after a word about what the first one waits for."""
     from fixel.testing.scenes import sliding_block
 
@@ -179,14 +179,14 @@ def _prepared(items: Iterator[Shot], say: Say | None) -> Iterator[Shot]:
 
 
 def _shoot(
-    shot: Shot,
+    shot: FilmScene,
     folder: Path,
     rig: Rig,
     looks: Looks,
     shooting: Shooting,
     video: Path | None,
     progress: Progress | None,
-) -> Filmed:
+) -> FilmResult:
     # Films of one seed have another noise each, or their errors would all be the same.
     seed = int(stream(shooting.seed, "film", shot.name).integers(2**31))
     duration = shooting.lead + float(shot.simulation.time[-1]) + shooting.rest
@@ -215,7 +215,7 @@ def _shoot(
         save_scene(shot.planned, folder / SCENE_FILE)
         write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
         _write_frames(frames, truth, writers, progress)
-    return Filmed(
+    return FilmResult(
         name=shot.name,
         folder=folder,
         frames=len(times),
@@ -226,7 +226,7 @@ def _shoot(
     )
 
 
-def _unmarked(shot: Shot, rig: Rig) -> tuple[str, ...]:
+def _unmarked(shot: FilmScene, rig: Rig) -> tuple[str, ...]:
     """What moves and carries no mark."""
     moving = [body.name for body in shot.scene.bodies]
     moving += [pusher.name for pusher in shot.scene.pushers]

@@ -17,7 +17,7 @@ from fixel.io.document import read_document
 from fixel.model import Experiment, PlannedExperiment, Scene, pose_error
 from fixel.simulation import Simulation, simulate
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
-from fixel.workflows.simulation import Method, parts
+from fixel.workflows.simulation import SimulationMethod, parts
 
 SAMPLE: Final = 1.0 / 240.0  # [s] between poses of the true motion
 
@@ -30,7 +30,7 @@ FILES: Final = (".yaml", ".yml", ".json")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
+class FilmScene:
     """Something to film.
 
     Attributes
@@ -60,7 +60,7 @@ class Shot:
 
 def shots(
     sources: Sequence[str], project: Path, *, seed: int = 1, limit: int | None = None
-) -> tuple[int, Iterator[Shot]]:
+) -> tuple[int, Iterator[FilmScene]]:
     """How many there are, and one after the other.
 
     Parameters
@@ -106,7 +106,7 @@ def _found(source: str, project: Path, seed: int, limit: int | None) -> list[_It
     return [(planned, bench) for planned in load_plan(path).experiments[:limit]]
 
 
-def _done(item: _Item, seed: int) -> Shot:
+def _done(item: _Item, seed: int) -> FilmScene:
     if isinstance(item, Experiment):
         return _again(item)
     first, second = item
@@ -115,20 +115,20 @@ def _done(item: _Item, seed: int) -> Shot:
     return _as_written(first, second, seed)  # type: ignore[arg-type]
 
 
-def _as_written(name: str, scene_file: SceneFile, seed: int) -> Shot:
+def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
     """A scene file, as exactly as it is written."""
-    motion, stepper, solver = parts(scene_file, Method())
+    motion, stepper, solver = parts(scene_file, SimulationMethod())
     simulation = simulate(
         scene_file.scene, motion=motion, stepper=stepper, solver=solver, output_interval=SAMPLE
     )
     bench = SimulatedTestbed.ideal(seed)
-    return Shot(name=name, planned=scene_file, simulation=simulation, testbed=bench)
+    return FilmScene(name=name, planned=scene_file, simulation=simulation, testbed=bench)
 
 
-def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> Shot:
+def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> FilmScene:
     """A planned experiment, on the simulated testbed."""
     simulation = simulate(bench.true_scene(planned), output_interval=SAMPLE)
-    return Shot(
+    return FilmScene(
         name=planned.name,
         planned=SceneFile(scene=planned.scene),
         simulation=simulation,
@@ -136,7 +136,7 @@ def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> Shot:
     )
 
 
-def _again(experiment: Experiment) -> Shot:
+def _again(experiment: Experiment) -> FilmScene:
     """An experiment that the simulated testbed has done, done once more: its true motion."""
     scene, conditions = experiment.scene, experiment.conditions
     assert scene is not None
@@ -159,7 +159,7 @@ def _again(experiment: Experiment) -> Shot:
             hint="its testbed had other settings than `fixel testbed run` uses",
         )
     truth = {k: v for k, v in conditions.items() if k.startswith(TRUTH)}
-    return Shot(
+    return FilmScene(
         name=experiment.name,
         planned=shot.planned,
         simulation=shot.simulation,

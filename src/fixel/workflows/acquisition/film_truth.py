@@ -20,7 +20,7 @@ from fixel.vision.render import Looks
 from fixel.vision.render.bench import HAND
 from fixel.vision.render.film import occlusion_of, poses_at
 from fixel.vision.render.looks import light
-from fixel.workflows.acquisition.film_shots import Shot
+from fixel.workflows.acquisition.film_shots import FilmScene
 
 ARRAYS: Final = "truth.npz"
 ABOUT: Final = "truth.json"
@@ -53,7 +53,7 @@ class Truth(NamedTuple):
     covered: FloatArray
 
 
-def tracks_of(shot: Shot, lead: float) -> dict[str, Trajectory]:
+def tracks_of(shot: FilmScene, lead: float) -> dict[str, Trajectory]:
     """True trajectories on the clock of a film that begins with a rest [s]."""
     simulation = shot.simulation
     tracks = {}
@@ -64,7 +64,7 @@ def tracks_of(shot: Shot, lead: float) -> dict[str, Trajectory]:
 
 
 def truth_of(
-    shot: Shot, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
+    shot: FilmScene, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
 ) -> Truth:
     """What really is at the frames of a film taken at instants (n,) [s]."""
     tracks = tracks_of(shot, lead)
@@ -86,7 +86,7 @@ def truth_of(
 
 
 def write_truth(
-    shot: Shot, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
+    shot: FilmScene, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
 ) -> None:
     """`truth.npz`, frame by frame, and `truth.json`; whoever tracks must not look at them."""
     arrays: dict[str, Any] = {
@@ -116,7 +116,7 @@ def write_truth(
         unfinished.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def _touches(shot: Shot, times: FloatArray) -> BoolArray:
+def _touches(shot: FilmScene, times: FloatArray) -> BoolArray:
     """(n, n_fixel) at instants of the simulation; before its begin none has moved."""
     simulation = shot.simulation
     sample = np.searchsorted(simulation.time, times, side="right") - 1
@@ -124,7 +124,7 @@ def _touches(shot: Shot, times: FloatArray) -> BoolArray:
 
 
 def _readings(
-    shot: Shot, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
+    shot: FilmScene, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
 ) -> NDArray[np.int64]:
     """(n,) bytes as the fixels report them: a bit a coil, in the rig's order."""
     names = [fixel.name for fixel in shot.scene.fixels]

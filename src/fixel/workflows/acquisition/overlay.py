@@ -17,9 +17,9 @@ from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import Body, Fixel, Pusher, Scene
 from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import STALLED, Arrived, FrameSource
+from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource
 from fixel.vision.frame import Frame, Picture
-from fixel.vision.locate import Located, Locator
+from fixel.vision.locate import FramePoses, Locator
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.fixels import LEAST
 from fixel.workflows.acquisition.overlay_charts import draw_look
@@ -80,7 +80,7 @@ class Overlay:
         """A copy of the picture with outlines; `words` writes the errors into it too."""
         return draw_look(picture, look, words=words)
 
-    def _part(self, thing: Body | Pusher | Fixel, located: Located) -> PartLook:
+    def _part(self, thing: Body | Pusher | Fixel, located: FramePoses) -> PartLook:
         sight = located.parts.get(thing.name)
         measured = None if sight is None else sight.pose
         if thing.name in located.fixels:  # round: turned as it should be
@@ -165,7 +165,7 @@ def frames_of(
         queue.close()
 
 
-def _decoded(arrived: Arrived) -> Frame | None:
+def _decoded(arrived: CameraPicture) -> Frame | None:
     """The frame, or None for a spoilt one: the next is soon there."""
     try:
         return Frame(arrived.time, arrived.picture())

@@ -22,7 +22,7 @@ from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import load_scene
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.open_source import refuse_size, source_of
-from fixel.testbed.recorder import Recorded, Recorder, Stop, TouchReader, Watch
+from fixel.testbed.recorder import Recorder, RecordingSummary, Stop, TouchReader, Watch
 from fixel.testbed.seating import Seating
 from fixel.vision.marks import Rig
 
@@ -97,7 +97,9 @@ class RecordPlan:
             )
 
 
-def record(plan: RecordPlan, *, stop: Stop | None = None, watch: Watch | None = None) -> Recorded:
+def record(
+    plan: RecordPlan, *, stop: Stop | None = None, watch: Watch | None = None
+) -> RecordingSummary:
     """Record an experiment.
 
     Parameters
@@ -163,7 +165,7 @@ def codec_for(choice: str, stream: Stream) -> str:
     return "as-it-comes" if stream.jpeg else "near"
 
 
-def summary(done: Recorded) -> dict[str, Any]:
+def summary(done: RecordingSummary) -> dict[str, Any]:
     """What came of it, as plain values."""
     return {
         "folder": str(done.folder),

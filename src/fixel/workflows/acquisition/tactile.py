@@ -9,7 +9,7 @@ from typing import Any, Final, final
 
 from fixel.testbed.serial_port import PortSeen, found_ports
 from fixel.testbed.tactile import DEADLINE, TactileReader
-from fixel.testbed.tactile_reading import Reading
+from fixel.testbed.tactile_reading import TactileReading
 
 FRAME: Final = 1.0 / 30.0  # [s]
 READINGS: Final = 300
@@ -108,7 +108,7 @@ def watch_tactile(
     interval: float = FRAME,
     duration: float | None = None,
     thresholds: tuple[int, int, int] | None = None,
-) -> Iterator[tuple[TactileReader, Reading]]:
+) -> Iterator[tuple[TactileReader, TactileReading]]:
     """A reading every interval, until the time is over or the caller has seen enough; a pulled
     plug is waited for."""
     with TactileReader(port, thresholds=thresholds) as reader:

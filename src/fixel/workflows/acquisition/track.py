@@ -22,8 +22,8 @@ from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment, Provenance, Scene
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking import AUTO, Tracked, track
-from fixel.vision.tracking.actuator import Motion
+from fixel.vision.tracking import AUTO, FilmTracks, track
+from fixel.vision.tracking.actuator import ActuatorMotion
 from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
 from fixel.workflows.project.importing import typed
 
@@ -73,8 +73,8 @@ class TrackAnswer:
     ----------
     film : Film
     rig : Rig
-    tracked : Tracked
-    motion : Motion or None
+    tracked : FilmTracks
+    motion : ActuatorMotion or None
         Of the actuator.
     experiment : Experiment
     number : int or None
@@ -87,8 +87,8 @@ class TrackAnswer:
 
     film: Film
     rig: Rig
-    tracked: Tracked
-    motion: Motion | None
+    tracked: FilmTracks
+    motion: ActuatorMotion | None
     experiment: Experiment
     number: int | None
     new: bool
@@ -271,7 +271,7 @@ def _provenance(film: Film) -> Provenance:
 def _draw(
     film: Film,
     scene: Scene,
-    tracked: Tracked,
+    tracked: FilmTracks,
     experiment: Experiment,
     files: dict[str, Path],
 ) -> None:

@@ -15,7 +15,7 @@ from fixel.io.atomic import written_whole
 from fixel.model import Scene
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.outlines import bgr, draw_outline, draw_words, outline_pixels
-from fixel.vision.tracking import Tracked
+from fixel.vision.tracking import FilmTracks
 from fixel.vision.tracking.follow import things_of
 
 SHOWN: Final = 6  # frames on a sheet
@@ -24,7 +24,7 @@ WIDTH: Final = 960  # [px] of each on a sheet, at most
 
 
 def write_overlay(
-    frames: Iterator[Frame], scene: Scene, tracked: Tracked, path: Path, note: str = ""
+    frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path: Path, note: str = ""
 ) -> None:
     """The film again, with outlines of object, pusher and fixels at their heights."""
     step = float(np.median(np.diff(tracked.time))) if len(tracked.time) > 1 else 1.0 / 30.0
@@ -36,7 +36,7 @@ def write_overlay(
             writer.write(Frame(frame.time - zero, picture[: size[1], : size[0]]))
 
 
-def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: Tracked, path: Path) -> None:
+def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path: Path) -> None:
     """A few frames of it on one picture."""
     from fixel.vision.opencv import opencv
 
@@ -59,7 +59,7 @@ def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: Tracked, path: P
             raise InvalidInput(str(path), found="no room for it", expected="a file to write")
 
 
-def drawn(frame: Frame, index: int, scene: Scene, tracked: Tracked) -> Picture:
+def drawn(frame: Frame, index: int, scene: Scene, tracked: FilmTracks) -> Picture:
     """A frame with what was measured in it."""
     picture = np.array(frame.picture)
     rig, camera = tracked.rig, tracked.rig.camera

@@ -25,9 +25,9 @@ from fixel.model import (
 )
 from fixel.uncertainty.apart import Neighbour, set_apart
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.actuator import Motion, motion_of
+from fixel.vision.tracking.actuator import ActuatorMotion, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
-from fixel.vision.tracking.tracked import PartTrack, Tracked
+from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 MOST_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
 MOST_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
@@ -56,7 +56,7 @@ class Readings:
     value: NDArray[np.int64]
 
 
-def actuator_motion(tracked: Tracked, scene: Scene) -> tuple[str, Motion] | None:
+def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMotion] | None:
     """Name of the tracked pusher, and how it moved; none where none was tracked."""
     for pusher in scene.pushers:
         track = tracked.parts.get(pusher.name)
@@ -71,7 +71,7 @@ def actuator_motion(tracked: Tracked, scene: Scene) -> tuple[str, Motion] | None
 
 
 def experiment_of(
-    tracked: Tracked,
+    tracked: FilmTracks,
     rig: Rig,
     scene: Scene,
     readings: Readings | None,
@@ -86,7 +86,7 @@ def experiment_of(
 
     Parameters
     ----------
-    tracked : Tracked
+    tracked : FilmTracks
     rig : Rig
     scene : Scene
         As planned: shapes, masses, nominal friction.
@@ -167,8 +167,8 @@ def _scene(
     scene: Scene,
     trajectory: Trajectory,
     pusher: Trajectory | None,
-    found: tuple[str, Motion] | None,
-    tracked: Tracked,
+    found: tuple[str, ActuatorMotion] | None,
+    tracked: FilmTracks,
     begins: float,
     moved: list[float],
 ) -> Scene:
@@ -211,7 +211,7 @@ def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
     )
 
 
-def _refuse_two_pushes(found: tuple[str, Motion] | None) -> None:
+def _refuse_two_pushes(found: tuple[str, ActuatorMotion] | None) -> None:
     if found is None or found[1].back is None:
         return
     begin, end = found[1].back
@@ -265,7 +265,9 @@ def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel
     )
 
 
-def _conditions(tracked: Tracked, rig: Rig, motion: Motion | None) -> dict[str, str | float]:
+def _conditions(
+    tracked: FilmTracks, rig: Rig, motion: ActuatorMotion | None
+) -> dict[str, str | float]:
     conditions: dict[str, str | float] = {"rig": rig.name, "tracked_by": tracked.method}
     if tracked.rig.camera != rig.camera:
         conditions[CAMERA] = "registered anew"
@@ -278,10 +280,10 @@ def _conditions(tracked: Tracked, rig: Rig, motion: Motion | None) -> dict[str, 
 
 
 def _flags(
-    tracked: Tracked,
+    tracked: FilmTracks,
     track: PartTrack,
     scene: Scene,
-    motion: Motion | None,
+    motion: ActuatorMotion | None,
     remarks: tuple[str, ...],
 ) -> Iterator[Flag]:
     if track.good.mean() < MOST_GAPS:

@@ -20,8 +20,8 @@ from fixel.model import Parameters, placed
 from fixel.model.space import Unknown
 from fixel.simulation import Simulation, simulate
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.report_data import Desk, title_of
-from fixel.workflows.calibration.result import DIRECT, Curve, Found
+from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
+from fixel.workflows.calibration.result import DIRECT, Curve, ParameterSet
 from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
@@ -55,7 +55,7 @@ def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
         The folder cannot be written to.
     """
     make_folder(folder)
-    pictures = pictures_of(Desk(calibration))
+    pictures = pictures_of(CalibrationReportData(calibration))
     return [path for picture in pictures for path in write_picture(folder, picture)]
 
 
@@ -81,7 +81,7 @@ CAPTIONS: Final = {
 }
 
 
-def pictures_of(desk: Desk) -> Pictures:
+def pictures_of(desk: CalibrationReportData) -> Pictures:
     """The pictures of a calibration, with captions."""
     for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
         for picture in parts(desk):
@@ -94,7 +94,7 @@ def _caption(name: str) -> str:
     return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
 
 
-def _of_searches(desk: Desk) -> Pictures:
+def _of_searches(desk: CalibrationReportData) -> Pictures:
     """Of the search for all experiments; of three single ones; how long each took."""
     together, searched = desk.together, desk.searched
     if together is not None and together.trace is not None:
@@ -110,7 +110,7 @@ def _of_searches(desk: Desk) -> Pictures:
         yield Picture("seconds", _seconds_chart(desk, searched), desk.banner)
 
 
-def _of_parameters(desk: Desk) -> Pictures:
+def _of_parameters(desk: CalibrationReportData) -> Pictures:
     """Of the set for all experiments; of single ones only where there is no such set."""
     together = desk.together
     sets = [("", together)] if together is not None else _picks(desk.searched)
@@ -135,7 +135,7 @@ def _of_parameters(desk: Desk) -> Pictures:
         yield Picture("parameters_by_offset", chart, desk.banner)
 
 
-def _of_experiments(desk: Desk) -> Pictures:
+def _of_experiments(desk: CalibrationReportData) -> Pictures:
     """Errors of the experiments, before and after."""
     if len(desk.keys) == 1:  # the overlay says it all
         return
@@ -148,7 +148,7 @@ def _of_experiments(desk: Desk) -> Pictures:
         yield Picture("errors_by_offset", chart, desk.banner)
 
 
-def _overlays(desk: Desk) -> Pictures:
+def _overlays(desk: CalibrationReportData) -> Pictures:
     """The best, the median and the worst experiment, before and after."""
     together, alone = desk.together, {one.members[0]: one for one in desk.alone}
     after = list(_series(desk).values())[-1]
@@ -161,7 +161,7 @@ def _overlays(desk: Desk) -> Pictures:
 # --- choices ------------------------------------------------------------------------------------
 
 
-def _named(stem: str, word: str, desk: Desk) -> str:
+def _named(stem: str, word: str, desk: CalibrationReportData) -> str:
     """Of the only experiment there is, nothing is the best."""
     return f"{stem}_{word}" if word and len(desk.keys) > 1 else stem
 
@@ -175,7 +175,7 @@ def _three(errors: FloatArray) -> list[tuple[str, int]]:
     return [("best", order[0]), *middle, ("worst", order[-1])]
 
 
-def _picks(found: list[Found]) -> list[tuple[str, Found]]:
+def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
     """Single calibrations to look at closely."""
     if not found:
         return []
@@ -183,7 +183,7 @@ def _picks(found: list[Found]) -> list[tuple[str, Found]]:
     return [(word, found[k]) for word, k in _three(errors)]
 
 
-def _series(desk: Desk) -> dict[str, FloatArray]:
+def _series(desk: CalibrationReportData) -> dict[str, FloatArray]:
     """Errors of all experiments by what they are with; the last is what was wanted."""
     series = {BEFORE: desk.outcome.nominal}
     if desk.alone:
@@ -194,7 +194,7 @@ def _series(desk: Desk) -> dict[str, FloatArray]:
     return series
 
 
-def _column(desk: Desk, values: list[float]) -> FloatArray:
+def _column(desk: CalibrationReportData, values: list[float]) -> FloatArray:
     """Values of the single calibrations, by experiment; nan where one has none."""
     column = np.full(len(desk.keys), np.nan)
     for one, value in zip(desk.alone, values, strict=True):
@@ -205,7 +205,9 @@ def _column(desk: Desk, values: list[float]) -> FloatArray:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
+def _search_chart(
+    desk: CalibrationReportData, picks: list[tuple[str, ParameterSet]]
+) -> SearchChart:
     panels = []
     for word, one in picks:
         assert one.trace is not None
@@ -217,14 +219,14 @@ def _search_chart(desk: Desk, picks: list[tuple[str, Found]]) -> SearchChart:
     return SearchChart(panels=panels, unit="mm", what=_what(desk, picks[0][1]))
 
 
-def _what(desk: Desk, one: Found) -> str:
+def _what(desk: CalibrationReportData, one: ParameterSet) -> str:
     """The number that a search made small."""
     if len(one.members) == 1:
         return "RMS error"
     return "largest RMS error" if desk.request.combine == "largest" else "RMS error"
 
 
-def _starts(desk: Desk, name: str, one: Found) -> Pictures:
+def _starts(desk: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
     """Where there were several."""
     if desk.request.starts == 1:
         return
@@ -248,7 +250,7 @@ def _starts(desk: Desk, name: str, one: Found) -> Pictures:
     yield Picture(name, chart, desk.banner)
 
 
-def _seconds_chart(desk: Desk, searched: list[Found]) -> SecondsChart:
+def _seconds_chart(desk: CalibrationReportData, searched: list[ParameterSet]) -> SecondsChart:
     return SecondsChart(
         keys=[desk.keys[one.members[0]] for one in searched],
         seconds=np.array([one.seconds for one in searched]),
@@ -256,7 +258,7 @@ def _seconds_chart(desk: Desk, searched: list[Found]) -> SecondsChart:
     )
 
 
-def _parameters_chart(desk: Desk, word: str, one: Found) -> ParametersChart:
+def _parameters_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
     others = _other_sets(desk, one)
     estimates = {estimate.label: estimate for estimate in one.estimates}
     values = one.values(desk.space.labels)
@@ -290,7 +292,7 @@ def _elsewhere(best: float, value: float, unknown: Unknown) -> float | None:
     return best if abs(best - value) > VISIBLE * (unknown.high - unknown.low) else None
 
 
-def _other_sets(desk: Desk, one: Found) -> dict[str, FloatArray]:
+def _other_sets(desk: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
     """Other sets for the same experiments; other ends that are nearly as good."""
     found = {o.how: o.point for o in desk.outcome.together if o is not one and one.how == DIRECT}
     for k, point in enumerate(one.solutions[1:], 2):
@@ -298,7 +300,7 @@ def _other_sets(desk: Desk, one: Found) -> dict[str, FloatArray]:
     return dict(list(found.items())[:MOST_OTHERS])
 
 
-def _profiles_chart(desk: Desk, word: str, one: Found) -> ProfilesChart:
+def _profiles_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:
     units = {unknown.label: unknown.unit for unknown in desk.space.free}
     return ProfilesChart(
         title=title_of(desk, one, word),
@@ -323,7 +325,9 @@ def _panel(curve: Curve, unit: str) -> ProfilePanel:
     )
 
 
-def _offsets_chart(desk: Desk, title: str, quantities: list[Quantity]) -> OffsetsChart:
+def _offsets_chart(
+    desk: CalibrationReportData, title: str, quantities: list[Quantity]
+) -> OffsetsChart:
     return OffsetsChart(
         title=title,
         keys=desk.keys,
@@ -337,7 +341,7 @@ def _offsets_chart(desk: Desk, title: str, quantities: list[Quantity]) -> Offset
 
 
 def _overlay_chart(
-    desk: Desk, word: str, member: int, point: FloatArray, error: float
+    desk: CalibrationReportData, word: str, member: int, point: FloatArray, error: float
 ) -> OverlayChart:
     target = desk.targets[member]
     scene = target.case.scene
@@ -358,7 +362,7 @@ def _overlay_chart(
     )
 
 
-def _simulated(desk: Desk, target: Target, point: FloatArray) -> Simulation:
+def _simulated(desk: CalibrationReportData, target: Target, point: FloatArray) -> Simulation:
     columns = desk.space.columns(point[None], target.conditions)
     duration = float(target.case.times[-1])
     return simulate(

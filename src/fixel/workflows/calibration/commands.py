@@ -8,22 +8,22 @@ from pathlib import Path
 from typing import Final
 
 from fixel.workflows.calibration.parameter_options import in_si
-from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.request import CalibrationRequest
 
 
-def command_of(folder: Path, request: Request, keys: Sequence[str]) -> str:
+def command_of(folder: Path, request: CalibrationRequest, keys: Sequence[str]) -> str:
     """What to type for the same calibration.
 
     Parameters
     ----------
     folder : Path
         Of the project.
-    request : Request
+    request : CalibrationRequest
         Without unknowns that are restricted to some conditions: those take a file.
     keys : sequence of str
         Ids or names of the experiments.
     """
-    usual = Request(unknowns=request.unknowns)
+    usual = CalibrationRequest(unknowns=request.unknowns)
     words = ["fixel", "calibrate", *keys, "--project", str(folder), "--mode", request.mode]
     for unknown in request.unknowns:
         if unknown.frozen:
@@ -56,14 +56,14 @@ IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # that 
 _ELSEWHERE: Final = ("--space", "--dakota")
 
 
-def enlarged_command(command: str, request: Request) -> str:
+def enlarged_command(command: str, request: CalibrationRequest) -> str:
     """What to type for the same calibration of a larger model; empty where there is none to offer.
 
     Parameters
     ----------
     command : str
         What was typed for the calibration.
-    request : Request
+    request : CalibrationRequest
     """
     words = _separated(shlex.split(command))
     known = {unknown.name for unknown in request.unknowns}

@@ -14,15 +14,15 @@ from fixel.errors import FixelError
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import CalibrationRecord
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.report_data import Desk
-from fixel.workflows.calibration.result import Curve, Found
+from fixel.workflows.calibration.report_data import CalibrationReportData
+from fixel.workflows.calibration.result import Curve, ParameterSet
 from fixel.workflows.calibration.run import Calibration, reopened
 from fixel.workflows.calibration.stored import parted
 
 WORST: Final = 3
 
 
-class Row(NamedTuple):
+class ParameterDetail(NamedTuple):
     """One unknown [SI]."""
 
     label: str
@@ -55,7 +55,7 @@ class Start(NamedTuple):
     good: bool  # as good as the best, or nearly
 
 
-class Told(NamedTuple):
+class CalibrationDetail(NamedTuple):
     """All there is to see.
 
     Attributes
@@ -64,7 +64,7 @@ class Told(NamedTuple):
     record : CalibrationRecord
     unit : str
         Of errors, `"mm^2"` or `"mm"`.
-    rows : list of Row
+    rows : list of ParameterDetail
     residuals : list of Residual
         The worst first.
     objective : (n,) float64
@@ -88,7 +88,7 @@ class Told(NamedTuple):
     id: int
     record: CalibrationRecord
     unit: str
-    rows: list[Row]
+    rows: list[ParameterDetail]
     residuals: list[Residual]
     objective: FloatArray
     starts: list[Start]
@@ -107,7 +107,7 @@ class Told(NamedTuple):
         return self.residuals[:WORST]
 
 
-def tell(project: Project, store: Store, number: int) -> Told:
+def tell(project: Project, store: Store, number: int) -> CalibrationDetail:
     """What there is to see of a stored calibration."""
     record = store.calibration(number)
     calibration = one = desk = None
@@ -117,12 +117,12 @@ def tell(project: Project, store: Store, number: int) -> Told:
         calibration = reopened(project, record)
         if calibration is not None and number in calibration.ids:
             one = calibration.outcome.found[calibration.ids.index(number)]
-            desk = Desk(calibration)
+            desk = CalibrationReportData(calibration)
             starts = starts_of(desk, one)
     except FixelError as problem:  # what is stored can be shown all the same
         calibration = one = desk = None
         trouble = str(problem)
-    return Told(
+    return CalibrationDetail(
         id=number,
         record=record,
         unit=record.error_unit,
@@ -141,7 +141,7 @@ def tell(project: Project, store: Store, number: int) -> Told:
     )
 
 
-def starts_of(desk: Desk, one: Found) -> list[Start]:
+def starts_of(desk: CalibrationReportData, one: ParameterSet) -> list[Start]:
     """Where several searches ended, the best first; nothing where there was one."""
     if desk.request.starts == 1 or one.trace is None:
         return []
@@ -165,23 +165,25 @@ def misfit_of(record: CalibrationRecord) -> list[str]:
     return str(record.method.get("misfit", "")).splitlines()
 
 
-def _rows(record: CalibrationRecord, desk: Desk | None, one: Found | None) -> list[Row]:
+def _rows(
+    record: CalibrationRecord, desk: CalibrationReportData | None, one: ParameterSet | None
+) -> list[ParameterDetail]:
     estimates = {estimate.label: estimate for estimate in record.estimates}
     if desk is None or one is None:
         values = dict(record.parameters)
         return [
-            Row(e.label, e.unit, e.value, values.get(parted(e.label)[0], e.value), e.low, e.high,
-                None, None, e.verdict, e.reason)
+            ParameterDetail(e.label, e.unit, e.value, values.get(parted(e.label)[0], e.value),
+                e.low, e.high, None, None, e.verdict, e.reason)
             for e in record.estimates
         ] or [
-            Row(name, "", value, value, None, None, None, None, "", "")
+            ParameterDetail(name, "", value, value, None, None, None, None, "", "")
             for name, value in values.items()
         ]  # fmt: skip
     rows = []
     for unknown, value in zip(desk.space.free, one.point.tolist(), strict=True):
         own = estimates.get(unknown.label)
         rows.append(
-            Row(
+            ParameterDetail(
                 label=unknown.label,
                 unit=unknown.unit,
                 value=value if own is None else own.value,
@@ -198,7 +200,10 @@ def _rows(record: CalibrationRecord, desk: Desk | None, one: Found | None) -> li
 
 
 def _residuals(
-    store: Store, record: CalibrationRecord, calibration: Calibration | None, one: Found | None
+    store: Store,
+    record: CalibrationRecord,
+    calibration: Calibration | None,
+    one: ParameterSet | None,
 ) -> list[Residual]:
     before: list[float] = [math.nan] * len(record.members)
     if calibration is not None and one is not None:
@@ -245,7 +250,7 @@ def _finite(value: float) -> float | None:
 # --- the list -----------------------------------------------------------------------------------
 
 
-class Listed(NamedTuple):
+class CalibrationSummary(NamedTuple):
     """What came of one job, or a calibration without one.
 
     Attributes
@@ -277,7 +282,7 @@ class Listed(NamedTuple):
     verdicts: dict[str, int]
 
 
-def listed(store: Store) -> list[Listed]:
+def listed(store: Store) -> list[CalibrationSummary]:
     """Stored calibrations, those of one job together, the newest first."""
     jobs: dict[str, list[tuple[int, CalibrationRecord]]] = {}
     for number, record in store.calibration_summaries().items():
@@ -287,7 +292,7 @@ def listed(store: Store) -> list[Listed]:
     return sorted(found, key=lambda one: -one.id)
 
 
-def _listed(sets: list[tuple[int, CalibrationRecord]]) -> Listed:
+def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     together = [pair for pair in sets if len(pair[1].members) > 1]
     number, record = together[-1] if together else sets[0]
     shown = [record] if together else [one for _, one in sets]
@@ -298,7 +303,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> Listed:
         if estimate.verdict:
             word = "trades off" if estimate.verdict.startswith("trades") else estimate.verdict
             verdicts[word] = verdicts.get(word, 0) + 1
-    return Listed(
+    return CalibrationSummary(
         id=number,
         name=record.name.partition(":")[0],
         how=str(record.method.get("how", "")),

@@ -15,7 +15,7 @@ from fixel.formats.scene_content import scene_content
 from fixel.formats.scene_schema import SceneRecord
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
-from fixel.simulation.ensemble import Case
+from fixel.simulation.ensemble import RolloutCase
 
 TARGETS: Final = "targets.json"
 POSES: Final = "poses.npz"
@@ -53,7 +53,7 @@ def _read_targets(folder: Path) -> list[Target]:
         Target(
             entry["key"],
             entry["conditions"],
-            Case(scene_of(SceneRecord.model_validate(entry["scene"])), time),
+            RolloutCase(scene_of(SceneRecord.model_validate(entry["scene"])), time),
             pose,
         )
         for entry, time, pose in zip(

@@ -25,15 +25,15 @@ from fixel.calibration.assess import (
     assessing,
     conducted_here,
 )
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import NormalPrior
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import Comparer, Evaluated, Objective
+from fixel.calibration.objective import Comparer, Evaluation, Objective
 from fixel.calibration.profile import Profiles
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
     OUT_OF_BUDGET,
-    Ask,
-    Pooled,
+    CombinedFit,
+    RolloutRequest,
     Study,
     Trace,
     at_points,
@@ -47,7 +47,7 @@ from fixel.calibration.study import (
     together,
     weighted,
 )
-from fixel.calibration.verdict import Verdict
+from fixel.calibration.verdict import ParameterVerdict
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
@@ -55,7 +55,7 @@ from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
 from fixel.workflows.calibration.files import read_targets
-from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     ALONE,
     DIRECT,
@@ -63,9 +63,9 @@ from fixel.workflows.calibration.result import (
     STORED,
     SUBSET,
     WEIGHTED,
+    CalibrationResult,
     Curve,
-    Found,
-    Outcome,
+    ParameterSet,
     found_arrays,
     found_of,
     length_of,
@@ -87,14 +87,14 @@ ROLLOUTS_A_CHUNK: Final = 4000
 
 @callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
-    """The whole calibration; its result is an `Outcome`."""
+    """The whole calibration; its result is an `CalibrationResult`."""
     request, comparer = _desk(inputs)
     n = len(comparer.targets)
     members = list(range(n))
     start = comparer.space.nominal
     budget = _Budget(request.budget)
     before, _ = yield from _asked(at_points(members, start[None]), "nominal")
-    found: list[Found] = []
+    found: list[ParameterSet] = []
     if request.mode in ("each", "campaign"):
         alone = yield from _alone(request, comparer, n)
         found += alone
@@ -110,7 +110,7 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     if request.verdicts and request.mode != "each":
         found = yield from _judged(request, comparer, found, budget)
     return outcome_bytes(
-        Outcome(
+        CalibrationResult(
             keys=tuple(target.key for target in comparer.targets),
             labels=comparer.space.labels,
             nominal=before[0],
@@ -183,7 +183,7 @@ def _asked(
                 best = min(best, float(objective.combined(table).min()))
                 note = f"{stage}, {_best_shown(best, objective)}"
             reasons = [reason for part in parts for reason in part.reasons]
-            ask = study.send(Evaluated(errors, reasons))
+            ask = study.send(Evaluation(errors, reasons))
     except StopIteration as end:
         result: T = end.value
         return result
@@ -195,15 +195,15 @@ def _best_shown(best: float, objective: Objective) -> str:
     return f"best RMS {length_of(shared, objective.comparer.error.unit):.4g} mm"
 
 
-def _evaluated(answer: bytes | Failure, n: int) -> Evaluated:
+def _evaluated(answer: bytes | Failure, n: int) -> Evaluation:
     """Errors out of a chunk's answer; a chunk without one is evaluations without one."""
     if isinstance(answer, Failure):
-        return Evaluated(np.full(n, math.inf), [answer.reason] * n)
+        return Evaluation(np.full(n, math.inf), [answer.reason] * n)
     arrays = arrays_of(answer)
     reasons = [""] * n
     for k, reason in json.loads(arrays["reasons"].tobytes()).items():
         reasons[int(k)] = reason
-    return Evaluated(arrays["error"], reasons)
+    return Evaluation(arrays["error"], reasons)
 
 
 @callable_by_jobs
@@ -220,14 +220,14 @@ def evaluate(inputs: Path, payload: bytes) -> bytes:
 # --- every experiment by itself -----------------------------------------------------------------
 
 
-def _alone(request: Request, comparer: Comparer, n: int) -> Rounds[list[Found]]:
+def _alone(request: CalibrationRequest, comparer: Comparer, n: int) -> Rounds[list[ParameterSet]]:
     chunks = [
         Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + MEMBERS_A_CHUNK))))
         for at in range(0, n, MEMBERS_A_CHUNK)
     ]
     left = 0 if request.mode == "each" else None
     answers = yield Round("calibration:calibrate_alone", chunks, note="each experiment", left=left)
-    found: list[Found] = []
+    found: list[ParameterSet] = []
     for chunk in chunks:
         answer = answers[chunk.name]
         if isinstance(answer, Failure):
@@ -238,8 +238,8 @@ def _alone(request: Request, comparer: Comparer, n: int) -> Rounds[list[Found]]:
     return found
 
 
-def _nothing(comparer: Comparer, member: int, reason: str) -> Found:
-    return Found(
+def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
+    return ParameterSet(
         how=ALONE,
         members=(member,),
         point=comparer.space.nominal,
@@ -268,7 +268,7 @@ def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
     found = []
     for member, trace in zip(members, traces, strict=True):
         begun = time.perf_counter()
-        one = Found(
+        one = ParameterSet(
             solutions=_apart(comparer, trace),
             how=ALONE,
             members=(member,),
@@ -304,7 +304,9 @@ def _apart(comparer: Comparer, trace: Trace) -> FloatArray:
 # --- several experiments ------------------------------------------------------------------------
 
 
-def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Rounds[list[Found]]:
+def _campaign(
+    request: CalibrationRequest, comparer: Comparer, alone: list[ParameterSet]
+) -> Rounds[list[ParameterSet]]:
     """After the single calibrations: neighbours' values, and one set for all in three ways."""
     members = list(range(len(comparer.targets)))
     points = np.array([one.point for one in alone])
@@ -329,25 +331,27 @@ def _campaign(request: Request, comparer: Comparer, alone: list[Found]) -> Round
     ]
 
 
-def _improved(alone: Sequence[Found], points: FloatArray, errors: FloatArray) -> list[Found]:
+def _improved(
+    alone: Sequence[ParameterSet], points: FloatArray, errors: FloatArray
+) -> list[ParameterSet]:
     return [
-        Found(how=NEIGHBOUR, members=one.members, point=point, errors=np.array([error]))
+        ParameterSet(how=NEIGHBOUR, members=one.members, point=point, errors=np.array([error]))
         for one, point, error in zip(alone, points, errors, strict=True)
         if error < one.errors[0]
     ]
 
 
-def _pooled(how: str, members: Sequence[int], pooled: Pooled) -> Found:
-    return Found(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
+def _pooled(how: str, members: Sequence[int], pooled: CombinedFit) -> ParameterSet:
+    return ParameterSet(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
 
 
 def _direct(
-    request: Request,
+    request: CalibrationRequest,
     comparer: Comparer,
     members: Sequence[int],
     start: FloatArray,
     budget: _Budget,
-) -> Rounds[Found]:
+) -> Rounds[ParameterSet]:
     objective = Objective(comparer, combine=request.combine)
     share = SEARCH_SHARE if request.verdicts else 1.0
     begun = time.perf_counter()
@@ -366,7 +370,7 @@ def _direct(
         budget,
     )
     errors, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
-    return Found(
+    return ParameterSet(
         how=DIRECT,
         members=tuple(members),
         point=trace.point,
@@ -379,18 +383,18 @@ def _direct(
 
 
 def _by_squares(
-    request: Request,
+    request: CalibrationRequest,
     comparer: Comparer,
     members: Sequence[int],
     start: FloatArray,
     budget: _Budget,
-) -> Rounds[Found]:
+) -> Rounds[ParameterSet]:
     """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
     options = request.least_squares
     assert options is not None
     begun = time.perf_counter()
     box = box_of(comparer.space)
-    search = options.start(box, request.seed, comparer.feasible, Prior.of(comparer.space))
+    search = options.start(box, request.seed, comparer.feasible, NormalPrior.of(comparer.space))
     tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
     best = math.inf
     ended = ""
@@ -425,7 +429,7 @@ def _by_squares(
         ended or search.reason,
     )
     found, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
-    return Found(
+    return ParameterSet(
         how=DIRECT,
         members=tuple(members),
         point=trace.point,
@@ -465,8 +469,8 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
 
 
 def _judged(
-    request: Request, comparer: Comparer, found: list[Found], budget: _Budget
-) -> Rounds[list[Found]]:
+    request: CalibrationRequest, comparer: Comparer, found: list[ParameterSet], budget: _Budget
+) -> Rounds[list[ParameterSet]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
     judged = []
     for one in found:
@@ -478,8 +482,8 @@ def _judged(
 
 
 def _with_verdicts(
-    request: Request, comparer: Comparer, one: Found, budget: _Budget
-) -> Rounds[Found]:
+    request: CalibrationRequest, comparer: Comparer, one: ParameterSet, budget: _Budget
+) -> Rounds[ParameterSet]:
     """With a verdict on every unknown; every simulation behind them is an answer in the journal."""
     if not np.isfinite(one.errors).all():
         return one
@@ -521,7 +525,9 @@ def assess_points(inputs: Path, payload: bytes) -> bytes:
     return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
 
 
-def _assessing(request: Request, comparer: Comparer, one: Found) -> Asking[Assessment]:
+def _assessing(
+    request: CalibrationRequest, comparer: Comparer, one: ParameterSet
+) -> Asking[Assessment]:
     return assessing(
         comparer,
         one.members,
@@ -532,7 +538,9 @@ def _assessing(request: Request, comparer: Comparer, one: Found) -> Asking[Asses
     )
 
 
-def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
+def _with_estimates(
+    request: CalibrationRequest, comparer: Comparer, one: ParameterSet
+) -> ParameterSet:
     """The same within one chunk, for an experiment by itself."""
     if not np.isfinite(one.errors).all():
         return one
@@ -543,7 +551,7 @@ def _with_estimates(request: Request, comparer: Comparer, one: Found) -> Found:
     return _with_assessment(comparer, one, found)
 
 
-def _with_assessment(comparer: Comparer, one: Found, found: Assessment) -> Found:
+def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
     return dataclasses.replace(
         one,
         estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
@@ -554,7 +562,7 @@ def _with_assessment(comparer: Comparer, one: Found, found: Assessment) -> Found
     )
 
 
-def _estimate(verdict: Verdict) -> Estimate:
+def _estimate(verdict: ParameterVerdict) -> Estimate:
     return Estimate(
         label=verdict.label,
         unit=verdict.unit,
@@ -608,18 +616,18 @@ def _said(noise: Noise) -> str:
 # --- shared -------------------------------------------------------------------------------------
 
 
-def _here(comparer: Comparer) -> Callable[[Ask], Evaluated]:
+def _here(comparer: Comparer) -> Callable[[RolloutRequest], Evaluation]:
     return lambda ask: comparer.errors(ask.which, ask.points)
 
 
-def _desk(inputs: Path) -> tuple[Request, Comparer]:
+def _desk(inputs: Path) -> tuple[CalibrationRequest, Comparer]:
     """Request and experiments of a job; kept in memory from chunk to chunk."""
     return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=2)
-def _read(inputs: Path, _: int) -> tuple[Request, Comparer]:
-    request = Request.model_validate_json((inputs / REQUEST).read_bytes())
+def _read(inputs: Path, _: int) -> tuple[CalibrationRequest, Comparer]:
+    request = CalibrationRequest.model_validate_json((inputs / REQUEST).read_bytes())
     comparer = Comparer(
         read_targets(inputs),
         request.space,

@@ -13,12 +13,18 @@ from fixel.calibration.study import NOMINAL, box_of
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import Query
-from fixel.drawing.offsets import Axis
+from fixel.drawing.offsets import OffsetSeries
 from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
-from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.result import DIRECT, STORED, SUBSET, Found, Outcome
-from fixel.workflows.calibration.retrace import Retraced, retraced
+from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.result import (
+    DIRECT,
+    STORED,
+    SUBSET,
+    CalibrationResult,
+    ParameterSet,
+)
+from fixel.workflows.calibration.retrace import SearchHistory, retraced
 from fixel.workflows.calibration.run import Calibration, experiments_of
 from fixel.workflows.figures import banner_of
 
@@ -26,7 +32,7 @@ from fixel.workflows.figures import banner_of
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
 
 
-class Desk:
+class CalibrationReportData:
     """Looks things up once.
 
     Parameters
@@ -36,8 +42,8 @@ class Desk:
 
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
-        self.request: Request = calibration.request
-        self.outcome: Outcome = calibration.outcome
+        self.request: CalibrationRequest = calibration.request
+        self.outcome: CalibrationResult = calibration.outcome
         self.space: ParameterSpace = calibration.request.space
         self.keys: Sequence[str] = calibration.outcome.keys
         self.unit: str = calibration.request.made_error.unit
@@ -61,19 +67,19 @@ class Desk:
         return self.calibration.targets
 
     @cached_property
-    def alone(self) -> list[Found]:
+    def alone(self) -> list[ParameterSet]:
         """The best set of each experiment by itself: its own, or a neighbour's."""
         # Neighbours' sets come after the experiments' own, and only where they are better.
         best = {one.members[0]: one for one in self.outcome.alone}
         return [best[member] for member in sorted(best)]
 
     @cached_property
-    def searched(self) -> list[Found]:
+    def searched(self) -> list[ParameterSet]:
         """Single experiments with a search of their own."""
         return [one for one in self.outcome.alone if one.trace is not None]
 
     @cached_property
-    def together(self) -> Found | None:
+    def together(self) -> ParameterSet | None:
         """The best set for all experiments."""
         return next((one for one in self.outcome.together if one.how in (DIRECT, STORED)), None)
 
@@ -102,7 +108,7 @@ class Desk:
         ]
 
     @cached_property
-    def offset_axes(self) -> list[Axis]:
+    def offset_axes(self) -> list[OffsetSeries]:
         """Axes along which experiments were offset; the nominal ones are on all of them."""
         found = []
         conditions = [target.conditions for target in self.targets]
@@ -114,7 +120,7 @@ class Desk:
             ]  # fmt: skip
             values = np.array([float(conditions[k][offset]) for k in members])
             if len(np.unique(values)) > 1:
-                found.append(Axis(name, unit, np.array(members), values))
+                found.append(OffsetSeries(name, unit, np.array(members), values))
         return found
 
     @cached_property
@@ -123,7 +129,7 @@ class Desk:
         request = self.request
         return Comparer(self.targets, self.space, request.made_error, request.made_motion)
 
-    def retraced(self, one: Found) -> Retraced:
+    def retraced(self, one: ParameterSet) -> SearchHistory:
         """How the search of a set went."""
         if one.trace is None:
             raise ValueError("a set without a search")
@@ -136,7 +142,7 @@ class Desk:
         return retraced(self.request, one.trace, box_of(space), feasible)
 
 
-def title_of(desk: Desk, one: Found, word: str = "") -> str:
+def title_of(desk: CalibrationReportData, one: ParameterSet, word: str = "") -> str:
     """Whose parameters a set is, and how it came to be picked."""
     if len(one.members) > 1:
         return f"{len(one.members)} experiments, {one.how}"

@@ -28,11 +28,11 @@ ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for a
 PAPER: Final = RootMeanSquare.name
 
 
-class _Entry(BaseModel):
+class _RequestLevel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class UnknownEntry(_Entry):
+class UnknownEntry(_RequestLevel):
     """An `Unknown`, as plain content."""
 
     name: str
@@ -45,14 +45,14 @@ class UnknownEntry(_Entry):
     where: dict[str, str | float] = {}
 
 
-class Choice(_Entry):
+class NamedOptions(_RequestLevel):
     """A member of a family by its name, with its options."""
 
     name: str
     options: dict[str, Any] = {}
 
 
-class Request(_Entry):
+class CalibrationRequest(_RequestLevel):
     """A calibration to be.
 
     Attributes
@@ -63,7 +63,7 @@ class Request(_Entry):
         `"campaign"`: each, then neighbours' values, then one set in every way of the thesis.
         `"stored"`: no search, but the one of `stored` whose largest error is smallest.
     unknowns : list of UnknownEntry
-    error, motion, optimiser : Choice
+    error, motion, optimiser : NamedOptions
     starts : int
         Of the search; more than one begin at random feasible points.
     combine : str
@@ -88,9 +88,9 @@ class Request(_Entry):
     name: str = "calibration"
     mode: Mode = "each"
     unknowns: list[UnknownEntry]
-    error: Choice = Choice(name="mean-square")
+    error: NamedOptions = NamedOptions(name="mean-square")
     motion: str = "dynamic"
-    optimiser: Choice = Choice(name="pattern-search")
+    optimiser: NamedOptions = NamedOptions(name="pattern-search")
     starts: int = Field(default=1, ge=1)
     combine: Combine = "sum"
     seed: int = Field(default=0, ge=0)
@@ -131,7 +131,7 @@ class Request(_Entry):
             options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
         made: LeastSquares = _made(
             (LeastSquares,),
-            Choice(name=LEAST_SQUARES, options=options | self.optimiser.options),
+            NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options),
             "--optimiser",
         )
         return made
@@ -139,7 +139,7 @@ class Request(_Entry):
     @property
     def made_motion(self) -> AbstractMotionModel:
         """The motion model."""
-        made: AbstractMotionModel = _made(MOTION_MODELS, Choice(name=self.motion), "--motion")
+        made: AbstractMotionModel = _made(MOTION_MODELS, NamedOptions(name=self.motion), "--motion")
         return made
 
     @property
@@ -196,7 +196,7 @@ def usual_optimiser(mode: str, combine: str, error: str, residuals: int, unknown
     Parameters
     ----------
     mode, combine, error : str
-        As in `Request`.
+        As in `CalibrationRequest`.
     residuals : int
         Numbers compared: three a frame, or three an experiment where only the end counts.
     unknowns : int
@@ -220,7 +220,7 @@ def entry_of(unknown: Unknown) -> UnknownEntry:
     )
 
 
-def _made(family: tuple[Any, ...], choice: Choice, where: str) -> Any:
+def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:
     """A member of a family, by its name and options."""
     known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:

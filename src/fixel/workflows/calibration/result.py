@@ -57,7 +57,7 @@ class Curve:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class ParameterSet:
     """One set of parameters, for one experiment or for several.
 
     Attributes
@@ -115,7 +115,7 @@ class Found:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class CalibrationResult:
     """All a calibration found.
 
     Attributes
@@ -126,21 +126,21 @@ class Outcome:
         Of the free unknowns.
     nominal : (n_key,) float64
         Errors before calibration.
-    found : tuple of Found
+    found : tuple of ParameterSet
     """
 
     keys: tuple[str, ...]
     labels: tuple[str, ...]
     nominal: FloatArray
-    found: tuple[Found, ...]
+    found: tuple[ParameterSet, ...]
 
     @property
-    def alone(self) -> list[Found]:
+    def alone(self) -> list[ParameterSet]:
         """Of the single experiments."""
         return [one for one in self.found if len(one.members) == 1 and one.how in SINGLE]
 
     @property
-    def together(self) -> list[Found]:
+    def together(self) -> list[ParameterSet]:
         """Of all experiments together."""
         return [one for one in self.found if one.how not in SINGLE]
 
@@ -188,7 +188,7 @@ def outliers(errors: FloatArray, unit: str) -> list[int]:
     return sorted(far.tolist(), key=lambda k: -float(errors[k]))
 
 
-def outcome_bytes(outcome: Outcome) -> bytes:
+def outcome_bytes(outcome: CalibrationResult) -> bytes:
     """All of it."""
     return bytes_of(
         keys=_text(list(outcome.keys)),
@@ -198,10 +198,10 @@ def outcome_bytes(outcome: Outcome) -> bytes:
     )
 
 
-def outcome_of(data: bytes) -> Outcome:
+def outcome_of(data: bytes) -> CalibrationResult:
     """The other way round."""
     arrays = arrays_of(data)
-    return Outcome(
+    return CalibrationResult(
         keys=tuple(_plain(arrays["keys"])),
         labels=tuple(_plain(arrays["labels"])),
         nominal=arrays["nominal"],
@@ -212,7 +212,7 @@ def outcome_of(data: bytes) -> Outcome:
 CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
 
 
-def found_arrays(found: Sequence[Found]) -> dict[str, Any]:
+def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
     """Sets of parameters as named arrays."""
     plain, arrays = [], {}
     for k, one in enumerate(found):
@@ -246,10 +246,10 @@ def found_arrays(found: Sequence[Found]) -> dict[str, Any]:
     return {"found": _text(plain), **arrays}
 
 
-def found_of(arrays: dict[str, Any]) -> list[Found]:
+def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
     """The other way round."""
     return [
-        Found(
+        ParameterSet(
             how=entry["how"],
             members=tuple(entry["members"]),
             point=arrays[f"point_{k}"],

@@ -13,13 +13,13 @@ import numpy as np
 
 from fixel.calibration import OPTIMISERS, Mads
 from fixel.calibration.multi_start import MultiStartSearch
-from fixel.calibration.optimiser import Best, Box, Feasible, Search
+from fixel.calibration.optimiser import Best, Feasible, Search, SearchBox
 from fixel.calibration.study import Trace
 from fixel.kernels.arrays import IntArray
-from fixel.workflows.calibration.request import Request
+from fixel.workflows.calibration.request import CalibrationRequest
 
 
-class Retraced(NamedTuple):
+class SearchHistory(NamedTuple):
     """A search that was gone through again."""
 
     begins: IntArray  # (n_iteration,) first evaluation of each; none where they are not known
@@ -27,21 +27,23 @@ class Retraced(NamedTuple):
     evaluations: list[int]  # of each start
 
 
-UNKNOWN: Final = Retraced(np.zeros(0, np.int64), [], [])
+UNKNOWN: Final = SearchHistory(np.zeros(0, np.int64), [], [])
 
 # Mads asks for one point at a time, in another process; least squares wants residuals, not errors.
 RETRACED: Final = {optimiser.name for optimiser in OPTIMISERS} - {Mads.name}
 
 
-def retraced(request: Request, trace: Trace, box: Box, feasible: Feasible) -> Retraced:
+def retraced(
+    request: CalibrationRequest, trace: Trace, box: SearchBox, feasible: Feasible
+) -> SearchHistory:
     """Go through a search again, without evaluating anything.
 
     Parameters
     ----------
-    request : Request
+    request : CalibrationRequest
         That the search was made with.
     trace : Trace
-    box : Box
+    box : SearchBox
         With the start it had.
     feasible : callable
         As it had.
@@ -53,7 +55,7 @@ def retraced(request: Request, trace: Trace, box: Box, feasible: Feasible) -> Re
     if begins is None:  # another version of the search
         return UNKNOWN
     starts: Sequence[Search] = search.searches if isinstance(search, MultiStartSearch) else ()
-    return Retraced(
+    return SearchHistory(
         np.array(begins, np.int64),
         [start.best for start in starts],
         [start.evaluations for start in starts],

@@ -25,14 +25,14 @@ from fixel.io.damaged_files import readable
 from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
 from fixel.jobs.site import Site
-from fixel.jobs.work import Progress
+from fixel.jobs.work import JobProgress
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Evaluations, Member
 from fixel.workflows import jobs
 from fixel.workflows.calibration.files import read_targets, target_files
 from fixel.workflows.calibration.job import REQUEST
-from fixel.workflows.calibration.request import Request
-from fixel.workflows.calibration.result import SEARCHED, Found, Outcome, outcome_of
+from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, ParameterSet, outcome_of
 from fixel.workflows.project.suggestions import refuse_mistyped
 
 MAKER: Final = "calibration:calibration_work"
@@ -44,7 +44,7 @@ PREFLIGHT: Final = 16  # experiments simulated before any work starts, to see th
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
+class ExperimentSelection:
     """Experiments to calibrate.
 
     Attributes
@@ -63,7 +63,7 @@ class Chosen:
     sample_of: int | None = None
 
 
-def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
+def choose(store: Store, keys: Sequence[str], query: Query) -> ExperimentSelection:
     """Experiments by name, or by what they have in common.
 
     Named ones must be fit for it, and count once under whatever names; of a listing, those that are
@@ -94,15 +94,15 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> Chosen:
             expected="one at least with a scene and measured poses",
             hint="see what there is: fixel list",
         )
-    return Chosen(ids=found, targets=targets, left_out=left_out)
+    return ExperimentSelection(ids=found, targets=targets, left_out=left_out)
 
 
-def sampled(chosen: Chosen, count: int, seed: int) -> Chosen:
+def sampled(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
     """A random part of the chosen experiments, in which every condition keeps its share.
 
     Parameters
     ----------
-    chosen : Chosen
+    chosen : ExperimentSelection
     count : int
         Experiments wanted; all are kept where there are no more.
     seed : int
@@ -123,7 +123,7 @@ def sampled(chosen: Chosen, count: int, seed: int) -> Chosen:
     first = draw.random()
     places = ((first + np.arange(count)) * n / count).astype(int)
     kept = sorted(order[place] for place in places.tolist())
-    return Chosen(
+    return ExperimentSelection(
         ids=[chosen.ids[k] for k in kept],
         targets=[chosen.targets[k] for k in kept],
         left_out=chosen.left_out,
@@ -140,7 +140,7 @@ def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
     ]
 
 
-def stored_points(store: Store, request: Request) -> list[list[float]]:
+def stored_points(store: Store, request: CalibrationRequest) -> list[list[float]]:
     """Values of the free unknowns in all stored calibrations that have them, each set once."""
     labels = request.space.labels
     points: dict[tuple[float, ...], None] = {}
@@ -151,7 +151,7 @@ def stored_points(store: Store, request: Request) -> list[list[float]]:
     return [list(point) for point in points]
 
 
-def prepare(project: Project, chosen: Chosen, request: Request) -> Path:
+def prepare(project: Project, chosen: ExperimentSelection, request: CalibrationRequest) -> Path:
     """The job folder of a calibration; the same one for the same request on the same experiments.
 
     Raises
@@ -172,7 +172,7 @@ def prepare(project: Project, chosen: Chosen, request: Request) -> Path:
     return folder
 
 
-def _rehearse(targets: Sequence[Target], request: Request) -> None:
+def _rehearse(targets: Sequence[Target], request: CalibrationRequest) -> None:
     """Simulate a few experiments, so that what cannot be is refused now and not hours in."""
     spread = np.unique(np.linspace(0, len(targets) - 1, PREFLIGHT).astype(int))
     few = [targets[k] for k in spread.tolist()]
@@ -197,8 +197,8 @@ class Calibration:
     ----------
     folder : Path
         Of its job.
-    request : Request
-    outcome : Outcome
+    request : CalibrationRequest
+    outcome : CalibrationResult
     ids : list of int
         Of the stored calibrations, one a set of parameters found.
     left_out : mapping from key to reason
@@ -207,8 +207,8 @@ class Calibration:
     """
 
     folder: Path
-    request: Request
-    outcome: Outcome
+    request: CalibrationRequest
+    outcome: CalibrationResult
     ids: list[int]
     left_out: Mapping[str, str]
     command: str = ""
@@ -238,7 +238,7 @@ class Calibration:
         }
 
 
-def _found(one: Found, number: int, outcome: Outcome) -> dict[str, Any]:
+def _found(one: ParameterSet, number: int, outcome: CalibrationResult) -> dict[str, Any]:
     return {
         "calibration": number,
         "how": one.how,
@@ -279,7 +279,7 @@ def run(
     *,
     workers: int | None = None,
     site: Site | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[JobProgress], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> None:
     """Run or continue the job of a calibration; nothing to do where it is done."""
@@ -316,11 +316,11 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
     return collect(project, folder, record.provenance.command, {})
 
 
-def request_of(folder: Path) -> Request:
+def request_of(folder: Path) -> CalibrationRequest:
     """What a calibration's job is to find."""
     path = folder / "inputs" / REQUEST
     with readable(path, f"delete the folder {folder}"):
-        return Request.model_validate_json(path.read_bytes())
+        return CalibrationRequest.model_validate_json(path.read_bytes())
 
 
 def experiments_of(folder: Path) -> list[int]:
@@ -340,7 +340,11 @@ def stored_ids(folder: Path) -> list[int]:
 
 
 def _stored(
-    project: Project, folder: Path, request: Request, outcome: Outcome, command: str
+    project: Project,
+    folder: Path,
+    request: CalibrationRequest,
+    outcome: CalibrationResult,
+    command: str,
 ) -> list[int]:
     path = folder / STORED
     experiments = experiments_of(folder)
@@ -362,9 +366,9 @@ def _stored(
 
 def _record(
     folder: Path,
-    request: Request,
-    outcome: Outcome,
-    one: Found,
+    request: CalibrationRequest,
+    outcome: CalibrationResult,
+    one: ParameterSet,
     experiments: Sequence[int],
     command: str,
 ) -> CalibrationRecord:
@@ -394,13 +398,15 @@ def _record(
     )
 
 
-def _parameters(request: Request, one: Found) -> Parameters:
+def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
     """Those that all members share; the others are among the estimates."""
     values = request.space.values(one.point)
     return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
 
 
-def _method(folder: Path, request: Request, outcome: Outcome, one: Found) -> dict[str, str | float]:
+def _method(
+    folder: Path, request: CalibrationRequest, outcome: CalibrationResult, one: ParameterSet
+) -> dict[str, str | float]:
     nominal = outcome.nominal[list(one.members)]
     options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
     options |= {f"error.{k}": v for k, v in request.error.options.items()}

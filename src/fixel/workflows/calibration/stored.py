@@ -30,7 +30,7 @@ _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
 @final
 @dataclass(frozen=True)
-class Calibrated:
+class CalibratedValues:
     """Values of parameters with the method they were found by.
 
     Parameters
@@ -96,7 +96,7 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 
 def calibrated(
     store: Store, number: int | None = None, experiment: int | None = None
-) -> Calibrated:
+) -> CalibratedValues:
     """A stored calibration.
 
     Parameters
@@ -116,7 +116,7 @@ def calibrated(
             expected="one at least",
             hint="calibrate first: fixel calibrate",
         )
-    return Calibrated(own, store.calibration(own))
+    return CalibratedValues(own, store.calibration(own))
 
 
 def parameters_of(
@@ -148,7 +148,7 @@ def parameters_of(
 def newest(store: Store, experiment: int | None = None) -> int | None:
     """Id of the calibration that `calibrated` takes where none is named; none without any."""
     known = [
-        Calibrated(number, record)
+        CalibratedValues(number, record)
         for number, record in reversed(store.calibration_summaries().items())
         if record.method.get("how") != GROWTH
     ]
@@ -157,7 +157,9 @@ def newest(store: Store, experiment: int | None = None) -> int | None:
     return next((one.id for one in (*several, *known)), None)
 
 
-def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -> ParameterSpace:
+def searched_space(
+    project: Project, one: CalibratedValues, scenes: Sequence[Scene]
+) -> ParameterSpace:
     """Return the box that a calibration searched, started at its result.
 
     Calibrations stored by earlier versions have it in their job folder only. Where that is gone, it
@@ -178,7 +180,7 @@ def searched_space(project: Project, one: Calibrated, scenes: Sequence[Scene]) -
 
 
 def _usual_space(
-    one: Calibrated, found: Mapping[str, float], scenes: Sequence[Scene]
+    one: CalibratedValues, found: Mapping[str, float], scenes: Sequence[Scene]
 ) -> ParameterSpace:
     """Usual bounds, widened to the result; a refusal where a parameter has none."""
     held = {e.label for e in one.record.estimates if e.verdict == "frozen"}

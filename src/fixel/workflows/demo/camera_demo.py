@@ -30,7 +30,12 @@ from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.parameter_options import default_unknowns
-from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
+from fixel.workflows.calibration.request import (
+    LEAST_SQUARES,
+    CalibrationRequest,
+    NamedOptions,
+    entry_of,
+)
 from fixel.workflows.compilation import engine_is_cold
 from fixel.workflows.demo.emulated_bench import record_film
 from fixel.workflows.figures import Picture
@@ -49,7 +54,7 @@ ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its
 Say = Callable[[str], None]
 
 
-class Errors(NamedTuple):
+class TrackingErrors(NamedTuple):
     """Root mean square distances of tracked from true poses."""
 
     position: float  # [m]
@@ -87,7 +92,7 @@ class CameraTour:
     overlays: tuple[Path, ...]
 
     @property
-    def errors(self) -> Errors:
+    def errors(self) -> TrackingErrors:
         """Over all frames of all runs."""
         return errors_of(self.runs)
 
@@ -280,11 +285,11 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
     return twin, run
 
 
-def errors_of(runs: tuple[TrackedRun, ...]) -> Errors:
+def errors_of(runs: tuple[TrackedRun, ...]) -> TrackingErrors:
     """Root mean squares over all frames."""
     position = np.concatenate([run.position_error for run in runs])
     angle = np.concatenate([run.angle_error for run in runs])
-    return Errors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
+    return TrackingErrors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
 
 
 def within_interval(tracked: Estimate, true: Estimate) -> bool:
@@ -340,11 +345,11 @@ def _firmware(folder: Path, tell: Say) -> Path | None:
 def _calibrate(project: Project, dataset: str, command: str) -> int:
     with project.store() as store:
         chosen = calibration.choose(store, (), Query(dataset=dataset, flagged=True))
-    request = Request(
+    request = CalibrationRequest(
         name=dataset,
         mode="joint",
         unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
-        optimiser=Choice(name=LEAST_SQUARES),
+        optimiser=NamedOptions(name=LEAST_SQUARES),
     )
     job = calibration.prepare(project, chosen, request)
     calibration.run(job)

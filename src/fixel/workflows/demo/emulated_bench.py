@@ -15,9 +15,9 @@ import numpy as np
 from fixel.errors import FixelError
 from fixel.formats.recording import Recording, open_recording
 from fixel.model import LineDrive, Scene
-from fixel.testbed.frame_source import Arrived
+from fixel.testbed.frame_source import CameraPicture
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.testbed.recorder import Recorded, Status
+from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 from fixel.workflows.acquisition.record import FILM, RecordPlan, record
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class EmulatedBench:
         self._move: threading.Thread | None = None
         self._failure: FixelError | None = None
 
-    def begin(self, status: Status, scene: Scene, lead: float) -> None:
+    def begin(self, status: RecordingStatus, scene: Scene, lead: float) -> None:
         """The film plays: close and open contacts as it goes on, and start the drive in time."""
         if self._board is not None:
             self._schedule_contacts(self._board, status.seconds)
@@ -122,7 +122,7 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
 
 def record_film(
     film: Path, out: Path, scene: Scene, lead: float, firmware: Path | None
-) -> tuple[Recorded, float | None]:
+) -> tuple[RecordingSummary, float | None]:
     """Record a film as if it happened on a bench.
 
     Parameters
@@ -138,14 +138,14 @@ def record_film(
 
     Returns
     -------
-    recorded : Recorded
+    recorded : RecordingSummary
     position : float or None
         Where the drive says it stands in the end [m].
     """
     with emulated_bench(film, firmware) as bench:
         begun = False
 
-        def watch(_: Arrived, status: Status) -> None:
+        def watch(_: CameraPicture, status: RecordingStatus) -> None:
             nonlocal begun
             if not begun:
                 begun = True

@@ -16,7 +16,7 @@ from fixel.simulation import Simulation
 STICKING = 1e-3
 
 
-class Event(NamedTuple):
+class MotionEvent(NamedTuple):
     """Something that happened."""
 
     time: float  # [s]
@@ -30,7 +30,7 @@ class Slip(NamedTuple):
     until: float  # [s] of the last sample at which it slid
 
 
-def story(simulation: Simulation) -> list[Event]:
+def story(simulation: Simulation) -> list[MotionEvent]:
     """What happened to the first body of a scene, in order.
 
     Parameters
@@ -45,7 +45,7 @@ def story(simulation: Simulation) -> list[Event]:
         *_stalls(simulation, body),
     ]
     if simulation.stopped_at is not None:
-        events.append(Event(simulation.stopped_at, f"stopped: {simulation.status}"))
+        events.append(MotionEvent(simulation.stopped_at, f"stopped: {simulation.status}"))
     return sorted(events, key=lambda event: event.time)
 
 
@@ -64,7 +64,7 @@ def _angle(simulation: Simulation, body: str, time: float) -> str:
     return f"{angle:.1f} deg".replace("-0.0 ", "0.0 ")
 
 
-def _meets_pushers(simulation: Simulation, body: str) -> list[Event]:
+def _meets_pushers(simulation: Simulation, body: str) -> list[MotionEvent]:
     events = []
     for pusher in simulation.scene.pushers:
         rows = _rows(simulation, body, pusher.name)
@@ -72,16 +72,18 @@ def _meets_pushers(simulation: Simulation, body: str) -> list[Event]:
             continue
         first = float(rows["time"][0])  # the step in which a gap closes ends with it
         angle = _angle(simulation, body, first)
-        events.append(Event(first, f"{pusher.name} touches {body}, which stands at {angle}"))
+        events.append(MotionEvent(first, f"{pusher.name} touches {body}, which stands at {angle}"))
         times, points = np.unique(rows["time"], return_counts=True)
         if points[0] == 1 and (points > 1).any():
             flat = float(times[np.argmax(points > 1)])
             angle = _angle(simulation, body, flat)
-            events.append(Event(flat, f"face to face: {body} lies flat against it, at {angle}"))
+            events.append(
+                MotionEvent(flat, f"face to face: {body} lies flat against it, at {angle}")
+            )
     return events
 
 
-def _meets_fixels(simulation: Simulation, body: str) -> list[Event]:
+def _meets_fixels(simulation: Simulation, body: str) -> list[MotionEvent]:
     events = []
     for fixel in simulation.scene.fixels:
         rows = _rows(simulation, body, fixel.name)
@@ -89,7 +91,7 @@ def _meets_fixels(simulation: Simulation, body: str) -> list[Event]:
             continue
         first = float(rows["time"][0])
         events.append(
-            Event(first, f"{body} meets {fixel.name}, at {_angle(simulation, body, first)}")
+            MotionEvent(first, f"{body} meets {fixel.name}, at {_angle(simulation, body, first)}")
         )
         slip = _slip(simulation, body, rows)
         how = (
@@ -98,9 +100,9 @@ def _meets_fixels(simulation: Simulation, body: str) -> list[Event]:
             else f"{body} sticks to {fixel.name} from the first touch on"
         )
         if rows["time"][-1] == simulation.time[-1]:
-            events.append(Event(slip.until, how))
+            events.append(MotionEvent(slip.until, how))
         else:
-            events.append(Event(float(rows["time"][-1]), f"{body} leaves {fixel.name}"))
+            events.append(MotionEvent(float(rows["time"][-1]), f"{body} leaves {fixel.name}"))
     return events
 
 
@@ -126,7 +128,7 @@ def _slip_speed(simulation: Simulation, body: str, row: np.void) -> float:
     return abs(float(velocity @ np.array([-normal[1], normal[0]])))
 
 
-def _stalls(simulation: Simulation, body: str) -> list[Event]:
+def _stalls(simulation: Simulation, body: str) -> list[MotionEvent]:
     events = []
     end = float(simulation.time[-1])
     for pusher in simulation.scene.pushers:
@@ -134,16 +136,18 @@ def _stalls(simulation: Simulation, body: str) -> list[Event]:
         if not trace.stalled[-1]:
             if isinstance(pusher.drive, LineDrive) and trace.travel >= pusher.drive.travel:
                 way = f"{1e3 * trace.travel:.1f} mm"
-                events.append(Event(end, f"{pusher.name} has covered its way of {way}"))
+                events.append(MotionEvent(end, f"{pusher.name} has covered its way of {way}"))
             continue
         moving = np.nonzero(~trace.stalled)[0]
         since = int(moving[-1]) + 1 if len(moving) else 0
         force = f"{trace.force[since]:.4g} N"
         seats = [b for a, b in simulation.touching if a == body and b != pusher.name]
         where = f"{body} is seated on " + " and ".join(seats) if seats else f"{body} is held"
-        events.append(Event(float(simulation.time[since]), f"{where}; the drive stalls at {force}"))
+        events.append(
+            MotionEvent(float(simulation.time[since]), f"{where}; the drive stalls at {force}")
+        )
         moved = simulation.pose[body][-1] - simulation.pose[body][since]
         held = end - simulation.time[since]
         drift = f"{1e9 * np.hypot(moved[0], moved[1]):.2g} nm, {abs(moved[2]):.1g} rad"
-        events.append(Event(end, f"held for {held:.2f} s; drift since the stall: {drift}"))
+        events.append(MotionEvent(end, f"held for {held:.2f} s; drift since the stall: {drift}"))
     return events

@@ -22,8 +22,13 @@ from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.parameter_options import default_unknowns
-from fixel.workflows.calibration.request import LEAST_SQUARES, Choice, Request, entry_of
-from fixel.workflows.domain.request import Asked
+from fixel.workflows.calibration.request import (
+    LEAST_SQUARES,
+    CalibrationRequest,
+    NamedOptions,
+    entry_of,
+)
+from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
 from fixel.workflows.report.write import Report, write_report
 from fixel.workflows.sensitivity.request import SensitivityRequest
@@ -82,7 +87,9 @@ def run_tour(folder: Path, say: Say | None = None) -> Tour:
     tell("calibrating friction and support to all of them, with verdicts")
     number = _calibrate(project, f"fixel calibrate --optimiser {LEAST_SQUARES} {at}")
     tell("mapping where the calibrated simulator can be trusted")
-    map_domain(project, Asked(query=Query(), calibration=number), command=f"fixel domain {at}")
+    map_domain(
+        project, DomainRequest(query=Query(), calibration=number), command=f"fixel domain {at}"
+    )
     tell("asking how far the start decides the outcome")
     _ask_starts(project, number, at)
     tell("asking what is not known, and what follows from it")
@@ -108,10 +115,10 @@ def _perform(store: Store) -> None:
 def _calibrate(project: Project, command: str) -> int:
     with project.store() as store:
         chosen = calibration.choose(store, (), Query())
-    request = Request(
+    request = CalibrationRequest(
         mode="joint",
         unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
-        optimiser=Choice(name=LEAST_SQUARES),
+        optimiser=NamedOptions(name=LEAST_SQUARES),
     )
     job = calibration.prepare(project, chosen, request)
     calibration.run(job)

@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.simulation import Simulation
 from fixel.workflows.compilation import Say
-from fixel.workflows.demo.events import Event, story
+from fixel.workflows.demo.events import MotionEvent, story
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"
@@ -26,14 +26,14 @@ class Demo:
     Attributes
     ----------
     simulation : Simulation
-    events : list of Event
+    events : list of MotionEvent
         What happened, in order.
     files : dict from kind to Path
         ``scene``, ``plot``, ``animate``, ``trajectory``.
     """
 
     simulation: Simulation
-    events: list[Event]
+    events: list[MotionEvent]
     files: dict[str, Path]
 
 

@@ -17,7 +17,7 @@ from fixel.kernels.jit import cache_folder
 from fixel.simulation import Lemke
 from fixel.testing import scenes
 from fixel.workflows.compilation import Say, cache_size, engine_is_cold, get_ready
-from fixel.workflows.diagnostics.self_test import Check, self_test, worst_residual
+from fixel.workflows.diagnostics.self_test import SelfCheck, self_test, worst_residual
 
 PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av", "pillow")
 
@@ -34,7 +34,7 @@ class Diagnosis:
         Platform, cores that this process may use, threads that a batch takes.
     cache : dict
         Folder of compiled kernels, its size [bytes], whether they were there already.
-    checks : list of Check
+    checks : list of SelfCheck
     seconds : float
         What it all took [s].
     """
@@ -42,7 +42,7 @@ class Diagnosis:
     versions: dict[str, str]
     machine: dict[str, Any]
     cache: dict[str, Any]
-    checks: list[Check]
+    checks: list[SelfCheck]
     seconds: float
 
     @property
@@ -94,7 +94,7 @@ def machine() -> dict[str, Any]:
     return {"platform": platform.platform(terse=True), "cores": usable, "threads": threads}
 
 
-def _cache_check() -> Check:
+def _cache_check() -> SelfCheck:
     name = "compiled kernels can be kept"
     folder = Path(cache_folder())
     try:
@@ -104,31 +104,31 @@ def _cache_check() -> Check:
     except OSError as problem:
         reason = (problem.strerror or str(problem)).lower()
         hint = "set FIXEL_CACHE_DIR to a folder one may write to"
-        return Check(name, False, f"{folder}: {reason}; {hint}")
-    return Check(name, True, "the cache folder can be written to")
+        return SelfCheck(name, False, f"{folder}: {reason}; {hint}")
+    return SelfCheck(name, True, "the cache folder can be written to")
 
 
-def _film_check() -> Check:
+def _film_check() -> SelfCheck:
     name = "films can be written"
     try:
         import av
         from av.codec import Codec
     except ImportError as problem:
-        return Check(name, False, f"{problem}")
+        return SelfCheck(name, False, f"{problem}")
     for codec, what in (("libx264", "H.264"), ("mpeg4", "MPEG-4, as H.264 is missing")):
         try:
             Codec(codec, "w")
         except (av.FFmpegError, ValueError):
             continue
-        return Check(name, True, what)
-    return Check(name, False, "PyAV came without H.264 and MPEG-4; write .gif files")
+        return SelfCheck(name, True, what)
+    return SelfCheck(name, False, "PyAV came without H.264 and MPEG-4; write .gif files")
 
 
-def _bench_check() -> Check:
+def _bench_check() -> SelfCheck:
     """What could be a bench; having none is in order."""
     name = "cameras and serial ports"
     found = _cameras() + _serial_ports()
-    return Check(name, True, ", ".join(found) if found else "none, fine")
+    return SelfCheck(name, True, ", ".join(found) if found else "none, fine")
 
 
 def _cameras() -> list[str]:

@@ -30,7 +30,7 @@ CLOSED_FORM = 2e-3
 
 @final
 @dataclass(frozen=True, slots=True)
-class Check:
+class SelfCheck:
     """One line of the self-test.
 
     Attributes
@@ -50,23 +50,23 @@ class Check:
     residual: float | None = None
 
 
-def self_test() -> list[Check]:
+def self_test() -> list[SelfCheck]:
     """Run all checks; one that breaks has failed."""
     return [_guarded(name, check) for name, check in _CHECKS.items()]
 
 
-def worst_residual(checks: list[Check]) -> float:
+def worst_residual(checks: list[SelfCheck]) -> float:
     """Of all checks that solved steps."""
     return max((c.residual for c in checks if c.residual is not None), default=float("nan"))
 
 
-def _guarded(name: str, check: Callable[[], tuple[bool, str, float | None]]) -> Check:
+def _guarded(name: str, check: Callable[[], tuple[bool, str, float | None]]) -> SelfCheck:
     try:
         passed, detail, residual = check()
     except Exception as problem:  # whatever it is, the report goes on and says so
-        return Check(name, False, f"{type(problem).__name__}: {problem}")
+        return SelfCheck(name, False, f"{type(problem).__name__}: {problem}")
     fine = residual is None or residual <= RESIDUAL
-    return Check(name, passed and fine, detail, residual)
+    return SelfCheck(name, passed and fine, detail, residual)
 
 
 Found = tuple[bool, str, float | None]

@@ -7,13 +7,13 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.domain.cells import CellAxis
-from fixel.domain.domain import Claim, DomainMap, Verdict
-from fixel.drawing.domain import MapChart, Panel, SizeChart, Strip
+from fixel.domain.domain import CellVerdict, Claim, DomainMap
+from fixel.drawing.domain import MapChart, MapPanel, SizeChart, Strip
 from fixel.workflows.figures import Picture
 
 HEAD: Final = ("group", "cell", "members", "error", "confidence", "colour", "in_domain", "reason")
 
-Verdicts = list[list[Verdict]]
+Verdicts = list[list[CellVerdict]]
 
 
 def pictures_of(
@@ -65,7 +65,7 @@ def _chart(
     for g, group in enumerate(domain.groups):
         own = set(inside[g])
         panels.append(
-            Panel(
+            MapPanel(
                 title=group or "all experiments",
                 colour=[[verdicts[g][c].colour for c in row] for row in table],
                 count=[[int(domain.counts[g, c]) for c in row] for row in table],

@@ -6,17 +6,17 @@ import shlex
 from pathlib import Path
 
 from fixel.domain.domain import Claim
-from fixel.workflows.domain.request import Asked
+from fixel.workflows.domain.request import DomainRequest
 
 
-def command_of(folder: Path, asked: Asked, claim: Claim) -> str:
+def command_of(folder: Path, asked: DomainRequest, claim: Claim) -> str:
     """What to type for the same map.
 
     Parameters
     ----------
     folder : Path
         Of the project; left out where it is the one a shell is in.
-    asked : Asked
+    asked : DomainRequest
     claim : Claim
         In place of what was asked for.
     """
@@ -42,7 +42,7 @@ def command_of(folder: Path, asked: Asked, claim: Claim) -> str:
     words += [option, f"{claim.threshold:.4g}"]
     for name in ("level", "confidence"):
         value = getattr(claim, name)
-        words += [] if value == getattr(Asked(), name) else [f"--{name}", f"{value:g}"]
+        words += [] if value == getattr(DomainRequest(), name) else [f"--{name}", f"{value:g}"]
     words += ["--folds", str(asked.folds)] if asked.folds else []
     words += ["--seed", str(asked.seed)] if asked.seed else []
     return shlex.join(words)

@@ -17,12 +17,12 @@ from fixel.calibration.repetitions import repetitions, same_configuration
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.domain.evidence import Evidence, Value
+from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.domain.folds import usual_folds
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import choose
@@ -32,23 +32,23 @@ from fixel.workflows.domain.held_out import (
     MOST_TRAINING,
     SQUARES,
     Apart,
+    CalibrationModel,
     HeldOut,
-    Model,
     Progress,
     held_out,
     label_of,
 )
-from fixel.workflows.domain.request import Asked, model_of, own_best
+from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
 VERSION: Final = 2  # raise it when the same question no longer means the same numbers
 
 
-class Gathered(NamedTuple):
+class DomainEvidence(NamedTuple):
     """Evidence, and how it came to be."""
 
-    evidence: Evidence
+    evidence: HeldOutErrors
     calibration: int | None
     started: str  # what fits started from
     floor_mm: float | None  # what the measurement alone makes of a perfect simulator
@@ -65,7 +65,9 @@ class Gathered(NamedTuple):
     mark: str = ""  # of the file it is kept in
 
 
-def gather(project: Project, asked: Asked, progress: Progress | None = None) -> Gathered:
+def gather(
+    project: Project, asked: DomainRequest, progress: Progress | None = None
+) -> DomainEvidence:
     """Held-out errors of the experiments asked for; from a file where they were computed before.
 
     Maps of the same experiments with other axes, thresholds and nominals share them.
@@ -80,7 +82,7 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
         folder = project.folder / ANALYSES / FOLDER / mark
         content = _read(folder / WHOLE)
         if content is None:
-            content = _computed(project, store, asked, Finished(folder), progress)
+            content = _computed(project, store, asked, ResultCache(folder), progress)
             with written_whole(folder / WHOLE) as path:
                 path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
         with readable(folder / WHOLE, f"delete the folder {folder}"):
@@ -91,7 +93,9 @@ def gather(project: Project, asked: Asked, progress: Progress | None = None) -> 
     return gathered._replace(is_real=real, mark=mark)
 
 
-def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> Gathered | None:
+def gathered_before(
+    project: Project, store: Store, asked: DomainRequest, mark: str
+) -> DomainEvidence | None:
     """Evidence out of a file that `gather` has kept; nothing is computed, none where it is gone."""
     path = project.folder / ANALYSES / FOLDER / mark / WHOLE
     content = _read(path) if mark else None
@@ -105,17 +109,17 @@ def gathered_before(project: Project, store: Store, asked: Asked, mark: str) -> 
     return gathered._replace(is_real=real, mark=mark)
 
 
-def mark_of(store: Store, asked: Asked, calibration: int | None) -> str:
+def mark_of(store: Store, asked: DomainRequest, calibration: int | None) -> str:
     """Of the file in which the evidence was kept when a calibration was the newest."""
     ids = [one.id for one in store.experiments(asked.query).summaries]
     return _mark(asked, ids, calibration)
 
 
-def _newest(store: Store, asked: Asked) -> int | None:
+def _newest(store: Store, asked: DomainRequest) -> int | None:
     return None if asked.calibration is not None or asked.fit else newest(store)
 
 
-def _mark(asked: Asked, ids: Sequence[int], latest: int | None) -> str:
+def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
     """Of everything the numbers depend on; stored records never change."""
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
@@ -126,7 +130,11 @@ def _mark(asked: Asked, ids: Sequence[int], latest: int | None) -> str:
 
 
 def _computed(
-    project: Project, store: Store, asked: Asked, finished: Finished, progress: Progress | None
+    project: Project,
+    store: Store,
+    asked: DomainRequest,
+    finished: ResultCache,
+    progress: Progress | None,
 ) -> dict[str, Any]:
     chosen = choose(store, (), asked.query)
     started = model_of(project, store, asked, chosen.targets)
@@ -156,13 +164,13 @@ def _computed(
     }
 
 
-def _usual(targets: Sequence[Target], asked: Asked) -> int:
+def _usual(targets: Sequence[Target], asked: DomainRequest) -> int:
     if asked.leave_out:
         return len({label_of(t.conditions, (asked.leave_out,)) for t in targets})
     return usual_folds(len(targets))
 
 
-def _scale(model: Model) -> float:
+def _scale(model: CalibrationModel) -> float:
     return float(getattr(model.error, "angle_scale", ANGLE_SCALE))
 
 
@@ -184,11 +192,11 @@ def _read(path: Any) -> dict[str, Any] | None:
     return content
 
 
-def _gathered(content: dict[str, Any], asked: Asked) -> Gathered:
+def _gathered(content: dict[str, Any], asked: DomainRequest) -> DomainEvidence:
     rows: list[dict[str, Value]] = content["coordinates"]
     names = dict.fromkeys(name for row in rows for name in row)
     told = {None: np.nan, "failed": np.inf}
-    evidence = Evidence(
+    evidence = HeldOutErrors(
         keys=tuple(content["keys"]),
         ids=tuple(content["ids"]),
         coordinates={name: tuple(row.get(name) for row in rows) for name in names},
@@ -197,7 +205,7 @@ def _gathered(content: dict[str, Any], asked: Asked) -> Gathered:
         group=tuple(label_of(row, asked.by) for row in rows),
         configuration=tuple(content["configuration"]),
     )
-    return Gathered(
+    return DomainEvidence(
         evidence=evidence,
         calibration=content["calibration"],
         started=content["started"],
@@ -215,7 +223,9 @@ def _gathered(content: dict[str, Any], asked: Asked) -> Gathered:
     )
 
 
-def _with_own(project: Project, store: Store, asked: Asked, one: Gathered) -> Gathered:
+def _with_own(
+    project: Project, store: Store, asked: DomainRequest, one: DomainEvidence
+) -> DomainEvidence:
     """Own bests beside; experiments without one keep a note, and are no evidence."""
     targets = choose(store, one.evidence.keys[:1], asked.query).targets
     model = model_of(project, store, asked, targets).model

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.assess import Frames
-from fixel.calibration.cost import Prior
+from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
@@ -23,7 +23,7 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.domain.folds import folds_of
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import Finished
+from fixel.io.result_cache import ResultCache
 from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
@@ -56,7 +56,7 @@ class Apart(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Model:
+class CalibrationModel:
     """What is calibrated, and how experiments are simulated.
 
     Attributes
@@ -115,9 +115,9 @@ def stepper_for(targets: Sequence[Target]) -> AbstractStepper:
 
 def held_out(
     targets: Sequence[Target],
-    model: Model,
+    model: CalibrationModel,
     apart: Apart,
-    finished: Finished,
+    finished: ResultCache,
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> HeldOut:
@@ -142,7 +142,7 @@ def held_out(
         if len(test) and len(train):
             of = _asked(targets, model, apart, stepper, train, test)
             name = f"fold-{done}"
-            answer = finished.get(name, of, _Fit(comparer, train, test, apart.seed + k))
+            answer = finished.get(name, of, _FoldFit(comparer, train, test, apart.seed + k))
             error[test] = [math.inf if e is None else e for e in answer["error"]]
             points[f"{group or 'all'}, fold {k + 1}"] = answer["point"]
         elif len(test):
@@ -179,7 +179,7 @@ def _no_start(reason: str) -> InvalidInput:
     )
 
 
-class _Fit:
+class _FoldFit:
     """One fold of one group: parameters from some experiments, errors of others."""
 
     def __init__(self, comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> None:
@@ -200,7 +200,7 @@ class _Fit:
         # Every experiment counts alike, however long; residuals stay in millimetres.
         weight = np.sqrt(frames.weights / frames.weights.mean())
         residuals = frames.residuals(noise)
-        search = SQUARES.start(box_of(space), self.seed, None, Prior.of(space))
+        search = SQUARES.start(box_of(space), self.seed, None, NormalPrior.of(space))
         return np.asarray(fit(search, lambda points: residuals(points) / weight).point)
 
     def _learnt_from(self) -> IntArray:
@@ -218,12 +218,12 @@ class _Fit:
         return good
 
 
-def calibrated_on(targets: Sequence[Target], model: Model, seed: int = 0) -> FloatArray:
+def calibrated_on(targets: Sequence[Target], model: CalibrationModel, seed: int = 0) -> FloatArray:
     """(n_free,) the parameters that a fold would have which learns from all of these."""
     stepper = stepper_for(targets)
     comparer = Comparer(targets, model.space, model.error, model.motion, stepper)
     every = np.arange(len(targets))
-    return _Fit(comparer, every, every, seed).point()
+    return _FoldFit(comparer, every, every, seed).point()
 
 
 def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> IntArray:
@@ -252,7 +252,7 @@ def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
 
 def _asked(
     targets: Sequence[Target],
-    model: Model,
+    model: CalibrationModel,
     apart: Apart,
     stepper: AbstractStepper,
     train: IntArray,

@@ -16,7 +16,7 @@ from fixel.jobs import folder as files
 from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.work import Work
 from fixel.workflows import jobs
-from fixel.workflows.domain.request import Asked, asked_again
+from fixel.workflows.domain.request import DomainRequest, asked_again
 from fixel.workflows.domain.run import map_domain
 
 MAKER: Final = "domain:domain_work"
@@ -43,7 +43,7 @@ def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     return done.kept.folder.name.encode()
 
 
-def begin(project: Project, asked: Asked, command: str) -> Path:
+def begin(project: Project, asked: DomainRequest, command: str) -> Path:
     """Run it in a process of its own, which outlives this one; the folder of its job."""
     question = asked.question()
     digest = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:10]

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from fixel.domain.cells import Cells
-from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, Claim, DomainMap, Verdict
+from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, CellVerdict, Claim, DomainMap
 from fixel.domain.next_experiment import Proposal
 from fixel.workflows.analysis import TextTable
-from fixel.workflows.domain.evidence import Gathered
+from fixel.workflows.domain.evidence import DomainEvidence
 
 
 def headline(
-    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+    domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[str, ...]:
     """What was found, in sentences."""
     count = colour_counts(verdicts)
@@ -56,14 +56,14 @@ def _spread(sizes: list[int]) -> str:
     return str(low) if low == high else f"{low} to {high}"
 
 
-def colour_counts(verdicts: list[list[Verdict]]) -> dict[str, int]:
+def colour_counts(verdicts: list[list[CellVerdict]]) -> dict[str, int]:
     """Cells of each colour, over all maps."""
     every = [verdict.colour for own in verdicts for verdict in own]
     return {colour: every.count(colour) for colour in COLOURS}
 
 
 def warnings_of(
-    gathered: Gathered, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
+    gathered: DomainEvidence, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
 ) -> tuple[str, ...]:
     found = []
     if aside:
@@ -107,7 +107,7 @@ def warnings_of(
 
 
 def tables(
-    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+    domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[TextTable, ...]:
     """Extents of D(tau) by map, and the experiments that would teach most."""
     axes = domain.cells.axes
@@ -143,7 +143,7 @@ def _reach_text(reach: tuple[str, str] | None) -> str:
 
 
 def numbers(
-    domain: DomainMap, claim: Claim, verdicts: list[list[Verdict]], found: list[Proposal]
+    domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> dict[str, Any]:
     """Plain values in SI units; None where there is none."""
     inside = [set(own) for own in domain.domains(claim)]
@@ -212,7 +212,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def methods_of(gathered: Gathered, domain: DomainMap, claim: Claim) -> tuple[str, ...]:
+def methods_of(gathered: DomainEvidence, domain: DomainMap, claim: Claim) -> tuple[str, ...]:
     n = len(domain.evidence)
     return (
         f"Errors of {n} experiments were held out in {gathered.folds} folds ({gathered.fits} fits"

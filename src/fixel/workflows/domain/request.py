@@ -20,15 +20,15 @@ from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
 from fixel.workflows.calibration.result import ALONE, NEIGHBOUR
-from fixel.workflows.calibration.stored import Calibrated, calibrated, searched_space
-from fixel.workflows.domain.held_out import Model
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated, searched_space
+from fixel.workflows.domain.held_out import CalibrationModel
 
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class DomainRequest:
     """A map to be.
 
     Attributes
@@ -94,24 +94,26 @@ class Asked:
         }
 
 
-def asked_again(question: Mapping[str, Any]) -> Asked:
+def asked_again(question: Mapping[str, Any]) -> DomainRequest:
     """The other way round: what a kept answer was asked for."""
     known = dict(question)
     query = Query(
         dataset=known.pop("dataset"), conditions=known.pop("where"), flagged=known.pop("flagged")
     )
-    return Asked(query=query, **known)
+    return DomainRequest(query=query, **known)
 
 
-class Started(NamedTuple):
+class FitStarts(NamedTuple):
     """What fits start from."""
 
-    model: Model
+    model: CalibrationModel
     calibration: int | None
     said: str
 
 
-def model_of(project: Project, store: Store, asked: Asked, targets: Sequence[Target]) -> Started:
+def model_of(
+    project: Project, store: Store, asked: DomainRequest, targets: Sequence[Target]
+) -> FitStarts:
     """Unknowns, motion and error: those of a stored calibration, else the usual ones."""
     scenes = [target.case.scene for target in targets]
     one = _calibration(store, asked)
@@ -120,13 +122,13 @@ def model_of(project: Project, store: Store, asked: Asked, targets: Sequence[Tar
         space = ParameterSpace(unknowns=tuple(unknowns))
         motion, error = (Dynamic(), MeanSquare()) if one is None else (one.motion, one.error)
         said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
-        return Started(Model(space=space, motion=motion, error=error), None, said)
+        return FitStarts(CalibrationModel(space=space, motion=motion, error=error), None, said)
     space = searched_space(project, one, scenes)
-    model = Model(space=space, motion=one.motion, error=one.error)
-    return Started(model, one.id, f"calibration {one.id}")
+    model = CalibrationModel(space=space, motion=one.motion, error=one.error)
+    return FitStarts(model, one.id, f"calibration {one.id}")
 
 
-def _calibration(store: Store, asked: Asked) -> Calibrated | None:
+def _calibration(store: Store, asked: DomainRequest) -> CalibratedValues | None:
     if asked.calibration is not None:
         return calibrated(store, asked.calibration)
     if asked.fit or not store.calibrations():
@@ -134,7 +136,9 @@ def _calibration(store: Store, asked: Asked) -> Calibrated | None:
     return calibrated(store)
 
 
-def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray, list[str]]:
+def own_best(
+    store: Store, ids: Sequence[int], model: CalibrationModel
+) -> tuple[FloatArray, list[str]]:
     """(n,) least E of single calibrations of experiments [mm^2], and why there is none.
 
     Calibrations under another motion model, error or angle scale say nothing here.
@@ -148,7 +152,7 @@ def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray
         k = place.get(record.members[0].experiment_id)
         if k is None:
             continue
-        other = _differs(Calibrated(number, record), model)
+        other = _differs(CalibratedValues(number, record), model)
         if other:
             if np.isnan(best[k]):
                 notes[k] = f"calibrated by itself under another {other}"
@@ -166,7 +170,7 @@ def own_best(store: Store, ids: Sequence[int], model: Model) -> tuple[FloatArray
     return best, notes
 
 
-def _differs(one: Calibrated, model: Model) -> str:
+def _differs(one: CalibratedValues, model: CalibrationModel) -> str:
     if one.motion.name != model.motion.name:
         return f"motion model ({one.motion.name})"
     if one.error.name != model.error.name:

@@ -12,19 +12,19 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.domain.cells import Cells, cells_of, varying
-from fixel.domain.domain import Claim, DomainMap, Verdict, domain_map, usual_threshold
-from fixel.domain.evidence import Evidence
+from fixel.domain.domain import CellVerdict, Claim, DomainMap, domain_map, usual_threshold
+from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.promised_cells import promised_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
 from fixel.kernels.arrays import FloatArray
-from fixel.workflows.analysis import Analysis, Kept, keep
+from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.domain.charts import pictures_of
-from fixel.workflows.domain.evidence import Gathered, gather
+from fixel.workflows.domain.evidence import DomainEvidence, gather
 from fixel.workflows.domain.held_out import Progress
 from fixel.workflows.domain.report import headline, methods_of, numbers, tables, warnings_of
-from fixel.workflows.domain.request import OFFSETS, Asked
+from fixel.workflows.domain.request import OFFSETS, DomainRequest
 from fixel.workflows.figures import make_folder
 
 MOST_EXAMPLES: Final = 3
@@ -36,48 +36,48 @@ USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes where nothing w
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mapped:
+class DomainResult:
     """A map, and all that is said of it.
 
     Attributes
     ----------
-    gathered : Gathered
+    gathered : DomainEvidence
     domain : DomainMap
     claim : Claim
-    verdicts : list of list of Verdict
+    verdicts : list of list of CellVerdict
         Of every cell of every map.
     next : list of Proposal
     warnings : tuple of str
-    kept : Kept
+    kept : StoredAnalysis
         In the project.
     files : tuple of Path
         Pictures where they were asked for.
     """
 
-    gathered: Gathered
+    gathered: DomainEvidence
     domain: DomainMap
     claim: Claim
-    verdicts: list[list[Verdict]]
+    verdicts: list[list[CellVerdict]]
     next: list[Proposal]
     warnings: tuple[str, ...]
-    kept: Kept
+    kept: StoredAnalysis
     files: tuple[Path, ...] = ()
 
 
 def map_domain(
     project: Project,
-    asked: Asked,
+    asked: DomainRequest,
     *,
     plot: Path | None = None,
     progress: Progress | None = None,
     command: str = "",
-) -> Mapped:
+) -> DomainResult:
     """Say where one parameter set can be trusted.
 
     Parameters
     ----------
     project : Project
-    asked : Asked
+    asked : DomainRequest
     plot : Path, optional
         Folder for pictures, besides those in the project.
     progress : callable, optional
@@ -122,7 +122,7 @@ def map_domain(
     arrays |= _fitted(domain)
     kept = keep(project, analysis, pictures, arrays)
     files = [] if plot is None else kept.copy_pictures(plot)
-    return Mapped(
+    return DomainResult(
         gathered=gathered,
         domain=domain,
         claim=claim,
@@ -135,14 +135,14 @@ def map_domain(
 
 
 def spread_out(
-    gathered: Gathered, asked: Asked, fitted: Mapping[str, FloatArray] | None = None
+    gathered: DomainEvidence, asked: DomainRequest, fitted: Mapping[str, FloatArray] | None = None
 ) -> tuple[DomainMap, int]:
     """The map for every threshold at once, and how many experiments are left out of it.
 
     Parameters
     ----------
-    gathered : Gathered
-    asked : Asked
+    gathered : DomainEvidence
+    asked : DomainRequest
     fitted : mapping of name to array, optional
         What was kept with the same map: then nothing is fitted.
     """
@@ -160,7 +160,7 @@ def is_fitted(known: Mapping[str, FloatArray]) -> bool:
     return f"{SURFACE}mean" in known
 
 
-def refuse_axes(gathered: Gathered, asked: Asked) -> None:
+def refuse_axes(gathered: DomainEvidence, asked: DomainRequest) -> None:
     """Refuse what no map can be made of, before anything is fitted."""
     _cut(gathered, asked)
 
@@ -174,27 +174,27 @@ def _fitted(domain: DomainMap) -> dict[str, Any]:
     return found if domain.predicted_mm is None else found | {PROMISED: domain.predicted_mm}
 
 
-def _cut(gathered: Gathered, asked: Asked) -> tuple[Evidence, Cells, int]:
+def _cut(gathered: DomainEvidence, asked: DomainRequest) -> tuple[HeldOutErrors, Cells, int]:
     axes = list(asked.axes) or usual_axes(gathered.evidence, asked.by)
     evidence, aside = _at_nominal(gathered.evidence, axes)
     return evidence, cells_of(evidence, axes, asked.nominal, asked.steps), aside
 
 
-def _spread(evidence: Evidence, cells: Cells, asked: Asked) -> DomainMap:
+def _spread(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> DomainMap:
     promised = _promised(evidence, cells, asked)
     domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
     _refuse_empty_nominal(domain)
     return domain
 
 
-def _promised(evidence: Evidence, cells: Cells, asked: Asked) -> FloatArray | None:
+def _promised(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> FloatArray | None:
     """Bounds are of the error itself, not of what is above an experiment's own best."""
     if asked.measure != "absolute":
         return None
     return promised_cells(evidence, cells, asked.level, asked.seed)
 
 
-def usual_axes(evidence: Evidence, by: tuple[str, ...] | Any = ()) -> list[str]:
+def usual_axes(evidence: HeldOutErrors, by: tuple[str, ...] | Any = ()) -> list[str]:
     """Offsets that were varied; else conditions that differ, two at most."""
     offsets = varying(evidence, OFFSETS)
     if offsets:
@@ -209,7 +209,7 @@ def usual_axes(evidence: Evidence, by: tuple[str, ...] | Any = ()) -> list[str]:
     return others[:2]
 
 
-def _at_nominal(evidence: Evidence, axes: list[str]) -> tuple[Evidence, int]:
+def _at_nominal(evidence: HeldOutErrors, axes: list[str]) -> tuple[HeldOutErrors, int]:
     """Without experiments that were offset along something that is no axis of the map."""
     keep_row = np.ones(len(evidence), bool)
     for name in varying(evidence, OFFSETS):
@@ -223,7 +223,7 @@ def _at_nominal(evidence: Evidence, axes: list[str]) -> tuple[Evidence, int]:
     return evidence.rows(np.flatnonzero(keep_row)), int((~keep_row).sum())
 
 
-def _claim(asked: Asked, gathered: Gathered, evidence: Evidence) -> Claim:
+def _claim(asked: DomainRequest, gathered: DomainEvidence, evidence: HeldOutErrors) -> Claim:
     threshold = asked.threshold
     if threshold is None:
         threshold = usual_threshold(evidence, asked.measure)

@@ -11,10 +11,10 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.objective import Comparer, Evaluated
+from fixel.calibration.objective import Comparer, Evaluation
 from fixel.database.store import Store
 from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
-from fixel.domain.growth import AVERAGED, Grower, Growth, Singles, Step, Wanted, weights
+from fixel.domain.growth import AVERAGED, Grower, Growth, RolloutQueue, Singles, Step, weights
 from fixel.domain.places import Index
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
@@ -22,8 +22,8 @@ from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.workflows.calibration.result import GROWTH
 from fixel.workflows.compilation import get_ready
-from fixel.workflows.growth.samples import Samples, read_samples
-from fixel.workflows.growth.singles import Stored, best_singles
+from fixel.workflows.growth.samples import GrowthSamples, read_samples
+from fixel.workflows.growth.singles import StoredSets, best_singles
 
 # The thesis's, read off figure 6.5 (section 6.3.1) [mm^2].
 THRESHOLD: Final = 5.0
@@ -43,8 +43,8 @@ class Exploration:
 
     Attributes
     ----------
-    samples : Samples
-    stored : Stored
+    samples : GrowthSamples
+    stored : StoredSets
     growth : Growth
     studies : list of AxisStudy
     threshold : float
@@ -55,8 +55,8 @@ class Exploration:
     warnings : list of str
     """
 
-    samples: Samples
-    stored: Stored
+    samples: GrowthSamples
+    stored: StoredSets
     growth: Growth
     studies: list[AxisStudy]
     threshold: float
@@ -96,7 +96,7 @@ def explore(
     index : str
         `"printed"` for the rows of the thesis's code as printed.
     sizes : mapping from axis to sizes
-        Samples of the intervals along each axis.
+        GrowthSamples of the intervals along each axis.
     threshold : str, optional
         As for `threshold_in`.
     motion, error : str, optional
@@ -115,7 +115,7 @@ def explore(
     limit = threshold_in(threshold, stored.method.unit)
     grower = Grower(samples.groups, stored.singles, index)
     studies = AxisStudies(samples.groups, stored.singles, sizes)
-    wanted = Wanted()
+    wanted = RolloutQueue()
     grower.ask(wanted)
     studies.ask(wanted)
     get_ready(samples.targets[0].case.scene, say)
@@ -181,7 +181,7 @@ def threshold_in(text: str | None, unit: str) -> float:
     return value**2 if unit == "mm^2" else math.sqrt(value)
 
 
-def _space(stored: Stored) -> ParameterSpace:
+def _space(stored: StoredSets) -> ParameterSpace:
     """Columns for the comparer; nothing is searched, so its bounds only have to hold the points."""
     points = [stored.singles.points, *(j.point[None] for j in stored.singles.joint.values())]
     every = np.concatenate(points)
@@ -201,8 +201,8 @@ def _keep(
     store: Store,
     summaries: Mapping[int, CalibrationRecord],
     growth: Growth,
-    samples: Samples,
-    stored: Stored,
+    samples: GrowthSamples,
+    stored: StoredSets,
     command: str,
 ) -> list[int]:
     """Add a calibration for every set newly averaged, unless it is there already."""
@@ -229,7 +229,7 @@ def _content(record: CalibrationRecord) -> tuple[object, ...]:
 
 
 def _record(
-    step: Step, growth: Growth, samples: Samples, stored: Stored, command: str
+    step: Step, growth: Growth, samples: GrowthSamples, stored: StoredSets, command: str
 ) -> CalibrationRecord:
     members, point, method = step.used.members, step.used.point, stored.method
     assert point is not None  # it was averaged
@@ -278,7 +278,9 @@ def _changed(growth: Growth, singles: Singles) -> list[str]:
     ]  # fmt: skip
 
 
-def _beaten(wanted: Wanted, answer: Evaluated, singles: Singles, samples: Samples) -> list[str]:
+def _beaten(
+    wanted: RolloutQueue, answer: Evaluation, singles: Singles, samples: GrowthSamples
+) -> list[str]:
     """Experiments that a domain's set meets far better than their own: their searches got stuck."""
     least = singles.errors.copy()
     np.minimum.at(least, wanted.which, answer.error)
@@ -306,7 +308,7 @@ def _empty(growth: Growth) -> list[str]:
     ]
 
 
-def _failed(answer: Evaluated) -> list[str]:
+def _failed(answer: Evaluation) -> list[str]:
     n = int(np.isinf(answer.error).sum())
     return [f"{n} of {len(answer.error)} simulations failed; they count as beyond any threshold."] \
         if n else []  # fmt: skip

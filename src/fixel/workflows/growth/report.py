@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fixel.domain.along_axis import AxisStudy, Edges
+from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import plain, readable, written
 from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
@@ -81,14 +81,14 @@ def _without_worst(study: AxisStudy, k: int) -> str:
     return f", without {study.layouts[worst]}, the worst, {rest:.3g}"
 
 
-def edges_text(edges: Edges, study: AxisStudy) -> str | None:
+def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
     """`-2.0 to +2.5 steps`; `beyond +5.0` where the last experiment tried is still within."""
     if edges.low is None or edges.high is None:
         return None
     return f"{_ends(edges, study, 1.0, '+.1f')} steps"
 
 
-def _ends(edges: Edges, study: AxisStudy, factor: float, form: str) -> str:
+def _ends(edges: AxisEdges, study: AxisStudy, factor: float, form: str) -> str:
     ends = []
     # Where nothing was tried below the nominal pose, the domain begins there.
     opens = (edges.low_open and study.steps[0] < 0, edges.high_open)

@@ -10,7 +10,7 @@ from typing import Final, final
 from fixel.database.project import Project
 from fixel.domain.along_axis import SIZES
 from fixel.domain.places import Index
-from fixel.workflows.analysis import Analysis, Kept, keep
+from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import Exploration, explore
 
@@ -19,7 +19,7 @@ THESIS: Final = "rpi2011"  # key of the bibliography
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class GrowthRequest:
     """What an exploration is about; the fields as for `explore`."""
 
     shape: str | None = None
@@ -33,20 +33,20 @@ class Asked:
 
 def run_growth(
     project: Project,
-    asked: Asked | None = None,
+    asked: GrowthRequest | None = None,
     *,
     command: str = "",
     where: str = "",
     threads: int | None = None,
     say: Callable[[str], None] | None = None,
-) -> tuple[Exploration, Kept]:
+) -> tuple[Exploration, StoredAnalysis]:
     """Explore, and keep what comes out.
 
     Parameters
     ----------
     project : Project
         With experiments of a plan and calibrations of each by itself.
-    asked : Asked, optional
+    asked : GrowthRequest, optional
     command : str
         What was typed.
     where : str
@@ -56,7 +56,7 @@ def run_growth(
     say : callable, optional
         Told what takes a while.
     """
-    asked, begun = asked or Asked(), time.perf_counter()
+    asked, begun = asked or GrowthRequest(), time.perf_counter()
     sizes = {**SIZES, **(asked.sizes or {})}
     with project.store() as store:
         found = explore(

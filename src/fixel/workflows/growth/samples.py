@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 from fixel.calibration.target import Target, target_of
 from fixel.database.query import Query, Summary
 from fixel.database.store import Store
-from fixel.domain.places import AXES, NOMINAL, Group, Place
+from fixel.domain.places import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 from fixel.workflows.figures import banner_of
 
@@ -22,7 +22,7 @@ class _Seat(NamedTuple):
 
     shape: str
     layout: str
-    place: Place
+    place: AxisPlace
 
     @property
     def name(self) -> str:
@@ -31,14 +31,14 @@ class _Seat(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
+class GrowthSamples:
     """Experiments of an exploration.
 
     Attributes
     ----------
     ids : list of int
     targets : list of Target
-    groups : list of Group
+    groups : list of ExperimentGroup
         Their numbers count within `ids`.
     lengths : dict from axis to float
         Of a step [m or rad], where all groups agree.
@@ -49,7 +49,7 @@ class Samples:
 
     ids: list[int]
     targets: list[Target]
-    groups: list[Group]
+    groups: list[ExperimentGroup]
     lengths: dict[str, float] = field(default_factory=dict)
     makers: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -65,7 +65,9 @@ class Samples:
         return banner_of([f"SIMULATED by {maker}" if maker else "" for maker in self.makers])
 
 
-def read_samples(store: Store, shape: str | None = None, dataset: str | None = None) -> Samples:
+def read_samples(
+    store: Store, shape: str | None = None, dataset: str | None = None
+) -> GrowthSamples:
     """Experiments of a plan with steps along axes, such as the thesis's, one a place.
 
     Of repetitions the first is taken, as the thesis had one experiment a place: a mean of two would
@@ -107,7 +109,7 @@ def _seat_of(summary: Summary) -> _Seat | None:
         return _Seat(str(own["shape"]), str(own["layout"]), NOMINAL)
     if axis not in AXES or round(step) == 0:
         return None
-    return _Seat(str(own["shape"]), str(own["layout"]), Place(str(axis), round(step)))
+    return _Seat(str(own["shape"]), str(own["layout"]), AxisPlace(str(axis), round(step)))
 
 
 def _repetition(summary: Summary) -> tuple[float, int]:
@@ -137,11 +139,11 @@ def _refuse_datasets(seated: dict[_Seat, list[Summary]]) -> None:
             )
 
 
-def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> Samples:
+def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> GrowthSamples:
     ids: list[int] = []
     targets: list[Target] = []
     makers: list[str] = []
-    at: dict[tuple[str, str], dict[Place, int]] = {}
+    at: dict[tuple[str, str], dict[AxisPlace, int]] = {}
     unusable: list[str] = []
     for seat, summary in sorted(first.items(), key=lambda entry: entry[1].id):
         experiment = store.experiment(summary.id)
@@ -159,10 +161,10 @@ def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> Sam
     if unusable:
         warnings.append(f"{len(unusable)} experiments left out that cannot be compared with a"
                         f" simulation: {_some(unusable)}.")  # fmt: skip
-    return Samples(
+    return GrowthSamples(
         ids=ids,
         targets=targets,
-        groups=[Group(shape=s, layout=layout, at=own) for (s, layout), own in at.items()],
+        groups=[ExperimentGroup(shape=s, layout=layout, at=own) for (s, layout), own in at.items()],
         lengths=_lengths(first),
         makers=makers,
         warnings=warnings,

@@ -13,13 +13,13 @@ from fixel.domain.growth import Joint, Singles
 from fixel.errors import InvalidInput
 from fixel.model.records import CalibrationRecord
 from fixel.workflows.calibration.result import GROWTH
-from fixel.workflows.calibration.stored import Calibrated
-from fixel.workflows.growth.samples import Samples
+from fixel.workflows.calibration.stored import CalibratedValues
+from fixel.workflows.growth.samples import GrowthSamples
 
 ANGLE_SCALE = "error.angle_scale"
 
 
-class Method(NamedTuple):
+class SingleMethod(NamedTuple):
     """What sets of parameters must have in common for their errors to be comparable."""
 
     motion: str
@@ -49,42 +49,42 @@ class One(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stored:
+class StoredSets:
     """Sets of parameters of one method.
 
     Attributes
     ----------
-    method : Method
+    method : SingleMethod
     best : list of One
         The best of each experiment.
     singles : Singles
         The same for the growth; parameters in the order of `method.names`.
-    calibrated : Calibrated
+    calibrated : CalibratedValues
         One of them, for motion model and error.
     warnings : list of str
     """
 
-    method: Method
+    method: SingleMethod
     best: list[One]
     singles: Singles
-    calibrated: Calibrated
+    calibrated: CalibratedValues
     warnings: list[str] = field(default_factory=list)
 
 
 def best_singles(
     summaries: Mapping[int, CalibrationRecord],
-    samples: Samples,
+    samples: GrowthSamples,
     motion: str | None = None,
     error: str | None = None,
     project: str = "",
-) -> Stored:
+) -> StoredSets:
     """The best stored calibration of every experiment by itself, all of one method.
 
     Parameters
     ----------
     summaries : mapping from int to CalibrationRecord
         As of `Store.calibration_summaries`.
-    samples : Samples
+    samples : GrowthSamples
     motion, error : str, optional
         Only calibrations made with these.
     project : str
@@ -96,7 +96,7 @@ def best_singles(
         Experiments without one, or of several methods.
     """
     place = {number: k for k, number in enumerate(samples.ids)}
-    by_method: dict[Method, dict[int, One]] = {}
+    by_method: dict[SingleMethod, dict[int, One]] = {}
     for number, record in summaries.items():
         if len(record.members) != 1 or record.members[0].experiment_id not in place:
             continue
@@ -105,7 +105,9 @@ def best_singles(
         if error not in (None, record.method.get("error")):
             continue
         k = place[record.members[0].experiment_id]
-        one = One(number, record, Calibrated(number, record).values(samples.targets[k].conditions))
+        one = One(
+            number, record, CalibratedValues(number, record).values(samples.targets[k].conditions)
+        )
         best = by_method.setdefault(_method(one), {})
         # The newest of equals.
         if k not in best or not one.error > best[k].error:
@@ -114,20 +116,20 @@ def best_singles(
     found = [by_method[method][k] for k in range(len(samples.ids))]
     points = np.array([[one.values[name] for name in method.names] for one in found])
     errors = np.array([one.error for one in found])
-    return Stored(
+    return StoredSets(
         method=method,
         best=found,
         singles=Singles(
             points=points, errors=errors, joint=_joint(summaries, method, place, samples)
         ),
-        calibrated=Calibrated(found[0].id, found[0].record),
+        calibrated=CalibratedValues(found[0].id, found[0].record),
         warnings=warnings,
     )
 
 
-def _method(one: One) -> Method:
+def _method(one: One) -> SingleMethod:
     own = one.record.method
-    return Method(
+    return SingleMethod(
         motion=str(own.get("motion", "")),
         error=str(own.get("error", "")),
         unit=str(own.get("error_unit", "")),
@@ -137,8 +139,8 @@ def _method(one: One) -> Method:
 
 
 def _chosen(
-    by_method: dict[Method, dict[int, One]], samples: Samples, project: str
-) -> tuple[Method, list[str]]:
+    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, project: str
+) -> tuple[SingleMethod, list[str]]:
     """The method under which every experiment has a set; of several the one last used."""
     n = len(samples.ids)
     whole = [method for method, best in by_method.items() if len(best) == n]
@@ -154,7 +156,9 @@ def _chosen(
     ]
 
 
-def _refuse(by_method: dict[Method, dict[int, One]], samples: Samples, project: str) -> None:
+def _refuse(
+    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, project: str
+) -> None:
     n = len(samples.ids)
     anywhere = {k for best in by_method.values() for k in best}
     lacking = [samples.keys[k] for k in range(n) if k not in anywhere]
@@ -181,9 +185,9 @@ def _refuse(by_method: dict[Method, dict[int, One]], samples: Samples, project: 
 
 def _joint(
     summaries: Mapping[int, CalibrationRecord],
-    method: Method,
+    method: SingleMethod,
     place: Mapping[int, int],
-    samples: Samples,
+    samples: GrowthSamples,
 ) -> dict[tuple[int, ...], Joint]:
     """Stored sets for several experiments by these; of equals the one with the least largest error,
     then the newest. Means that an exploration made are made anew: members may do better by now."""
@@ -195,7 +199,7 @@ def _joint(
         rows = [place.get(member.experiment_id, -1) for member in record.members]
         if min(rows) < 0:
             continue
-        model = Calibrated(number, record)
+        model = CalibratedValues(number, record)
         sets = [model.values(samples.targets[k].conditions) for k in rows]
         one = One(number, record, sets[0])
         if _method(one) != method or any(values != sets[0] for values in sets):

@@ -12,7 +12,7 @@ from fixel.datasets import IMPORTERS
 from fixel.errors import InvalidInput, StoreRefused
 
 
-class Fetched(NamedTuple):
+class DownloadedFile(NamedTuple):
     """A file that has been fetched."""
 
     file: Path
@@ -34,7 +34,7 @@ def datasets() -> list[dict[str, str]]:
     ]
 
 
-def fetch(url: str, folder: Path, sha256: str | None = None) -> Fetched:
+def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
     """Fetch a file into a folder: complete, with the checksum asked for, or not at all.
 
     Parameters
@@ -75,7 +75,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> Fetched:
         ) from None
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Fetched(path, digest, path.stat().st_size)
+    return DownloadedFile(path, digest, path.stat().st_size)
 
 
 def _name(url: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, View
+from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, ExperimentView
 from fixel.database.query import Bound, Relation
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -43,7 +43,7 @@ def view_of(
     descending: bool = False,
     limit: int | None = None,
     offset: int = 0,
-) -> View:
+) -> ExperimentView:
     """A view from a filter as one types it.
 
     Parameters
@@ -86,7 +86,7 @@ def view_of(
             bounds.append(_bound(*found.groups()))
         else:
             words.append(token)
-    return View(
+    return ExperimentView(
         words=tuple(words),
         bounds=tuple(bounds),
         flags=tuple(flags),
@@ -172,7 +172,7 @@ def vocabulary(store: Store) -> Vocabulary:
 # --- coverage -----------------------------------------------------------------------------------
 
 
-class Axis(NamedTuple):
+class CoverageAxis(NamedTuple):
     """An axis of the coverage: places, each from one edge to the next."""
 
     name: str
@@ -185,7 +185,7 @@ class Coverage(NamedTuple):
 
     Attributes
     ----------
-    x, y : Axis
+    x, y : CoverageAxis
     number : (n_x, n_y) array
     shapes, layouts : tuple of str
         Empty where nobody wrote them down.
@@ -196,8 +196,8 @@ class Coverage(NamedTuple):
         Experiments that have no such value.
     """
 
-    x: Axis
-    y: Axis
+    x: CoverageAxis
+    y: CoverageAxis
     number: FloatArray
     shapes: tuple[str, ...]
     layouts: tuple[str, ...]
@@ -211,13 +211,15 @@ OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 _NUMBER: Final = (int, float)
 
 
-def coverage(store: Store, view: View, x: str | None = None, y: str | None = None) -> Coverage:
+def coverage(
+    store: Store, view: ExperimentView, x: str | None = None, y: str | None = None
+) -> Coverage:
     """Which configurations have been run.
 
     Parameters
     ----------
     store : Store
-    view : View
+    view : ExperimentView
     x, y : str, optional
         Columns or conditions with numbers; left out, offsets along x and y, or where the object
         began.
@@ -243,19 +245,19 @@ def coverage(store: Store, view: View, x: str | None = None, y: str | None = Non
     return Coverage(across, up, count, shapes, layouts, table, (*PLACES, *known), without)
 
 
-def _axis(name: str, values: FloatArray) -> Axis:
+def _axis(name: str, values: FloatArray) -> CoverageAxis:
     """One place a value where these are few, else places of one width."""
     distinct = np.unique(np.round(values, 9))
     if len(distinct) == 0:
-        return Axis(name, np.array([0.0, 1.0]), np.array([0.5]))
+        return CoverageAxis(name, np.array([0.0, 1.0]), np.array([0.5]))
     if len(distinct) <= MOST_PLACES:
         between = (distinct[1:] + distinct[:-1]) / 2.0
         margin = float(np.diff(distinct).min()) / 2.0 if len(distinct) > 1 else 0.5e-3
         edges = np.concatenate(([distinct[0] - margin], between, [distinct[-1] + margin]))
-        return Axis(name, edges, distinct)
+        return CoverageAxis(name, edges, distinct)
     edges = np.linspace(distinct[0], distinct[-1], MOST_PLACES + 1)
     edges[-1] = np.nextafter(edges[-1], np.inf)
-    return Axis(name, edges, (edges[1:] + edges[:-1]) / 2.0)
+    return CoverageAxis(name, edges, (edges[1:] + edges[:-1]) / 2.0)
 
 
 def _table(

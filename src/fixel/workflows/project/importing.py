@@ -28,7 +28,7 @@ _RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 Progress = Callable[[int, int], None]
 
 
-class Imported(NamedTuple):
+class ImportSummary(NamedTuple):
     """What an import did."""
 
     new: int
@@ -99,7 +99,7 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
 
 def import_experiments(
     project: Project, plan: ImportPlan, progress: Progress | None = None
-) -> Imported:
+) -> ImportSummary:
     """Store the experiments of a plan, each whole or not at all."""
     with project.store() as store:
         return _add(store, plan.experiments(), plan.n_experiments, progress)
@@ -153,7 +153,7 @@ def import_texts(
         plan = import_plan(source, TABLE, options, file)
         (experiment,) = plan.experiments()
         template = None if experiment.scene is not None else template_text(experiment, name)
-        done = Imported(0, 0, 0, 0.0) if dry_run else _add(store, [experiment], 1, None)
+        done = ImportSummary(0, 0, 0, 0.0) if dry_run else _add(store, [experiment], 1, None)
     return ImportedTable(plan.understood, template, bool(done.new), bool(done.known))
 
 
@@ -165,7 +165,7 @@ def run_testbed(
     limit: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> Imported:
+) -> ImportSummary:
     """Perform a sampling plan on the simulated testbed, and store what it measures."""
     from fixel.formats.plan_file import load_plan
     from fixel.sampling import thesis_plan
@@ -223,7 +223,7 @@ def typed() -> str:
 
 def _add(
     store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
-) -> Imported:
+) -> ImportSummary:
     """Store experiments, with the command that was typed as where they come from."""
     begun = time.monotonic()
     command = typed()
@@ -237,7 +237,7 @@ def _add(
             known += 1
         if progress is not None:
             progress(new + known, total)
-    return Imported(new, known, faulty, time.monotonic() - begun)
+    return ImportSummary(new, known, faulty, time.monotonic() - begun)
 
 
 def _options(options: Iterable[str]) -> dict[str, object]:

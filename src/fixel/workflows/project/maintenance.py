@@ -40,7 +40,7 @@ RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
 SEE: Final = "see what is wrong with: fixel db check"
 
 
-class Upgraded(NamedTuple):
+class SchemaVersions(NamedTuple):
     """Versions of the schema."""
 
     before: str | None  # none for a database that was empty
@@ -58,7 +58,7 @@ class Backup(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Checked:
+class CheckResult:
     """What a check found.
 
     Attributes
@@ -97,11 +97,11 @@ class Checked:
 # --- upgrade ------------------------------------------------------------------------------------
 
 
-def upgrade(folder: Path) -> Upgraded:
+def upgrade(folder: Path) -> SchemaVersions:
     """Bring the tables of a project to this program's version, or leave them as they were."""
     project = Project.open(folder)
     with Store(project.url, project.media) as store:
-        return Upgraded(*store.upgrade())
+        return SchemaVersions(*store.upgrade())
 
 
 # --- backup -------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def _read_only(file: Path) -> str:
 # --- check --------------------------------------------------------------------------------------
 
 
-def check(folder: Path) -> Checked:
+def check(folder: Path) -> CheckResult:
     """Read everything a project holds, and say what is wrong with it; changes nothing."""
     project = Project.open(folder)
     if sa.make_url(project.url).get_backend_name() == "sqlite":
@@ -193,7 +193,7 @@ def check(folder: Path) -> Checked:
         engine.dispose()
 
 
-def _checked(engine: sa.Engine, project: Project) -> Checked:
+def _checked(engine: sa.Engine, project: Project) -> CheckResult:
     media = project.media
     troubles: list[Trouble] = []
     version: str | None = None
@@ -222,7 +222,7 @@ def _checked(engine: sa.Engine, project: Project) -> Checked:
         troubles.append(Trouble("database", refused.reason, _helpful(refused.hint)))
         used, videos = set(), set()
     files, bad = _media_files(media, read_already=used)
-    return Checked(
+    return CheckResult(
         engine=engine.dialect.name,
         version=version,
         counts=counts,

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from fixel.database.browsing import NUMBERS, SQUARES, TEXTS, View
+from fixel.database.browsing import NUMBERS, SQUARES, TEXTS, ExperimentView
 from fixel.database.query import Bound, Query
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -15,7 +15,7 @@ from fixel.workflows.project.filters import NAMES, view_of
 MOST_NAMED = 12  # values in a refusal
 
 
-class Unknown(NamedTuple):
+class UnknownName(NamedTuple):
     """A name or a value that no experiment has."""
 
     what: str  # as typed: "--where shape"
@@ -70,7 +70,7 @@ def meant_filter(store: Store, filter: str) -> str | None:
     return changed if changed != filter else None
 
 
-def _unknown_in(store: Store, query: Query) -> Iterator[Unknown]:
+def _unknown_in(store: Store, query: Query) -> Iterator[UnknownName]:
     if query.dataset is not None:
         yield from _not_among("--dataset", query.dataset, store.datasets())
     if query.flag is not None:
@@ -79,7 +79,7 @@ def _unknown_in(store: Store, query: Query) -> Iterator[Unknown]:
     yield from _unknown_conditions(store, (*equal, *query.bounds), "--where ")
 
 
-def _unknown_in_view(store: Store, view: View) -> Iterator[Unknown]:
+def _unknown_in_view(store: Store, view: ExperimentView) -> Iterator[UnknownName]:
     for name in view.flags:
         yield from _not_among("flag", name, store.flags())
     texts = [text for known in store.conditions().values() for text in known.texts]
@@ -95,15 +95,15 @@ def _unknown_in_view(store: Store, view: View) -> Iterator[Unknown]:
 
 def _unknown_conditions(
     store: Store, bounds: Iterable[Bound], where: str, more: Iterable[str] = ()
-) -> Iterator[Unknown]:
+) -> Iterator[UnknownName]:
     known = store.conditions()
     for bound in bounds:
         if bound.name not in known:
-            yield Unknown(where.strip() or "filter", bound.name, (*known, *more))
+            yield UnknownName(where.strip() or "filter", bound.name, (*known, *more))
         elif isinstance(bound.value, str) and bound.relation == "=":
             yield from _not_among(f"{where}{bound.name}", bound.value, known[bound.name].texts)
 
 
-def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[Unknown]:
+def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownName]:
     if typed not in (names := tuple(known)):
-        yield Unknown(what, typed, names)
+        yield UnknownName(what, typed, names)

@@ -11,10 +11,10 @@ from typing import Final
 
 from fixel.database.project import Project
 from fixel.kernels.arrays import FloatArray
-from fixel.workflows.analysis import Kept, Kind, kept
+from fixel.workflows.analysis import Kind, StoredAnalysis, kept
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import Calibrated, calibrated
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated
 from fixel.workflows.figures import ENDINGS
 from fixel.workflows.report.content import Content, Figure, Section
 from fixel.workflows.report.of_calibration import (
@@ -25,7 +25,7 @@ from fixel.workflows.report.of_calibration import (
     methods,
     parameters_section,
 )
-from fixel.workflows.report.of_data import Data, data_of, data_section, data_warnings
+from fixel.workflows.report.of_data import ReportData, data_of, data_section, data_warnings
 
 # Kinds of analyses in the order in which a reader wants them, and what each answers.
 WANTED: Final[dict[Kind, str]] = {
@@ -98,7 +98,7 @@ def gather(
     )
 
 
-def _analyses(project: Project, one: Calibrated) -> list[Kept]:
+def _analyses(project: Project, one: CalibratedValues) -> list[StoredAnalysis]:
     """The newest of each kind that used this calibration or its experiments, and nothing else."""
     found = []
     for kind in WANTED:
@@ -107,7 +107,7 @@ def _analyses(project: Project, one: Calibrated) -> list[Kept]:
     return found
 
 
-def _fits(own: Kept, one: Calibrated) -> bool:
+def _fits(own: StoredAnalysis, one: CalibratedValues) -> bool:
     if own.analysis.calibrations:
         return one.id in own.analysis.calibrations or bool(
             one.members & set(own.analysis.experiments)
@@ -115,7 +115,7 @@ def _fits(own: Kept, one: Calibrated) -> bool:
     return bool(one.members & set(own.analysis.experiments))
 
 
-def _nominal(opened: Calibration | None, one: Calibrated) -> FloatArray | None:
+def _nominal(opened: Calibration | None, one: CalibratedValues) -> FloatArray | None:
     """(n_member,) errors before the calibration, in the order of its members."""
     if opened is None or one.id not in opened.ids:
         return None
@@ -123,7 +123,7 @@ def _nominal(opened: Calibration | None, one: Calibrated) -> FloatArray | None:
     return opened.outcome.nominal[list(found.members)]
 
 
-def _section(answer: Kept, folder: Path) -> Section:
+def _section(answer: StoredAnalysis, folder: Path) -> Section:
     analysis = answer.analysis
     figures = []
     for picture in analysis.pictures:
@@ -144,7 +144,10 @@ def _section(answer: Kept, folder: Path) -> Section:
 
 
 def _warnings(
-    one: Calibrated, data: Data, keys: dict[int, str], analyses: Sequence[Kept]
+    one: CalibratedValues,
+    data: ReportData,
+    keys: dict[int, str],
+    analyses: Sequence[StoredAnalysis],
 ) -> list[str]:
     there = {answer.analysis.kind for answer in analyses}
     found = [
@@ -163,7 +166,7 @@ def _warnings(
 
 
 def _facts(
-    project: Project, one: Calibrated, data: Data, checksum: str
+    project: Project, one: CalibratedValues, data: ReportData, checksum: str
 ) -> tuple[tuple[str, str], ...]:
     made = one.record.provenance
     seed = "" if made.seed is None else str(made.seed)
@@ -183,7 +186,9 @@ def _facts(
     return tuple((name, value) for name, value in facts if value)
 
 
-def _methods(one: Calibrated, data: Data, analyses: Sequence[Kept]) -> list[str]:
+def _methods(
+    one: CalibratedValues, data: ReportData, analyses: Sequence[StoredAnalysis]
+) -> list[str]:
     n = len(data.summaries)
     kind = "simulated" if data.simulated == n else "recorded"
     first = f"{n} {kind} experiment{'s' * (n != 1)} were simulated with fixel {version('fixel')}."
@@ -191,13 +196,13 @@ def _methods(one: Calibrated, data: Data, analyses: Sequence[Kept]) -> list[str]
     return [first, *methods(one), *own]
 
 
-def _references(one: Calibrated, analyses: Sequence[Kept]) -> list[str]:
+def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
     search = {"pattern-search": "torczon1997", "nelder-mead": "nelder1965"}
     found = [search.get(str(one.record.method.get("optimiser")), "")]
     found += ["raue2009"] if one.record.estimates else []
     return [*found, *(key for answer in analyses for key in answer.analysis.references)]
 
 
-def _commands(one: Calibrated, analyses: Sequence[Kept]) -> list[str]:
+def _commands(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
     own = [one.record.provenance.command, *(answer.analysis.command for answer in analyses)]
     return [command for command in dict.fromkeys(own) if command]

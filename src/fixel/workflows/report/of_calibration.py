@@ -15,9 +15,9 @@ from fixel.model.records import Estimate
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.detail import misfit_of
-from fixel.workflows.calibration.report_data import Desk
+from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.run import Calibration
-from fixel.workflows.calibration.stored import Calibrated
+from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
@@ -50,20 +50,23 @@ OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 def figures_of(calibration: Calibration, folder: Path) -> list[Figure]:
     """Draw the pictures of a calibration into a folder."""
     found = []
-    for picture in pictures_of(Desk(calibration)):
+    for picture in pictures_of(CalibrationReportData(calibration)):
         files = write_picture(folder, picture._replace(name=f"calibration_{picture.name}"))
         found.append(Figure(name=files[0].stem, caption=picture.caption, png=files[0]))
     return found
 
 
 def errors_section(
-    one: Calibrated, nominal: FloatArray | None, keys: Mapping[int, str], figures: list[Figure]
+    one: CalibratedValues,
+    nominal: FloatArray | None,
+    keys: Mapping[int, str],
+    figures: list[Figure],
 ) -> Section:
     """Nominal against calibrated.
 
     Parameters
     ----------
-    one : Calibrated
+    one : CalibratedValues
     nominal : (n_member,) float64, optional
         Errors before.
     keys : mapping from id to name of an experiment
@@ -91,7 +94,7 @@ def errors_section(
     )
 
 
-def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
+def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
     """Values with their intervals and verdicts."""
     estimates = one.record.estimates
     head = ("parameter", "value", "interval", "unit", "verdict", "best fit")
@@ -114,7 +117,7 @@ def parameters_section(one: Calibrated, figures: list[Figure]) -> Section:
     )
 
 
-def calibration_warnings(one: Calibrated, keys: Mapping[int, str]) -> list[str]:
+def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> list[str]:
     """What to know before using the values."""
     found = misfit_of(one.record)
     for estimate in one.record.estimates:
@@ -139,7 +142,7 @@ def calibration_warnings(one: Calibrated, keys: Mapping[int, str]) -> list[str]:
     return found
 
 
-def headline(one: Calibrated, nominal: FloatArray | None) -> str:
+def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
     """The calibration in one sentence."""
     after = rms(one, errors_of(one))
     n = len(after)
@@ -158,7 +161,7 @@ def headline(one: Calibrated, nominal: FloatArray | None) -> str:
     return sentence + "."
 
 
-def methods(one: Calibrated) -> list[str]:
+def methods(one: CalibratedValues) -> list[str]:
     """Sentences about it for a methods paragraph."""
     method = one.record.method
     n = len(one.record.members)
@@ -189,18 +192,18 @@ def methods(one: Calibrated) -> list[str]:
 # --- errors -------------------------------------------------------------------------------------
 
 
-def scale_of(one: Calibrated) -> float:
+def scale_of(one: CalibratedValues) -> float:
     """What the error counts an angle as [m/rad]."""
     scale: float = one.error.angle_scale  # type: ignore[attr-defined]
     return scale
 
 
-def errors_of(one: Calibrated) -> FloatArray:
+def errors_of(one: CalibratedValues) -> FloatArray:
     """(n_member,) as they were minimised; inf where there is none."""
     return np.array([error if _has(error) else math.inf for error in one.record.errors])
 
 
-def rms(one: Calibrated, errors: FloatArray) -> FloatArray:
+def rms(one: CalibratedValues, errors: FloatArray) -> FloatArray:
     """Of the path [mm]."""
     return errors if one.error.unit == "mm" else np.sqrt(errors)
 
@@ -227,7 +230,7 @@ def _middle(values: FloatArray) -> str:
     return f"{np.median(good):.3g} mm RMS{' (median)' * (len(values) > 1)}"
 
 
-def _far(one: Calibrated, errors: FloatArray, keys: Mapping[int, str]) -> list[str]:
+def _far(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> list[str]:
     values = rms(one, errors)
     good = _finite(values)
     if len(good) < 4:
@@ -242,7 +245,7 @@ def _far(one: Calibrated, errors: FloatArray, keys: Mapping[int, str]) -> list[s
     ]
 
 
-def _worst(one: Calibrated, errors: FloatArray, keys: Mapping[int, str]) -> TextTable | None:
+def _worst(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> TextTable | None:
     if len(errors) < 2 * MOST_NAMED:
         return None
     values = rms(one, errors)
@@ -257,7 +260,7 @@ def _named(names: list[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _row(one: Calibrated, estimate: Estimate) -> tuple[str, ...]:
+def _row(one: CalibratedValues, estimate: Estimate) -> tuple[str, ...]:
     unit, factor = READABLE.get(estimate.unit, (estimate.unit, 1.0))
     ends = [estimate.low, estimate.high]
     low, high = ("open" if x is None else f"{factor * x:.4g}" for x in ends)

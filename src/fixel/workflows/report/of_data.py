@@ -22,7 +22,7 @@ FEW: Final = 10  # experiments below which little can be said
 
 @final
 @dataclass(frozen=True)
-class Data:
+class ReportData:
     """The experiments that a report is about.
 
     Parameters
@@ -63,15 +63,15 @@ class Data:
         return {name: sorted(v, key=_in_order) for name, v in sorted(found.items()) if len(v) > 1}
 
 
-def data_of(store: Store, ids: Sequence[int]) -> Data:
+def data_of(store: Store, ids: Sequence[int]) -> ReportData:
     """What the project knows of experiments."""
     listed = store.experiments(Query(flagged=True, replaced=True)).summaries
     wanted = set(ids)
     clean = store.experiments(Query())
-    return Data([s for s in listed if s.id in wanted], store.flags(), clean.left_out)
+    return ReportData([s for s in listed if s.id in wanted], store.flags(), clean.left_out)
 
 
-def data_section(data: Data) -> Section:
+def data_section(data: ReportData) -> Section:
     """What was measured."""
     summaries = data.summaries
     frames = np.array([s.n_frame for s in summaries])
@@ -111,7 +111,7 @@ def data_section(data: Data) -> Section:
     )
 
 
-def data_warnings(data: Data) -> list[str]:
+def data_warnings(data: ReportData) -> list[str]:
     """What is wrong with them."""
     found = []
     n = len(data.summaries)
@@ -133,7 +133,7 @@ def data_warnings(data: Data) -> list[str]:
     return found
 
 
-def _counted(data: Data) -> str:
+def _counted(data: ReportData) -> str:
     sets = Counter(summary.dataset for summary in data.summaries)
     listed = ", ".join(f"{n} of {name}" for name, n in sorted(sets.items()))
     kind = "real" if not data.simulated else "simulated" if not _real(data) else "real or simulated"
@@ -141,7 +141,7 @@ def _counted(data: Data) -> str:
     return f"{n} {kind} experiment{'s' * (n != 1)}: {listed}."
 
 
-def _real(data: Data) -> int:
+def _real(data: ReportData) -> int:
     return len(data.summaries) - data.simulated
 
 
@@ -149,7 +149,7 @@ def _spread(values: np.ndarray) -> tuple[str, str, str]:
     return f"{values.min():.4g}", f"{np.median(values):.4g}", f"{values.max():.4g}"
 
 
-def _conditions(data: Data) -> TextTable:
+def _conditions(data: ReportData) -> TextTable:
     rows = []
     for name, values in data.conditions.items():
         shown = [_plain(value) for value in values]

@@ -10,7 +10,7 @@ from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.io.atomic import refuse_unwritable, written_whole
-from fixel.sampling import Plan, Problem, eight_push_plan, rehearse, thesis_plan
+from fixel.sampling import Plan, PlanProblem, eight_push_plan, rehearse, thesis_plan
 from fixel.workflows.compilation import Say, get_ready
 
 PLAN_ENDINGS = (".yaml", ".yml")
@@ -24,7 +24,7 @@ class SampleAnswer:
     Attributes
     ----------
     plan : Plan
-    problems : tuple of Problem
+    problems : tuple of PlanProblem
         In order of the plan.
     rehearsed : bool
         Whether the problems are those of a simulation too.
@@ -33,7 +33,7 @@ class SampleAnswer:
     """
 
     plan: Plan
-    problems: tuple[Problem, ...]
+    problems: tuple[PlanProblem, ...]
     rehearsed: bool
     files: dict[str, Path]
 

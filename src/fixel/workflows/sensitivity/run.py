@@ -19,12 +19,12 @@ from fixel.simulation import Dynamic
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
-from fixel.workflows.analysis import Analysis, Kept, keep
-from fixel.workflows.calibration.stored import Calibrated, calibrated, newest, parted
+from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, parted
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
-from fixel.workflows.simulation import Method, parts
+from fixel.workflows.simulation import SimulationMethod, parts
 
 Told = Callable[[int, int], None]
 
@@ -43,7 +43,7 @@ class SensitivityAnswer:
         What could not be looked at, and why.
     analysis : Analysis
     pictures : tuple of Picture
-    kept : Kept, optional
+    kept : StoredAnalysis, optional
         Where a project keeps it.
     """
 
@@ -51,7 +51,7 @@ class SensitivityAnswer:
     skipped: Mapping[str, str]
     analysis: Analysis
     pictures: tuple[Picture, ...]
-    kept: Kept | None
+    kept: StoredAnalysis | None
 
 
 def analyse_sensitivity(
@@ -180,9 +180,9 @@ def _all(store: Store) -> dict[str, int]:
     return {summary.key: summary.id for summary in store.experiments(Query()).summaries}
 
 
-def _of_file(thing: str, request: SensitivityRequest, model: Calibrated | None) -> Subject:
+def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | None) -> Subject:
     file = load_scene(Path(thing))
-    motion, stepper, _ = parts(file, Method())
+    motion, stepper, _ = parts(file, SimulationMethod())
     values = {} if model is None else model.values({"experiment": thing})
     return Subject(
         key=Path(thing).stem,
@@ -197,7 +197,7 @@ def _of_file(thing: str, request: SensitivityRequest, model: Calibrated | None) 
 
 
 def _of_experiment(
-    number: int, experiment: Experiment, request: SensitivityRequest, model: Calibrated | None
+    number: int, experiment: Experiment, request: SensitivityRequest, model: CalibratedValues | None
 ) -> Subject:
     target = target_of(experiment)
     scene = replace(target.case.scene, duration=float(target.case.times[-1]))
@@ -215,7 +215,7 @@ def _of_experiment(
 
 
 def _ranges(
-    model: Calibrated | None, values: Mapping[str, float]
+    model: CalibratedValues | None, values: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
     """Intervals of a calibration, where the data set both ends."""
     found: dict[str, tuple[float, float]] = {}

@@ -10,8 +10,8 @@ import numpy as np
 from fixel.drawing.chart import readable
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.drawing.uncertainty import (
-    Axis,
     BandsChart,
+    CornerAxis,
     CornerChart,
     FinalPoseChart,
     FinalRegion,
@@ -23,7 +23,7 @@ from fixel.uncertainty.bands import LEVELS
 from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.figures import Picture, banner_of
-from fixel.workflows.uncertainty.run import Predicted, Uncertainty
+from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
 MOST_PICTURED: Final = 3  # experiments
 # From so many held-out experiments on a curve says something.
@@ -36,7 +36,7 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     for k, part in enumerate(posterior.modes):
         mode[part.members] = k
     axes = [
-        Axis(shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
+        CornerAxis(shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
              logarithmic=label == LABEL)
         for k, label in enumerate(posterior.labels)
     ]  # fmt: skip
@@ -54,7 +54,7 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
         yield _curve_picture(found, both)
 
 
-def _priors(axes: Sequence[Axis]) -> str:
+def _priors(axes: Sequence[CornerAxis]) -> str:
     """Ranges of priors, which are mostly much wider than what is drawn."""
     parts = []
     for axis in axes:
@@ -68,7 +68,7 @@ def shown(label: str) -> str:
     return "model error" if label == LABEL else label
 
 
-def _of_experiment(one: Predicted, number: int) -> Iterator[Picture]:
+def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     prediction, banner = one.prediction, _banner((one,))
     what = f"{one.experiment.key}, held out" if one.held_out else one.experiment.key
     measured = one.target.pose.copy()
@@ -99,7 +99,7 @@ def _of_experiment(one: Predicted, number: int) -> Iterator[Picture]:
                   f"Final pose of {what} with bounds of 50 and 90 %.")  # fmt: skip
 
 
-def _outline(one: Predicted) -> FloatArray:
+def _outline(one: ExperimentPrediction) -> FloatArray:
     shape = one.target.case.scene.bodies[0].shape
     if isinstance(shape, Disk):
         turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
@@ -118,7 +118,7 @@ def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]
                    "Share of held-out final poses within bounds of each level.")  # fmt: skip
 
 
-def _banner(predicted: tuple[Predicted, ...]) -> str:
+def _banner(predicted: tuple[ExperimentPrediction, ...]) -> str:
     every = [one.experiment for one in predicted]
     return banner_of(["" if one.real else f"SIMULATED by {one.simulated_by}" for one in every])
 

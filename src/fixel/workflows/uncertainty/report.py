@@ -14,15 +14,15 @@ from fixel.drawing.chart import readable
 from fixel.kernels.arrays import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.analysis import Analysis, Kept, TextTable, keep, rounded
+from fixel.workflows.analysis import Analysis, StoredAnalysis, TextTable, keep, rounded
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
-from fixel.workflows.uncertainty.run import Predicted, Uncertainty
+from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
-def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> Kept:
+def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> StoredAnalysis:
     """Store the answer in its project, with pictures."""
     posterior = found.posterior
     analysis = Analysis(
@@ -89,7 +89,7 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _final(one: Predicted) -> dict[str, Any]:
+def _final(one: ExperimentPrediction) -> dict[str, Any]:
     bounds = one.prediction.bounds(0.9)
     shares = one.prediction.shares
     return {

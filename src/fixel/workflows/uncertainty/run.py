@@ -23,13 +23,13 @@ from fixel.model import Experiment
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.motion import MOTION_MODELS
-from fixel.uncertainty.bands import Prediction, predict
+from fixel.uncertainty.bands import PushPrediction, predict
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
-from fixel.uncertainty.posterior import NestedSampling, Posterior, Progress
+from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
-from fixel.workflows.calibration.stored import Calibrated, calibrated, newest, searched_space
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, searched_space
 
 # For the rough fit that tells the noise, before there is one.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
@@ -74,7 +74,7 @@ class UncertaintyRequest:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Predicted:
+class ExperimentPrediction:
     """An experiment and draws of how it goes.
 
     Attributes
@@ -83,7 +83,7 @@ class Predicted:
     experiment : Experiment
     target : Target
     held_out : bool
-    prediction : Prediction
+    prediction : PushPrediction
     levels : (float, float)
         Of the smallest bounds that hold the measured last pose: position, angle.
     """
@@ -92,7 +92,7 @@ class Predicted:
     experiment: Experiment
     target: Target
     held_out: bool
-    prediction: Prediction
+    prediction: PushPrediction
     levels: tuple[float, float]
 
 
@@ -107,14 +107,14 @@ class Uncertainty:
     space : ParameterSpace
     noise : Noise
     posterior : Posterior
-    predicted : tuple of Predicted
+    predicted : tuple of ExperimentPrediction
         Of the experiments it was found from, then of those held out.
     near : NearOptimal, optional
         Of the calibration's stored evaluations, and the names of their columns.
     near_names : tuple of str
     motion : str
-    calibration : Calibrated, optional
-    compared : Calibrated, optional
+    calibration : CalibratedValues, optional
+    compared : CalibratedValues, optional
         The same, or the newest one that the first experiment is a member of: what the posterior
         should not contradict silently.
     """
@@ -123,15 +123,15 @@ class Uncertainty:
     space: ParameterSpace
     noise: Noise
     posterior: Posterior
-    predicted: tuple[Predicted, ...]
+    predicted: tuple[ExperimentPrediction, ...]
     motion: str
     near: NearOptimal | None = None
     near_names: tuple[str, ...] = ()
-    calibration: Calibrated | None = None
-    compared: Calibrated | None = None
+    calibration: CalibratedValues | None = None
+    compared: CalibratedValues | None = None
 
     @property
-    def held_out(self) -> tuple[Predicted, ...]:
+    def held_out(self) -> tuple[ExperimentPrediction, ...]:
         """Those that were predicted only."""
         return tuple(one for one in self.predicted if one.held_out)
 
@@ -139,7 +139,7 @@ class Uncertainty:
 def find_uncertainty(
     project: Project,
     request: UncertaintyRequest,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[SamplerProgress], None] | None = None,
 ) -> Uncertainty:
     """Sample the posterior of experiments of a project, and predict with it.
 
@@ -194,7 +194,7 @@ def find_uncertainty(
     )
 
 
-def _ids(store: Store, request: UncertaintyRequest, one: Calibrated | None) -> list[int]:
+def _ids(store: Store, request: UncertaintyRequest, one: CalibratedValues | None) -> list[int]:
     if request.experiments:
         return list(dict.fromkeys(store.find(key) for key in request.experiments))
     if one is not None:
@@ -213,7 +213,7 @@ def _ids(store: Store, request: UncertaintyRequest, one: Calibrated | None) -> l
 def _unknowns(
     project: Project,
     request: UncertaintyRequest,
-    one: Calibrated | None,
+    one: CalibratedValues | None,
     targets: Sequence[Target],
 ) -> list[Unknown]:
     """Those asked for, those of the calibration in the box it searched, or the usual ones."""
@@ -226,7 +226,7 @@ def _unknowns(
     return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
 
 
-def _motion(request: UncertaintyRequest, one: Calibrated | None) -> str:
+def _motion(request: UncertaintyRequest, one: CalibratedValues | None) -> str:
     if request.motion is not None:
         return request.motion
     return "dynamic" if one is None else one.motion.name
@@ -277,7 +277,7 @@ def _predicted(
     likelihood: LogLikelihood,
     posterior: Posterior,
     held_out: bool,
-) -> Predicted:
+) -> ExperimentPrediction:
     target = comparer.targets[member]
     prediction = predict(
         comparer,
@@ -288,7 +288,7 @@ def _predicted(
         draws=DRAWS,
         seed=posterior.seed,
     )
-    return Predicted(
+    return ExperimentPrediction(
         id=number,
         experiment=experiment,
         target=target,
@@ -299,7 +299,7 @@ def _predicted(
 
 
 def _near(
-    one: Calibrated | None, comparer: Comparer, members: list[int], point: FloatArray
+    one: CalibratedValues | None, comparer: Comparer, members: list[int], point: FloatArray
 ) -> tuple[NearOptimal | None, tuple[str, ...]]:
     """Nearly optimal sets among the evaluations a calibration kept."""
     record: CalibrationRecord | None = None if one is None else one.record

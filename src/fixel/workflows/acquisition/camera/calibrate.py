@@ -23,7 +23,7 @@ from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_bo
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.workflows.acquisition.camera.charts import files_of, first_picture, pictures_of
-from fixel.workflows.acquisition.camera.report import Verdict, empty_corners, verdict
+from fixel.workflows.acquisition.camera.report import PlaceAccuracy, empty_corners, verdict
 
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
@@ -42,7 +42,7 @@ class CameraAnswer:
         Where it was written.
     calibration : LensCalibration, optional
     placement : Placement, optional
-    verdicts : tuple of Verdict
+    verdicts : tuple of PlaceAccuracy
         At each height that was asked for.
     remarks : tuple of str
     plot : Path, optional
@@ -52,7 +52,7 @@ class CameraAnswer:
     file: Path | None = None
     calibration: LensCalibration | None = None
     placement: Placement | None = None
-    verdicts: tuple[Verdict, ...] = ()
+    verdicts: tuple[PlaceAccuracy, ...] = ()
     remarks: tuple[str, ...] = ()
     plot: Path | None = None
 
@@ -264,7 +264,7 @@ def _has_plate(file: Path) -> bool:
 
 
 def draw_errors(
-    measured: MeasuredCamera, verdicts: Sequence[Verdict], plot: Path | None
+    measured: MeasuredCamera, verdicts: Sequence[PlaceAccuracy], plot: Path | None
 ) -> Path | None:
     """The map of errors at the first height, where one is asked for."""
     from fixel.drawing.camera import CameraErrorChart

@@ -9,7 +9,7 @@ from typing import Any, final
 from fixel.drawing.picture import refuse_ending
 from fixel.drawing.prints import (
     PRINT_ENDINGS,
-    Sheet,
+    PrintSheet,
     board_sheet,
     save_sheets,
     tag_sheets,
@@ -94,7 +94,7 @@ def _print_tags(tags: list[tuple[Tag, str]], output: Path, paper: str, title: st
     return PrintAnswer(output, len(sheets), title, len(tags))
 
 
-def _save(sheets: tuple[Sheet, ...], output: Path) -> None:
+def _save(sheets: tuple[PrintSheet, ...], output: Path) -> None:
     refuse_ending(output, PRINT_ENDINGS, "print")
     refuse_unwritable(output)
     with written_whole(output) as unfinished:

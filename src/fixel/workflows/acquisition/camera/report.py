@@ -17,7 +17,7 @@ FINE: Final = 3e-4  # [m] a bench with more than this is worth another calibrati
 
 @final
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class PlaceAccuracy:
     """What is to be expected of places at one height.
 
     Attributes
@@ -75,11 +75,11 @@ class Verdict:
         }
 
 
-def verdict(measured: MeasuredCamera, height: float) -> Verdict:
+def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
     """What is to be expected of places at a height above the plate [m]."""
     errors = plane_errors(measured, height)
     worst = np.unravel_index(int(np.argmax(errors.whole)), errors.whole.shape)
-    return Verdict(
+    return PlaceAccuracy(
         errors=errors,
         typical=float(np.median(errors.whole)),
         worst=float(errors.whole.max()),
