@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fixel.model import Scene
 from fixel.simulation import Adaptive, BatchResult, simulate_batch
 from fixel.simulation.motion import AbstractMotionModel
+from fixel.typing import FloatArray
 
 POSITION_BAR = 0.1  # [mm]
 ANGLE_BAR = 0.1  # [deg]
 FINE = 1e-7  # tolerance of a converged answer, in characteristic lengths
 
-FloatArray = NDArray[np.float64]
 
 GRASP_RANGES = {
     "mu_support": (0.15, 0.35),

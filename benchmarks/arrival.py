@@ -13,9 +13,9 @@ import numpy as np
 from benchmarks.figures import Figure, Size, at_most
 from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import SceneFile, save_scene
-from fixel.kernels.arrays import FloatArray
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking import track

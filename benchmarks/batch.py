@@ -6,19 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.accuracy import (
-    PUSH_RANGES,
-    FloatArray,
-    apart,
-    converged_batch,
-    random_sets,
-    share_within,
-)
+from benchmarks.accuracy import PUSH_RANGES, apart, converged_batch, random_sets, share_within
 from benchmarks.figures import Bar, Figure, Size, at_least, seconds
 from fixel.model import Scene
 from fixel.simulation import BatchResult, QuasiStatic, StewartTrinkle, simulate_batch
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.testing.scenes import Layout, grasp, micro_push
+from fixel.typing import FloatArray
 
 SECOND_STEP = 1e-4  # [s] of the stepper that the converged answer is checked with
 MAGNIFIED = 100.0  # the part of the free push is a hundredth of the testbed's square

@@ -18,12 +18,12 @@ from fixel.domain.cells import cells_of
 from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out

@@ -25,12 +25,12 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import targets_of
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
 
 # Seeds from here on were never looked at while the method was chosen; that used those from 1.

@@ -21,7 +21,7 @@ from benchmarks.figures import Figure, Size, at_least
 from benchmarks.other_pictures import OtherCamera, board_print, checker_print, seen, tag_print
 from benchmarks.report import RESULTS
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Picture, board_of
 from fixel.vision.calibrate_lens import BoardView, calibrate_lens
 from fixel.vision.marks import Tag

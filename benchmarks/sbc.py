@@ -15,11 +15,11 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
 from fixel.model import Tripod
-from fixel.model.fields import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import RolloutCase
 from fixel.testing.scenes import free_push, row
+from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.posterior import NestedSampling
 from fixel.uncertainty.sbc import Ranks, calibrate_by_simulation

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.accuracy import ANGLE_BAR, POSITION_BAR, FloatArray, apart
+from benchmarks.accuracy import ANGLE_BAR, POSITION_BAR, apart
 from benchmarks.figures import Figure, Size, at_least
 from fixel.model import (
     Body,
@@ -34,6 +34,7 @@ from fixel.simulation import Dynamic, Midpoint, QuasiStatic, StewartTrinkle, sim
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.testing.scenes import FIXEL_RADIUS, STALL_FORCE, box, row
+from fixel.typing import FloatArray
 
 SEED = 20_261_122
 STEPS = 20_000  # of the two references: 5 um of the pusher's way each

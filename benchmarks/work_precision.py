@@ -22,7 +22,6 @@ from benchmarks import report
 from benchmarks.accuracy import (
     FINE,
     POSITION_BAR,
-    FloatArray,
     apart,
     characteristic_length,
     converged_batch,
@@ -42,6 +41,7 @@ from fixel.simulation import (
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.testing.scenes import grasp
+from fixel.typing import FloatArray
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PICTURE = DOCS / "pictures" / "work_precision.png"

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fixel.model import LineDrive, Polygon, Scene, Tripod
 from fixel.model.support import support_points
 from fixel.testing.scenes import FIXEL_RADIUS, grasp
-
-FloatArray = NDArray[np.float64]
+from fixel.typing import FloatArray
 
 
 class Task(NamedTuple):

@@ -146,7 +146,7 @@ def test_intervals_do_not_widen_with_the_frames_that_are_left_out(monkeypatch):
     comparer = Comparer([target], ParameterSpace(unknowns=unknowns), motion=QuasiStatic())
     widths = []
     for most in (1000, 120):
-        monkeypatch.setattr("fixel.calibration.assess.MOST_RESIDUALS", most)
+        monkeypatch.setattr("fixel.calibration.assess.MAX_RESIDUALS", most)
         found = assess(comparer, [0], comparer.space.nominal)
         assert found.noise.correlation > 20.0
         widths.append([v.formal_high - v.formal_low for v in found.verdicts])
@@ -159,7 +159,7 @@ def test_of_long_trajectories_some_frames_stand_for_all(monkeypatch):
     whole = Frames(comparer, np.arange(1))
     points = comparer.space.nominal[None]
     assert whole.residuals(CAMERA)(points).shape == (1, 3 * len(target.pose))
-    monkeypatch.setattr("fixel.calibration.assess.MOST_RESIDUALS", 100)
+    monkeypatch.setattr("fixel.calibration.assess.MAX_RESIDUALS", 100)
     few = Frames(comparer, np.arange(1))
     table = few.residuals(CAMERA)(points)
     assert table.shape[1] < 110

@@ -9,17 +9,17 @@ import pytest
 
 from fixel.calibration.learned import NINETY, ResidualProcess
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 pytest.importorskip("sklearn")
 
 
 def made_up(n: int, seed: int) -> tuple[FloatArray, FloatArray]:
     """Residuals of two outputs that two of three features explain, but for noise."""
-    dice = np.random.default_rng(seed)
-    features = dice.uniform(-2.0, 2.0, (n, 3))
+    rng = np.random.default_rng(seed)
+    features = rng.uniform(-2.0, 2.0, (n, 3))
     residuals = 1e-3 * np.column_stack((np.sin(features[:, 0]), features[:, 1]))
-    return features, residuals + dice.normal(0.0, 0.1e-3, (n, 2))
+    return features, residuals + rng.normal(0.0, 0.1e-3, (n, 2))
 
 
 def test_it_learns_and_knows_how_well() -> None:
@@ -34,10 +34,10 @@ def test_it_learns_and_knows_how_well() -> None:
 
 
 def test_noise_teaches_nothing() -> None:
-    dice = np.random.default_rng(3)
-    features, residuals = dice.normal(size=(60, 4)), dice.normal(size=(60, 1))
+    rng = np.random.default_rng(3)
+    features, residuals = rng.normal(size=(60, 4)), rng.normal(size=(60, 1))
 
-    mean, sd = ResidualProcess(features, residuals).predict(dice.normal(size=(40, 4)))
+    mean, sd = ResidualProcess(features, residuals).predict(rng.normal(size=(40, 4)))
 
     assert np.abs(mean).mean() < 0.5
     assert sd.mean() == pytest.approx(1.0, abs=0.4)

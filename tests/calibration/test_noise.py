@@ -8,7 +8,7 @@ from scipy import stats
 from tests.calibration.toys import TIMES, TRUTH, box, calibrated, decay
 
 from fixel.calibration.noise import (
-    LEAST_SCATTER,
+    MIN_SCATTER,
     Dispersion,
     Noise,
     correlation_time,
@@ -142,7 +142,7 @@ def test_coverage_with_correlated_noise():
 
 def test_exact_copies_scatter_by_what_simulations_are_exact_to():
     copies = noise_from_repetitions([np.zeros((2, 5, 3))])
-    assert (copies.position_m, copies.angle_rad) == (LEAST_SCATTER, LEAST_SCATTER)
+    assert (copies.position_m, copies.angle_rad) == (MIN_SCATTER, MIN_SCATTER)
 
 
 def test_refusals():

@@ -7,8 +7,8 @@ import pytest
 
 from fixel.calibration.registration import gaps_and_normals, registration_from_gaps
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Polygon, Shape
+from fixel.typing import FloatArray
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
 RADIUS = 4.75e-3
@@ -17,15 +17,15 @@ SHIFT = np.array([1.1e-3, -0.7e-3])
 
 def touching(shape: Shape, n: int, seed: int, sides: int = 4) -> tuple[FloatArray, FloatArray]:
     """Poses of a shape, and tips that touch it on the first so many sides."""
-    dice = np.random.default_rng(seed)
-    pose = np.column_stack((dice.uniform(-0.2, 0.2, (n, 2)), dice.uniform(-np.pi, np.pi, n)))
+    rng = np.random.default_rng(seed)
+    pose = np.column_stack((rng.uniform(-0.2, 0.2, (n, 2)), rng.uniform(-np.pi, np.pi, n)))
     if isinstance(shape, Disk):
-        angle = dice.uniform(-np.pi, np.pi, n)
+        angle = rng.uniform(-np.pi, np.pi, n)
         reach = shape.radius + RADIUS
         local = reach * np.column_stack((np.cos(angle), np.sin(angle)))
     else:
-        along = dice.uniform(-0.025, 0.025, n)
-        turn = 0.5 * np.pi * dice.integers(0, sides, n)
+        along = rng.uniform(-0.025, 0.025, n)
+        turn = 0.5 * np.pi * rng.integers(0, sides, n)
         local = _turned(np.column_stack((np.full(n, 0.03 + RADIUS), along)), turn)
     return pose, pose[:, :2] + _turned(local, pose[:, 2])
 

@@ -52,38 +52,38 @@ def test_mutated_files_are_imported_or_refused(kind: str, tmp_path: Path) -> Non
     name, make = MAKERS[kind]
     whole = make(tmp_path / "whole")
     root = whole if whole.is_dir() else whole.parent
-    dice = random.Random(kind)
+    rng = random.Random(kind)
     for _ in range(MUTATIONS):
         copy = tmp_path / "copy"
         shutil.copytree(root, copy)
-        _mutate(dice.choice(sorted(path for path in copy.rglob("*") if path.is_file())), dice)
+        _mutate(rng.choice(sorted(path for path in copy.rglob("*") if path.is_file())), rng)
         # Any other exception, and any warning, fails the test.
         with contextlib.suppress(FixelError):
             list(IMPORTERS[name].read(copy / whole.relative_to(root)).experiments())
         shutil.rmtree(copy)
 
 
-def _mutate(path: Path, dice: random.Random) -> None:
+def _mutate(path: Path, rng: random.Random) -> None:
     """Change one thing: cut the file, or put something else in place of a value or a byte."""
     packed = path.read_bytes()
-    inside = path.suffix == ".gz" and dice.random() < 0.8
+    inside = path.suffix == ".gz" and rng.random() < 0.8
     content = gzip.decompress(packed) if inside else packed
-    at = dice.randrange(len(content))
-    choice = dice.random()
+    at = rng.randrange(len(content))
+    choice = rng.random()
     if choice < 0.2:
         content = content[:at]
     elif choice < 0.4:
-        content = content[:at] + bytes([dice.randrange(256)]) + content[at + 1 :]
+        content = content[:at] + bytes([rng.randrange(256)]) + content[at + 1 :]
     else:
         end = next((k for k in range(at, len(content)) if content[k] in b",\n]}"), len(content))
-        content = content[:at] + dice.choice(HOSTILE) + content[end:]
+        content = content[:at] + rng.choice(HOSTILE) + content[end:]
     path.write_bytes(gzip.compress(content) if inside else content)
 
 
 def test_what_unpacks_to_too_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base, "LARGEST_FILE", 2_000_000)
+    monkeypatch.setattr(base, "MAX_FILE", 2_000_000)
     path = tmp_path / "bomb.csv.gz"
     path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000))
 
@@ -94,7 +94,7 @@ def test_what_unpacks_to_too_much_is_refused(
 def test_more_cells_than_the_memory_holds_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base, "MOST_CELLS", 1_000_000)
+    monkeypatch.setattr(base, "MAX_CELLS", 1_000_000)
     path = tmp_path / "bomb.csv.gz"
     path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000))
 

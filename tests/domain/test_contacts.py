@@ -9,8 +9,8 @@ from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.features import Configurations
 from fixel.domain.promise import Promise, promised
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Polygon
+from fixel.typing import FloatArray
 
 SIDES = 4
 EACH = 16  # pushes of a side

@@ -15,9 +15,8 @@ from fixel.domain.features import (
     simulated_features,
 )
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Disk, Polygon
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 SQUARE = Polygon(0.03 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]))
 RADIUS = 0.005

@@ -17,7 +17,7 @@ from fixel.domain.promise import (
     promised,
 )
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 GROUPS = ("steel", "wood", "felt")
 LARGER = np.array([1.0, 2.0, 0.5])
@@ -25,11 +25,11 @@ LARGER = np.array([1.0, 2.0, 0.5])
 
 def made_up(n: int, seed: int) -> tuple[FloatArray, FloatArray, list[str]]:
     """Errors that grow with the first feature, by another factor in each group; 3 idle features."""
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     group = np.arange(n) % len(GROUPS)
-    features = dice.uniform(0.0, 1.0, (n, 4))
+    features = rng.uniform(0.0, 1.0, (n, 4))
     scale = LARGER[group] * np.exp(2.0 * features[:, 0])
-    errors = scale * np.abs(dice.standard_t(4.0, n))
+    errors = scale * np.abs(rng.standard_t(4.0, n))
     return features, errors, [GROUPS[g] for g in group]
 
 
@@ -66,9 +66,9 @@ def test_without_groups_the_worst_of_them_is_let_down() -> None:
 def test_bounds_are_sharper_than_a_constant_where_features_tell() -> None:
     """Errors from e^0 to e^3 by the first feature, give or take a fifth: of bounds that know it
     the mean is 7.4, of the constant one 15."""
-    dice = np.random.default_rng(0)
-    features, new = dice.uniform(0.0, 1.0, (2, 450, 2))
-    errors, off = (np.exp(3.0 * f[:, 0]) * dice.uniform(0.8, 1.2, len(f)) for f in (features, new))
+    rng = np.random.default_rng(0)
+    features, new = rng.uniform(0.0, 1.0, (2, 450, 2))
+    errors, off = (np.exp(3.0 * f[:, 0]) * rng.uniform(0.8, 1.2, len(f)) for f in (features, new))
     for model in ("forest", "neighbours"):
         bound = Promise.fit(features, errors, model=model).bounds(new)
         assert bound.mean() < 0.65 * constant_bound(errors)

@@ -27,18 +27,18 @@ def scattered(maps=8, members=2, scatter=0.15, seed=0):
     90 % of further members stay below [mm], (n_map, n_cell)."""
     from scipy.special import ndtri
 
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     keys, y, group, error, truth = [], [], [], [], []
     for g in range(maps):
-        slope, bend, level = dice.normal(0, 12.0), dice.normal(0, 500.0), dice.normal(0.7, 0.3)
-        middle = level + slope * STEPS + bend * STEPS**2 + dice.normal(0, 0.3, len(STEPS))
+        slope, bend, level = rng.normal(0, 12.0), rng.normal(0, 500.0), rng.normal(0.7, 0.3)
+        middle = level + slope * STEPS + bend * STEPS**2 + rng.normal(0, 0.3, len(STEPS))
         truth.append(np.exp(middle + ndtri(0.9) * scatter))
         for k, step in enumerate(STEPS):
             for r in range(members):
                 keys.append(f"lab/{g}-{k}-{r}")
                 y.append(float(step))
                 group.append(f"map {g}")
-                error.append(np.exp(2.0 * (middle[k] + scatter * dice.normal())))
+                error.append(np.exp(2.0 * (middle[k] + scatter * rng.normal())))
     evidence = HeldOutErrors(
         keys=tuple(keys),
         ids=tuple(range(len(keys))),

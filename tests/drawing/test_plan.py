@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from fixel.drawing.plan import MOST_GHOSTS, MOST_PANELS, draw_plan, plan_figure
+from fixel.drawing.plan import MAX_GHOSTS, MAX_PANELS, draw_plan, plan_figure
 from fixel.errors import InvalidInput
 from fixel.sampling import FixelLayout, Grid, Nominal, thesis_plan
 
@@ -64,6 +64,6 @@ def test_large_plans_are_thinned():
     figure = plan_figure(replace(PLAN, layouts=layouts))
     ghosts = plan_figure(replace(ONE, schemes=(grid,))).axes[0].collections
 
-    assert len(figure.axes) == MOST_PANELS
+    assert len(figure.axes) == MAX_PANELS
     assert "and 20 more layouts" in [text.get_text() for text in figure.texts]
-    assert max(len(c.get_paths()) for c in ghosts) <= MOST_GHOSTS
+    assert max(len(c.get_paths()) for c in ghosts) <= MAX_GHOSTS

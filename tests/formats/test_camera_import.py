@@ -17,7 +17,7 @@ from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_matrix import matrix_of
 from fixel.formats.camera_opencv import save_opencv, save_ros
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import MeasuredCamera

@@ -4,7 +4,6 @@ import itertools
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from fixel.kernels.lemke import (
@@ -14,8 +13,7 @@ from fixel.kernels.lemke import (
     SOLVED,
 )
 from fixel.kernels.measure_lcp import solve_lcp
-
-FloatArray = npt.NDArray[np.float64]
+from fixel.typing import FloatArray
 
 LCP_TOLERANCE = 1e-10  # natural map of every answer called solved, n <= 60
 PIVOTS = 5000

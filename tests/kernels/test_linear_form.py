@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numba import njit
 
@@ -18,8 +17,7 @@ from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import Lemke
 from fixel.simulation.stepper import Midpoint, StewartTrinkle
 from fixel.testing.scenes import grasp
-
-FloatArray = npt.NDArray[np.float64]
+from fixel.typing import FloatArray
 
 STEP_TOLERANCE = 1e-9  # the judge's, as in kernels/solve.py
 PIVOTS = 5000

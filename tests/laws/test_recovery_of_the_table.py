@@ -9,12 +9,12 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, SupportPoints
 from fixel.model.net import support_net
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box
+from fixel.typing import FloatArray
 
 PLATE = box(0.09, 0.06)
 RADIUS = 5e-3

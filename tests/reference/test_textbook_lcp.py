@@ -9,13 +9,11 @@ Tolerances are rounding.
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from fixel.kernels.lemke import RAY, SOLVED
 from fixel.kernels.measure_lcp import solve_lcp
-
-FloatArray = npt.NDArray[np.float64]
+from fixel.typing import FloatArray
 
 CPS_3 = np.array([[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]], float)
 

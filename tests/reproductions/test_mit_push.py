@@ -29,8 +29,8 @@ TRUTH = {
 
 def made_up(folder: Path, n: int = 30) -> Path:
     """Pushes of two plates on one surface, that end where the simulator says under the truth."""
-    dice = np.random.default_rng(7)
-    rows = [_start(k, name, dice) for name in ("block", "egg") for k in range(n)]
+    rng = np.random.default_rng(7)
+    rows = [_start(k, name, rng) for name in ("block", "egg") for k in range(n)]
     write = push_files.mit_push(folder, *rows)
     data = mit_push.read(write)
     for key, own in rows_by_key(data, usable_rows(data)).items():
@@ -38,21 +38,21 @@ def made_up(folder: Path, n: int = 30) -> Path:
         values = {name: np.full(len(own), value) for name, value in TRUTH.items()}
         found = group.simulate(np.arange(len(own)), values)
         assert found.good.all()
-        noise = dice.normal(0.0, 0.1e-3, found.end.shape)
+        noise = rng.normal(0.0, 0.1e-3, found.end.shape)
         for row, end in zip(own.tolist(), found.end + noise, strict=True):
             names = ("obj_x1", "obj_y1", "obj_th1")
             rows[row] |= dict(zip(names, end.tolist(), strict=True))
     return push_files.mit_push(folder, *rows)
 
 
-def _start(k: int, name: str, dice: np.random.Generator) -> dict[str, object]:
+def _start(k: int, name: str, rng: np.random.Generator) -> dict[str, object]:
     """A push into one of the four sides; the tip is recorded where it seems to touch."""
     reach = {"block": (0.03, 0.03), "egg": (0.03, 0.04)}[name][k % 2] + push_files.TIP
-    angle, side = dice.uniform(-3.0, 3.0), 0.5 * np.pi * (k % 4)
-    along = dice.uniform(-0.015, 0.015) if name == "block" else 0.0
+    angle, side = rng.uniform(-3.0, 3.0), 0.5 * np.pi * (k % 4)
+    along = rng.uniform(-0.015, 0.015) if name == "block" else 0.0
     c, s = np.cos(angle + side), np.sin(angle + side)
     tip = np.array([0.2 + c * reach - s * along, -0.1 + s * reach + c * along])
-    way = angle + side + np.pi + dice.uniform(-0.5, 0.5)
+    way = angle + side + np.pi + rng.uniform(-0.5, 0.5)
     end = tip + 0.05 * np.array([np.cos(way), np.sin(way)])
     return push_files.push(
         k, push_id=f"felt_{name}_{k}", shape=name, obj_th0=angle, tip_x0=tip[0], tip_y0=tip[1],

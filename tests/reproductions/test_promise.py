@@ -46,8 +46,8 @@ def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
 
 
 def test_halves_share_no_push_and_leave_out_what_was_trained_on() -> None:
-    dice = np.random.default_rng(0)
-    held = dice.uniform(size=200) < 0.4
+    rng = np.random.default_rng(0)
+    held = rng.uniform(size=200) < 0.4
     table = PushTable(np.zeros((200, 1)), np.zeros((200, 3)), np.arange(200) % 3, held)
     first, second = _halves(table, 1)
     assert sorted([*first, *second]) == np.flatnonzero(held).tolist()

@@ -163,7 +163,7 @@ def test_a_simulation_that_stops_early_says_when():
 
 def test_many_rollouts_run_in_several_passes(monkeypatch):
     whole = Ensemble(_cases()).simulate(np.arange(4).repeat(3), _values(12))
-    monkeypatch.setattr("fixel.simulation.ensemble.MOST_POSES", 50)
+    monkeypatch.setattr("fixel.simulation.ensemble.MAX_POSES", 50)
     parts = Ensemble(_cases()).simulate(np.arange(4).repeat(3), _values(12))
     assert (whole.pose == parts.pose).all()
     assert (whole.status == parts.status).all()

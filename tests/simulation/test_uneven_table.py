@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fixel.model import KNOWN_PARAMETERS
-from fixel.simulation.uneven_table import LARGEST_EXPONENT, LENGTH, TABLE_NAMES, factors_on_table
+from fixel.simulation.uneven_table import LENGTH, MAX_EXPONENT, TABLE_NAMES, factors_on_table
 
 CROSS = LENGTH * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
@@ -42,4 +42,4 @@ def test_a_slope_loads_one_side() -> None:
 
 
 def test_factors_stay_within_reason() -> None:
-    assert factors(0.0, table_bend=50.0) == pytest.approx(np.full(4, np.exp(LARGEST_EXPONENT)))
+    assert factors(0.0, table_bend=50.0) == pytest.approx(np.full(4, np.exp(MAX_EXPONENT)))

@@ -23,9 +23,9 @@ def measured(seed=0, threads=None, truth=TRUTH, noise=NOISE):
     """The benchmark's pushes, as a camera would see them under a truth."""
     bare = pushes()
     prior = ParameterPrior(bare.space, MODEL_ERROR)
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     targets = [
-        target._replace(pose=measured_path(bare, k, truth, prior, noise, dice))
+        target._replace(pose=measured_path(bare, k, truth, prior, noise, rng))
         for k, target in enumerate(bare.targets)
     ]
     motion, stepper = bare.ensemble.motion, bare.ensemble.stepper

@@ -53,8 +53,8 @@ def test_a_start_known_exactly_adds_nothing(found):
 
 
 def test_bounds_hold_their_share_of_the_draws():
-    dice = np.random.default_rng(2)
-    poses = dice.standard_normal((4000, 3)) @ np.array([[2.0, 1.0, 0.0], [0, 1.0, 0], [0, 0, 0.1]])
+    rng = np.random.default_rng(2)
+    poses = rng.standard_normal((4000, 3)) @ np.array([[2.0, 1.0, 0.0], [0, 1.0, 0], [0, 0, 0.1]])
     bounds = bounds_of(poses, 0.9)
     levels = np.array([levels_of(poses, pose) for pose in poses[:400]])
     assert np.mean(levels[:, 0] <= 0.9) == pytest.approx(0.9, abs=0.03)
@@ -85,20 +85,20 @@ def test_the_curve_of_true_levels_is_the_diagonal():
         coverage_curve(np.zeros(0))
 
 
-def linear(n, dice, truth):
+def linear(n, rng, truth):
     """Outcomes of three numbers, linear in 20 unknowns, some pushes far touchier than others."""
-    columns = dice.standard_normal((n, 3, 20)) * 1e-3
-    touchy = np.exp(dice.standard_normal(n))
-    start = touchy[:, None, None] * dice.standard_normal((n, 3, 2)) * 1e-3
-    error = np.einsum("kcm,km->kc", start, dice.standard_normal((n, 2)))
-    error += 5e-4 * dice.standard_t(4.0, (n, 3))
+    columns = rng.standard_normal((n, 3, 20)) * 1e-3
+    touchy = np.exp(rng.standard_normal(n))
+    start = touchy[:, None, None] * rng.standard_normal((n, 3, 2)) * 1e-3
+    error = np.einsum("kcm,km->kc", start, rng.standard_normal((n, 2)))
+    error += 5e-4 * rng.standard_t(4.0, (n, 3))
     return Outcomes(np.einsum("kcn,n->kc", columns, truth) + error, columns, start)
 
 
 def test_bounds_after_a_fit_of_many_unknowns_hold_what_they_promise():
-    dice = np.random.default_rng(6)
-    truth = dice.standard_normal(20)
-    train, other = linear(120, dice, truth), linear(1500, dice, truth)
+    rng = np.random.default_rng(6)
+    truth = rng.standard_normal(20)
+    train, other = linear(120, rng, truth), linear(1500, rng, truth)
     weight = 1.0 / (np.einsum("kcm,kcm->k", train.start, train.start) + 2e-6)
     table = train.columns.reshape(-1, 20) * np.repeat(np.sqrt(weight), 3)[:, None]
     wanted = train.residual.reshape(-1) * np.repeat(np.sqrt(weight), 3)
@@ -123,8 +123,8 @@ def test_too_few_outcomes_are_refused():
 
 
 def test_nearly_optimal_points_are_clustered():
-    dice = np.random.default_rng(3)
-    points = dice.random((3000, 2))
+    rng = np.random.default_rng(3)
+    points = rng.random((3000, 2))
     wells = [np.sum((points - c) ** 2, axis=1) for c in ((0.2, 0.2), (0.8, 0.7))]
     errors = 1.0 + 50.0 * np.minimum(*wells)
     errors[0] = np.inf

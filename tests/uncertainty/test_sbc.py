@@ -12,15 +12,15 @@ from fixel.uncertainty.sbc import Ranks, rank_of, uniformity
 
 def conjugate(width, shift=0.0, n=300):
     """Ranks under a normal model whose posterior is known: mean y / 2, variance 1 / 2."""
-    dice = np.random.default_rng(4)
-    truths = dice.standard_normal((n, 1))
-    data = truths + dice.standard_normal((n, 1))
+    rng = np.random.default_rng(4)
+    truths = rng.standard_normal((n, 1))
+    data = truths + rng.standard_normal((n, 1))
     ranks = np.array(
         [
             rank_of(
                 truth,
-                0.5 * y + shift + width * np.sqrt(0.5) * dice.standard_normal((400, 1)),
-                dice,
+                0.5 * y + shift + width * np.sqrt(0.5) * rng.standard_normal((400, 1)),
+                rng,
             )
             for truth, y in zip(truths, data, strict=True)
         ]
@@ -45,8 +45,8 @@ def test_a_posterior_too_sure_holds_too_few():
 
 
 def test_ties_are_broken_evenly():
-    dice = np.random.default_rng(0)
-    ranks = np.array([rank_of(np.zeros(1), np.zeros((20, 1)), dice)[0] for _ in range(400)])
+    rng = np.random.default_rng(0)
+    ranks = np.array([rank_of(np.zeros(1), np.zeros((20, 1)), rng)[0] for _ in range(400)])
     assert uniformity(ranks) > 0.01
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
-from fixel.kernels.arrays import FloatArray
 from fixel.testing.board_pictures import Studio, seen_corners
+from fixel.typing import FloatArray
 from fixel.vision.boards import Picture, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera

@@ -75,7 +75,7 @@ def test_from_the_queue_to_the_end(bench):
 
 
 def test_only_so_many_run_at_once_whatever_they_are(bench, monkeypatch):
-    monkeypatch.setattr(job_list, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(job_list, "MAX_AT_ONCE", 1)
     bench.job("long", rounds=300, chunks=8, sleep_s=0.05)
     bench.job("other")
     assert bench.post("/jobs/long/resume").status_code == 200

@@ -20,7 +20,7 @@ from fixel.web.app import create_app
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
 from fixel.web.problems import OUR_MISTAKE
 from fixel.web.project import ProjectContext, project_api, project_pages, project_server
-from fixel.web.security import MOST_BODY, WORD_HEADER, Gate
+from fixel.web.security import MAX_BODY, WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
 
@@ -131,7 +131,7 @@ def test_the_guide_names_every_operation(bench):
 def test_long_bodies_are_refused(bench):
     sent = {WORD_HEADER: bench.gate.word}
     answer = bench.client().request(
-        "POST", "/api/v1/project", headers=sent, content=b"x" * (MOST_BODY + 1)
+        "POST", "/api/v1/project", headers=sent, content=b"x" * (MAX_BODY + 1)
     )
     assert answer.status_code == 413
 

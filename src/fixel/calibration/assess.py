@@ -26,15 +26,14 @@ from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
 from fixel.calibration.verdict import ParameterVerdict, judge
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Fixel, Parameters, Pusher
-from fixel.model.fields import BoolArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation.simulate import simulate
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
-MOST_RESIDUALS: Final = 30_000
+MAX_RESIDUALS: Final = 30_000
 
 T = TypeVar("T")
 
@@ -364,7 +363,7 @@ class Frames:
         if isinstance(comparer.error, EndPose):
             seen = frames == length[:, None] - 1
         else:
-            self._stride = max(1, math.ceil(3 * int(length.sum()) / MOST_RESIDUALS))
+            self._stride = max(1, math.ceil(3 * int(length.sum()) / MAX_RESIDUALS))
             # Counted from the last frame, which says most of where a push ends.
             before_end = length[:, None] - 1 - frames
             seen = (before_end >= 0) & (before_end % self._stride == 0)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 
 class Jackknife(NamedTuple):

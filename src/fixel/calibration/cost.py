@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import frozen, positive, settle
 from fixel.model.space import ParameterSpace
+from fixel.typing import FloatArray
 
 Residuals = Callable[[FloatArray], FloatArray]
 """Points (k, n) -> residuals (k, m) in standard deviations of the noise; a failed row is inf."""
@@ -24,7 +24,7 @@ LOSSES: Final[tuple[Loss, ...]] = get_args(Loss)
 # Least curvature of a residual's loss, as a share of its slope over the residual (the weight of
 # iterated reweighting, which always converges but slowly). Triggs' second term takes it down to
 # nothing for far residuals: below 0.4, Rosenbrock's valley was not left in 60 steps.
-LEAST_CURVATURE: Final = 0.5
+MIN_CURVATURE: Final = 0.5
 
 
 @final
@@ -175,5 +175,5 @@ def _reweighted(f: FloatArray, columns: FloatArray, loss: Loss) -> tuple[FloatAr
     """Residuals (m,) and columns (m, n) whose plain squares have the robust loss's curvature."""
     z = f * f
     _, first, second = _rho(z, loss)
-    weight = np.sqrt(np.maximum(first + 2.0 * second * z, LEAST_CURVATURE * first))
+    weight = np.sqrt(np.maximum(first + 2.0 * second * z, MIN_CURVATURE * first))
     return f * first / weight, columns * weight[:, None]

@@ -12,8 +12,7 @@ from fixel.calibration.cost import Cost, Quadratic
 from fixel.calibration.differences import Differences
 from fixel.calibration.optimiser import SearchBox
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fixel.calibration.least_squares import LeastSquares
@@ -23,7 +22,7 @@ FIRST_DAMPING: Final = 1e-3
 # A step that gains this share of what the model promised leaves the model good enough to correct.
 HALF_AS_GOOD: Final = 0.5
 # Below, the damped matrix is singular to rounding.
-LEAST_DAMPING: Final = 1e-10
+MIN_DAMPING: Final = 1e-10
 # Trial steps of one batch differ by this factor in damping.
 SPREAD: Final = 10.0
 # Batches of trial steps that all fail before new derivatives are taken: with five a batch, the
@@ -267,7 +266,7 @@ class Descent:
 
     def _plan_trials(self) -> None:
         """Steps of several dampings at once, each the best within the bounds."""
-        self._dampings = np.maximum(LEAST_DAMPING, self._damping * SPREAD ** self._powers())
+        self._dampings = np.maximum(MIN_DAMPING, self._damping * SPREAD ** self._powers())
         low = np.where(self._free, (self.box.low - self._base) / self.box.scale, 0.0)
         high = np.where(self._free, (self.box.high - self._base) / self.box.scale, 0.0)
         unit = float(np.diag(self._model.hessian).max())

@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.calibration.optimiser import SearchBox
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # A response this many times the roughness gives a slope good to a few per cent.
 CLEAR: Final = 30.0

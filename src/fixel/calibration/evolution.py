@@ -18,7 +18,7 @@ from fixel.calibration.options import positive, settle, whole
 from fixel.calibration.starts import feasible_points
 from fixel.calibration.walk import GeneratorSearch, Moves
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 _MORE_WORDS = {
     "tolx": "the cloud shrank to the tolerance",
@@ -98,12 +98,12 @@ class CmaEs(AbstractOptimiser):
 @final
 class _CmaWalk(GeneratorSearch):
     def __init__(
-        self, box: SearchBox, options: CmaEs, starts: FloatArray, dice: np.random.Generator
+        self, box: SearchBox, options: CmaEs, starts: FloatArray, rng: np.random.Generator
     ) -> None:
         super().__init__(box)
         self.options = options
         self._starts = starts
-        self._dice = dice
+        self._dice = rng
 
     def _walk(self) -> Moves:
         reason = ""
@@ -169,8 +169,8 @@ def _ranked(errors: FloatArray, worst: float, away: FloatArray) -> FloatArray:
     return np.where(np.isfinite(errors), errors, behind + max(abs(behind), 1.0) * (1.0 + away))
 
 
-def _normal(dice: np.random.Generator) -> Callable[..., FloatArray]:
-    return lambda *shape: dice.standard_normal(shape)
+def _normal(rng: np.random.Generator) -> Callable[..., FloatArray]:
+    return lambda *shape: rng.standard_normal(shape)
 
 
 @contextmanager

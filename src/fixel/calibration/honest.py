@@ -29,8 +29,8 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.target import Target
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.typing import FloatArray, IntArray
 
 ROUNDS: Final = 4  # linearisations
 INSTANTS: Final = 27  # of an experiment
@@ -48,13 +48,13 @@ SHIFTS: Final = {
 SEARCHED_EVERYWHERE: Final = ("mu_pusher", "mu_fixel")  # shifts only of what is itself searched
 SPAN: Final = math.log(30.0)
 STEP: Final = 0.2  # of the derivative of other parameters [scales]
-MOST_SCALES: Final = 3.0  # that one round may move a parameter
-MOST_SD: Final = 4.0  # of an own shift
+MAX_SCALES: Final = 3.0  # that one round may move a parameter
+MAX_SD: Final = 4.0  # of an own shift
 # Standard deviations of priors about the best [ranges]: of the fit itself, which would wander off
 # where its own information is weak, and of its variance, which must not take that for information.
 NEAR: Final = 0.1
 WEAK: Final = 0.5
-LEAST_FREEDOM: Final = 1.5
+MIN_FREEDOM: Final = 1.5
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
@@ -104,7 +104,7 @@ class Honest(NamedTuple):
     @classmethod
     def of(cls, mixed: MixedStudyFit, fits: Sequence[FloatArray]) -> Honest:
         """Combine a mixed fit with the ends (n_free,) of least squares."""
-        freedom = np.maximum(mixed.effective - 1.0, LEAST_FREEDOM)
+        freedom = np.maximum(mixed.effective - 1.0, MIN_FREEDOM)
         gap = np.mean((mixed.value - np.array(fits)) ** 2, axis=0)
         sd = np.sqrt(mixed.sd**2 + gap)
         return cls(mixed.value, sd, freedom, mixed.clusters)
@@ -215,9 +215,9 @@ def mixed_study(
         )
         fit = fit_mixed(data, log_sd, bounds)
         log_sd = fit.log_sd
-        reach = MOST_SD * np.exp(log_sd[:q])
+        reach = MAX_SD * np.exp(log_sd[:q])
         own = np.clip(fit.shifts, -reach, reach)
-        step = space.scale * np.clip(fit.step, -MOST_SCALES, MOST_SCALES)
+        step = space.scale * np.clip(fit.step, -MAX_SCALES, MAX_SCALES)
         theta = np.clip(theta + step, space.low, space.high)
     weak = _prior(space, point, WEAK)[0] * np.outer(space.scale, space.scale)
     covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)

@@ -11,11 +11,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Of interest to a process of a few hundred pushes; more cost time with the cube.
-MOST_EXAMPLES: Final = 4000
-LEAST_EXAMPLES: Final = 8
+MAX_EXAMPLES: Final = 4000
+MIN_EXAMPLES: Final = 8
 
 
 # Residuals farther from the median, in robust standard deviations, are taken for so far: a push
@@ -131,11 +131,11 @@ def _process(table: FloatArray, column: FloatArray, rounds: int) -> Any:
 def _refuse_examples(features: FloatArray, residuals: FloatArray) -> None:
     n = len(features)
     good = np.isfinite(features).all() and np.isfinite(residuals).all()
-    if len(residuals) != n or not good or not LEAST_EXAMPLES <= n <= MOST_EXAMPLES:
+    if len(residuals) != n or not good or not MIN_EXAMPLES <= n <= MAX_EXAMPLES:
         raise InvalidInput(
             "learned residual",
             found=f"{n} rows of features, {len(residuals)} of residuals",
-            expected=f"finite ones, {LEAST_EXAMPLES} to {MOST_EXAMPLES} of each",
+            expected=f"finite ones, {MIN_EXAMPLES} to {MAX_EXAMPLES} of each",
         )
 
 

@@ -13,8 +13,8 @@ from fixel.calibration.optimiser import Best, Feasible, SearchBox
 from fixel.calibration.options import whole
 from fixel.calibration.starts import feasible_points
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import non_negative, positive, settle
+from fixel.typing import FloatArray
 
 DifferenceKind = Literal["one-sided", "central", "auto"]
 

@@ -20,7 +20,7 @@ from fixel.calibration import mads_child
 from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.calibration.options import positive, settle, whole
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 THINKS_WITHIN: Final = 600.0  # [s] about the next points; it takes milliseconds
 _WORDS = (

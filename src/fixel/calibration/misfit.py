@@ -12,14 +12,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.noise import LEAST_SCATTER, Noise
+from fixel.calibration.noise import MIN_SCATTER, Noise
 from fixel.calibration.target import Target
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 NOTED: Final = 1.5  # residuals over noise from which intervals allow for misfit...
 WARNED: Final = 3.0  # ... and from which results are headed by a warning
 # Second differences needed in all.
-LEAST_COUNT: Final = 20
+MIN_COUNT: Final = 20
 # Second differences of white noise have a correlation of -2/3 with the next ones. Of poses that
 # were smoothed, or of motion without noise, neighbours agree: their noise cannot be read off.
 WHITE: Final = -0.4
@@ -117,12 +117,12 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
     found = [_second_differences(target) for target in targets]
     position = [column for one in found for series in one for column in series[:, :2].T]
     angle = [series[:, 2] for one in found for series in one]
-    if sum(map(len, angle)) < LEAST_COUNT or not (_white(position) and _white(angle)):
+    if sum(map(len, angle)) < MIN_COUNT or not (_white(position) and _white(angle)):
         return None
     scale = 1.4826 / math.sqrt(6.0)
     return Noise(
-        position_m=max(LEAST_SCATTER, scale * float(np.median(np.abs(np.concatenate(position))))),
-        angle_rad=max(LEAST_SCATTER, scale * float(np.median(np.abs(np.concatenate(angle))))),
+        position_m=max(MIN_SCATTER, scale * float(np.median(np.abs(np.concatenate(position))))),
+        angle_rad=max(MIN_SCATTER, scale * float(np.median(np.abs(np.concatenate(angle))))),
         source="differences",
     )
 

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 ITERATIONS: Final = 60  # of the search for variances
 

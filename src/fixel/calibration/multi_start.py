@@ -11,7 +11,7 @@ from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, Sea
 from fixel.calibration.options import settle, whole
 from fixel.calibration.starts import feasible_points
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 
 @final

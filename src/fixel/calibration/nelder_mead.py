@@ -13,7 +13,7 @@ from fixel.calibration.optimiser import AbstractOptimiser, Feasible, SearchBox
 from fixel.calibration.options import positive, settle, whole
 from fixel.calibration.starts import feasible_points
 from fixel.calibration.walk import GeneratorSearch, Moves, inside
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Where the trials lie, in distances from the worst vertex to the centre of the others, beyond it.
 REFLECTION, EXPANSION, OUTSIDE, INSIDE = range(4)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import finite, fraction, positive, settle
+from fixel.typing import FloatArray
 
 NoiseSource = Literal["stated", "repetitions", "residuals", "differences"]
 
@@ -23,9 +23,9 @@ SOURCES: Final[tuple[NoiseSource, ...]] = get_args(NoiseSource)
 IMPROBABLE: Final = 0.01
 # Degrees of freedom that an estimate is given at least. With one, the 95 % threshold is 42 times
 # that of known noise: an honest "do not know" that is still a number.
-LEAST_FREEDOM: Final = 1.0
+MIN_FREEDOM: Final = 1.0
 # Scatter that poses are given at least [m or rad]: simulations are not more exact than that.
-LEAST_SCATTER: Final = 1e-6
+MIN_SCATTER: Final = 1e-6
 
 
 @final
@@ -148,11 +148,11 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
     variance = np.mean(np.concatenate(deviations) ** 2, axis=0)
     correlation = correlation_time(deviations)
     return Noise(
-        position_m=max(LEAST_SCATTER, math.sqrt(variance[:2].mean())),
-        angle_rad=max(LEAST_SCATTER, math.sqrt(variance[2])),
+        position_m=max(MIN_SCATTER, math.sqrt(variance[:2].mean())),
+        angle_rad=max(MIN_SCATTER, math.sqrt(variance[2])),
         source="repetitions",
         correlation=correlation,
-        freedom=max(LEAST_FREEDOM, 2.0 * frames / correlation),
+        freedom=max(MIN_FREEDOM, 2.0 * frames / correlation),
     )
 
 
@@ -176,8 +176,8 @@ def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
     spread = table.size / correlation / freedom
     variance = np.mean(table**2, axis=0) * spread
     return Noise(
-        position_m=max(LEAST_SCATTER, math.sqrt(variance[:2].mean())),
-        angle_rad=max(LEAST_SCATTER, math.sqrt(variance[2])),
+        position_m=max(MIN_SCATTER, math.sqrt(variance[:2].mean())),
+        angle_rad=max(MIN_SCATTER, math.sqrt(variance[2])),
         source="residuals",
         correlation=correlation,
         freedom=freedom,
@@ -266,7 +266,7 @@ def dispersion_of(noise: Noise, deviance: float, count: int, unknowns: int) -> D
 
 
 def _freedom(count: int, unknowns: int, correlation: float) -> float:
-    return max(LEAST_FREEDOM, count / correlation - unknowns)
+    return max(MIN_FREEDOM, count / correlation - unknowns)
 
 
 def _lagged(column: FloatArray) -> FloatArray:

@@ -13,18 +13,18 @@ import numpy as np
 
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model.fields import BoolArray, positive
+from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 ANGLE_SCALE: Final = 35e-3  # [m/rad], what the thesis counts an angle as
 
 # Rollouts whose poses are held in memory at a time.
-MOST_ROLLOUTS: Final = 4096
+MAX_ROLLOUTS: Final = 4096
 
 
 class AbstractError(abc.ABC):
@@ -188,8 +188,8 @@ class Comparer:
         points : (n, n_free) float64
         """
         error, reasons = np.full(len(which), math.inf), []
-        for k in range(0, len(which), MOST_ROLLOUTS):
-            rows = slice(k, k + MOST_ROLLOUTS)
+        for k in range(0, len(which), MAX_ROLLOUTS):
+            rows = slice(k, k + MAX_ROLLOUTS)
             difference, good, why = self.differences(which[rows], points[rows])
             length = self._length[which[rows]]
             # By length, not padded: how numbers add up depends on how many there are.

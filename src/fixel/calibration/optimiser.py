@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 
 class SearchBox(NamedTuple):

@@ -12,8 +12,8 @@ from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, Sea
 from fixel.calibration.options import between, positive, settle, whole
 from fixel.calibration.walk import GeneratorSearch, Moves, inside
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import finite, non_negative
+from fixel.typing import FloatArray
 
 
 @final

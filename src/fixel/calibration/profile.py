@@ -18,8 +18,8 @@ from fixel.calibration.side import Node, Side
 from fixel.calibration.slices import Slice, Slicer
 from fixel.calibration.tasks import Task, Tasks
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import positive, settle
+from fixel.typing import FloatArray
 
 # All gains of deviance below are shares of the threshold.
 # A descent at a fixed value ends when it gains less: an end of an interval is off by 1 % of the
@@ -33,7 +33,7 @@ MEANINGLESS: Final = 0.25
 ROUGH: Final = 0.1
 # The profiles begin again from a point that is better than the best by more; what was found stays.
 ANEW: Final = 0.05
-MOST_RESTARTS: Final = 4
+MAX_RESTARTS: Final = 4
 # Share of the range above which an interval is so wide that its partners are looked for.
 WIDE: Final = 0.5
 # Points that a phase takes for each side of an unknown, for the estimate of what is left.
@@ -278,7 +278,7 @@ class ProfileSearch:
 
     def _must_restart(self) -> bool:
         """Whether the profiles stand on a point that turned out not to be the best."""
-        if not self._sides or self._restarts >= MOST_RESTARTS:
+        if not self._sides or self._restarts >= MAX_RESTARTS:
             return False
         worth = ANEW * self._nominal + DEEPER * self._roughness
         return self._best.error < self._sides[0].nodes[0].deviance - worth

@@ -14,9 +14,9 @@ import shapely
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape
-from fixel.model.fields import BoolArray, positive
+from fixel.model.fields import positive
+from fixel.typing import BoolArray, FloatArray
 
 # Gaps beyond this are of pushers that have left the object [m].
 LARGEST_GAP: Final = 2.5e-3
@@ -26,7 +26,7 @@ SCATTER: Final = 0.25e-3
 ROUNDS: Final = 50
 # After so many rounds, gaps beyond three times the scatter, and this [m], count no more.
 WARM_UP: Final = 4
-LEAST_CUT: Final = 0.8e-3
+MIN_CUT: Final = 0.8e-3
 
 
 class Registration(NamedTuple):
@@ -144,4 +144,4 @@ def registration_from_gaps(
 def _touching(rest: FloatArray) -> BoolArray:
     near = np.abs(rest) < LARGEST_GAP
     scatter = 1.48 * np.median(np.abs(rest[near])) if near.any() else 0.0
-    return np.asarray(np.abs(rest) < max(LEAST_CUT, 3.0 * float(scatter)))
+    return np.asarray(np.abs(rest) < max(MIN_CUT, 3.0 * float(scatter)))

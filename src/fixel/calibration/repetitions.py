@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Conditions that may differ between repetitions of an experiment.
 _OWN: Final = ("experiment", "repetition")

@@ -10,8 +10,7 @@ import numpy as np
 
 from fixel.calibration.descent import LeastSquaresFit
 from fixel.calibration.optimiser import SearchBox
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 
 # The rise is measured as a length: the root of the rise over the threshold, so that it grows in a
 # straight line away from a smooth optimum and is 1 at the crossing.
@@ -37,7 +36,7 @@ SHORTEST: Final = 1e-6
 CLOSE: Final = 0.06
 NARROW: Final = 0.03
 # Values fixed on a side, at most.
-MOST_NODES: Final = 30
+MAX_NODES: Final = 30
 
 
 class Node(NamedTuple):
@@ -120,7 +119,7 @@ class Side:
 
     def next_value(self, threshold: float) -> float | None:
         """The next value to fix; None when the crossing is known, or there is none."""
-        if self._room <= SHORTEST * self._scale or len(self.nodes) > MOST_NODES:
+        if self._room <= SHORTEST * self._scale or len(self.nodes) > MAX_NODES:
             return None
         above = self.first_above(threshold)
         if above is None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.side import crossing_share
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Distances of the first look, from the bound inwards, where no curvature predicts the crossing;
 # each is this many times the one before.
@@ -24,7 +24,7 @@ CLOSE: Final = 0.1
 CONFIRMED: Final = 0.05
 NARROW: Final = 0.2
 # Rounds of points between the two that bracket the crossing, at most.
-MOST_ROUNDS: Final = 2
+MAX_ROUNDS: Final = 2
 
 
 class Slice(NamedTuple):
@@ -64,7 +64,7 @@ class Slicer:
     @property
     def done(self) -> bool:
         """Whether both crossings are known well enough."""
-        return self._round > MOST_ROUNDS or (self._round > 0 and not self._closer())
+        return self._round > MAX_ROUNDS or (self._round > 0 and not self._closer())
 
     def ask(self) -> FloatArray:
         """(k, n) points; none once done."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import non_negative, positive
+from fixel.typing import FloatArray
 
 # Points compared with each other, at most, the best ones: their distances take 8 bytes a pair.
 MOST: Final = 2000

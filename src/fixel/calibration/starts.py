@@ -6,7 +6,7 @@ import numpy as np
 
 from fixel.calibration.optimiser import Feasible, SearchBox
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 BATCH = 256  # points drawn at a time; a power of two, as the sequence wants
 TRIES = 64 * BATCH

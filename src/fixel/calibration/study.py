@@ -18,9 +18,8 @@ import numpy as np
 from fixel.calibration.objective import Evaluation
 from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model.fields import BoolArray
 from fixel.model.space import ParameterSpace
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T")
 
@@ -208,7 +207,7 @@ def polished(
 NOMINAL: Final = "nominal"  # axis of the experiment that all others of a layout are offset from
 
 # Errors smaller than this count as this, or one perfect fit would rule alone [mm^2 or mm].
-LEAST_ERROR: Final = 1e-6
+MIN_ERROR: Final = 1e-6
 
 
 def weighted_mean(
@@ -229,7 +228,7 @@ def weighted_mean(
         raise InvalidInput(
             "weighted mean", found="no calibrated member", expected="one with a finite error"
         )
-    weight = 1.0 / np.maximum(errors[found], LEAST_ERROR)
+    weight = 1.0 / np.maximum(errors[found], MIN_ERROR)
     mean = np.asarray(weight @ points[found] / weight.sum())
     if informed is not None:
         some = informed[found]

@@ -8,10 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, LineDrive, Scene
-from fixel.model.fields import BoolArray
 from fixel.simulation.ensemble import RolloutCase
+from fixel.typing import BoolArray, FloatArray
 
 ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
 

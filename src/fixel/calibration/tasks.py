@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 Task = Generator[FloatArray, FloatArray, None]
 """Yields points (k, n), is sent their residuals (k, m)."""

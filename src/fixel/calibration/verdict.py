@@ -41,9 +41,9 @@ from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
 from fixel.calibration.side import ON_BOUND
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.parameters import info_of
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.typing import FloatArray
 
 Word = Literal[
     "identified",
@@ -71,7 +71,7 @@ CLEARLY_WIDER: Final = 2.0
 COSTS: Final = 0.5
 # ... and this share of what putting back the most needed one costs; three at most are named.
 BESIDE_MOST: Final = 0.1
-MOST_PARTNERS: Final = 3
+MAX_PARTNERS: Final = 3
 # ... and it moved by this share of its scale at least; less is the roughness of the surface.
 MOVES: Final = 0.05
 # An interval is said to be widened by misfit from so many times on.
@@ -386,7 +386,7 @@ def _needed(case: _ParameterCase) -> list[int]:
     rise, moved = case.profile.rise, case.profile.moved
     least = max(COSTS, BESIDE_MOST * float(rise.max(initial=0.0)))
     found = [k for k in range(len(rise)) if rise[k] >= least and moved[k] >= MOVES]
-    return sorted(found, key=lambda k: -moved[k])[:MOST_PARTNERS]
+    return sorted(found, key=lambda k: -moved[k])[:MAX_PARTNERS]
 
 
 def _partners(case: _ParameterCase) -> tuple[str, ...]:

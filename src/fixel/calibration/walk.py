@@ -8,7 +8,7 @@ from collections.abc import Generator
 import numpy as np
 
 from fixel.calibration.optimiser import Search, SearchBox
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 Moves = Generator[FloatArray, FloatArray, str]
 """Yields points (k, n), is sent their errors (k,), returns why it ended."""

@@ -10,7 +10,7 @@ from fixel.formats.trajectory_file import plain_numbers
 from fixel.simulation import Simulation
 from fixel.workflows.simulation import Outputs
 
-MOST_ROWS = 20
+MAX_ROWS = 20
 
 
 def json_answer(simulation: Simulation, outputs: Outputs) -> str:
@@ -44,7 +44,7 @@ def _status(simulation: Simulation, scene: Path) -> list[str]:
 
 def _poses(simulation: Simulation) -> list[str]:
     rows = []
-    for body in simulation.scene.bodies[:MOST_ROWS]:
+    for body in simulation.scene.bodies[:MAX_ROWS]:
         x, y, angle = simulation.final[body.name].tolist()
         rows.append((body.name, f"{1e3 * x:.4f}", f"{1e3 * y:.4f}", f"{degrees(angle):.4f}"))
     lines = table(("body, at the end", "x [mm]", "y [mm]", "angle [deg]"), rows)
@@ -55,7 +55,7 @@ def _poses(simulation: Simulation) -> list[str]:
 def _pushers(simulation: Simulation) -> list[str]:
     rows = [
         (name, f"{1e3 * trace.travel:.4f}", f"{trace.force[-1]:.4g}", _drive(trace.stalled[-1]))
-        for name, trace in list(simulation.pushers.items())[:MOST_ROWS]
+        for name, trace in list(simulation.pushers.items())[:MAX_ROWS]
     ]
     return table(("pusher", "travel [mm]", "force [N]", ""), rows) if rows else []
 
@@ -68,8 +68,8 @@ def _touching(simulation: Simulation) -> list[str]:
     pairs = simulation.touching
     if not pairs:
         return ["Nothing touches at the end."]
-    shown = [f"  {a} - {b}" for a, b in pairs[:MOST_ROWS]]
-    more = [f"  ... and {len(pairs) - MOST_ROWS} more"] if len(pairs) > MOST_ROWS else []
+    shown = [f"  {a} - {b}" for a, b in pairs[:MAX_ROWS]]
+    more = [f"  ... and {len(pairs) - MAX_ROWS} more"] if len(pairs) > MAX_ROWS else []
     return ["touching at the end", *shown, *more]
 
 

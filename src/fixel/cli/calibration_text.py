@@ -16,9 +16,9 @@ from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
 from fixel.workflows.calibration.result import ALONE, ParameterSet, length_of, outliers
 from fixel.workflows.calibration.run import Calibration
 
-MOST_ROWS = 20
+MAX_ROWS = 20
 ENDS = ("at least", "at most")
-MOST_OUTLIERS = 5
+MAX_OUTLIERS = 5
 BEST_FIT = (
     "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
     " predict best are not the true ones."
@@ -80,7 +80,7 @@ def _alone_lines(done: Calibration) -> list[str]:
             f"{length_of(one.errors[0], unit):.4g}",
             *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),
         )
-        for one in alone[:MOST_ROWS]
+        for one in alone[:MAX_ROWS]
     ]
     more = len(alone) - len(rows)
     lines = table(head, rows) + ([f"... and {more} more; --json has them all"] if more > 0 else [])
@@ -146,9 +146,9 @@ def _outlier_lines(done: Calibration, one: ParameterSet) -> list[str]:
         return []
     named = ", ".join(
         f"{done.outcome.keys[one.members[k]]} ({length_of(one.errors[k], unit):.3g} mm)"
-        for k in found[:MOST_OUTLIERS]
+        for k in found[:MAX_OUTLIERS]
     )
-    more = f" and {len(found) - MOST_OUTLIERS} more" if len(found) > MOST_OUTLIERS else ""
+    more = f" and {len(found) - MAX_OUTLIERS} more" if len(found) > MAX_OUTLIERS else ""
     known = one.errors[np.isfinite(one.errors)]
     share = float(one.errors[found].sum() / known.sum())
     lines = [

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from fixel.workflows.acquisition.camera.calibrate import CameraAnswer
 
-MOST_ROWS = 40
+MAX_ROWS = 40
 
 
 def show(
@@ -73,11 +73,11 @@ def view_lines(answer: "CameraAnswer") -> list[str]:
     left_out = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name not in used]
     partly = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name in used]
     return [
-        *table(head, rows[:MOST_ROWS]),
-        *([f"... and {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []),
+        *table(head, rows[:MAX_ROWS]),
+        *([f"... and {len(rows) - MAX_ROWS} more"] if len(rows) > MAX_ROWS else []),
         f"{len(rows)} pictures used, rms {found.rms:.3f} px",
-        *([f"left out ({len(left_out)}):", *left_out[:MOST_ROWS]] if left_out else []),
-        *([f"used in part ({len(partly)}):", *partly[:MOST_ROWS]] if partly else []),
+        *([f"left out ({len(left_out)}):", *left_out[:MAX_ROWS]] if left_out else []),
+        *([f"used in part ({len(partly)}):", *partly[:MAX_ROWS]] if partly else []),
     ]
 
 

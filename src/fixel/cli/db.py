@@ -12,7 +12,7 @@ from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at, p
 if TYPE_CHECKING:
     from fixel.workflows.project.maintenance import Backup, CheckResult, SchemaVersions
 
-MOST_TROUBLES = 20
+MAX_TROUBLES = 20
 
 app = typer.Typer(
     help="Upgrade, back up or check the database of a project.",
@@ -122,7 +122,7 @@ def _contents(found: "CheckResult") -> list[str]:
 def _troubles(found: "CheckResult") -> list[str]:
     if not found.troubles:
         return ["Everything can be read."]
-    shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MOST_TROUBLES]]
+    shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MAX_TROUBLES]]
     left_out = len(found.troubles) - len(shown)
     more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
     plural = "" if len(found.troubles) == 1 else "s"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import DomainResult
 
-MOST_ROWS = 30
+MAX_ROWS = 30
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode=None)
 app.command("growth")(growth)
@@ -213,8 +213,8 @@ def _lines(done: "DomainResult", folder: Path, asked: "DomainRequest") -> list[s
     lines = [*analysis.headline, ""]
     for one in analysis.tables:
         left = len(one.head) if one.title.startswith("What") else 1
-        lines += [f"{one.title}:", *table(one.head, one.rows[:MOST_ROWS], left=left)]
-        more = len(one.rows) - MOST_ROWS
+        lines += [f"{one.title}:", *table(one.head, one.rows[:MAX_ROWS], left=left)]
+        more = len(one.rows) - MAX_ROWS
         lines += [f"... and {more} more; --json has them all"] if more > 0 else []
         lines.append("")
     lines += [f"Warning: {sentence}." for sentence in analysis.warnings]

@@ -13,7 +13,7 @@ from fixel.cli.options import AsJson, ProjectFolder, Seed
 if TYPE_CHECKING:
     from fixel.workflows.acquisition.film import FilmResult
 
-MOST_ROWS = 20
+MAX_ROWS = 20
 
 
 def film(
@@ -104,11 +104,11 @@ def written(filmed: "list[FilmResult]") -> str:
 
     rows = [
         (one.name, str(one.frames), f"{one.seconds:.2f}", one.status, str(one.folder))
-        for one in filmed[:MOST_ROWS]
+        for one in filmed[:MAX_ROWS]
     ]
     lines = table(("film", "frames", "time [s]", "simulation", "recording"), rows)
-    if len(filmed) > MOST_ROWS:
-        lines.append(f"... and {len(filmed) - MOST_ROWS} more; --json has them all")
+    if len(filmed) > MAX_ROWS:
+        lines.append(f"... and {len(filmed) - MAX_ROWS} more; --json has them all")
     lines += [f"wrote {one.video}" for one in filmed if one.video is not None]
     unmarked = sorted({name for one in filmed for name in one.unmarked})
     if unmarked:

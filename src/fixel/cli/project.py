@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fixel.database.store import Listing
     from fixel.workflows.project.importing import ImportSummary
 
-MOST_ROWS = 30
+MAX_ROWS = 30
 
 
 testbed = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
@@ -146,7 +146,7 @@ def list_(
     ] = None,
     flagged: Flagged = False,
     deleted: Annotated[bool, typer.Option("--deleted", help="Only those deleted.")] = False,
-    limit: Annotated[int, typer.Option(help="Show at most so many.", min=1)] = MOST_ROWS,
+    limit: Annotated[int, typer.Option(help="Show at most so many.", min=1)] = MAX_ROWS,
     as_json: AsJson = False,
 ) -> None:
     """List experiments."""

@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.workflows.sampling.run import SampleAnswer
 
-MOST_PROBLEMS = 20
+MAX_PROBLEMS = 20
 
 
 def sample(
@@ -108,7 +108,7 @@ def _problems(answer: "SampleAnswer") -> list[str]:
     how = "by geometry and simulation" if answer.rehearsed else "by geometry"
     if not answer.problems:
         return [f"No problems, checked {how}."]
-    shown = [f"  {p.name}: {p.sentence}" for p in answer.problems[:MOST_PROBLEMS]]
+    shown = [f"  {p.name}: {p.sentence}" for p in answer.problems[:MAX_PROBLEMS]]
     left_out = len(answer.problems) - len(shown)
     more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
     plural = "" if len(answer.problems) == 1 else "s"

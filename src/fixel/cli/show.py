@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fixel.workflows.project.compare import Comparison
 
 HERE = Path()
-MOST_ROWS = 20
+MAX_ROWS = 20
 
 Key = Annotated[
     str,
@@ -220,8 +220,8 @@ def _mode(experiment: "Experiment") -> list[str]:
 def _listed(title: str, rows: list[tuple[str, str]]) -> list[str]:
     if not rows:
         return []
-    width = max(len(name) for name, _ in rows[:MOST_ROWS])
-    shown = [f"  {name.ljust(width)}  {value}".rstrip() for name, value in rows[:MOST_ROWS]]
+    width = max(len(name) for name, _ in rows[:MAX_ROWS])
+    shown = [f"  {name.ljust(width)}  {value}".rstrip() for name, value in rows[:MAX_ROWS]]
     left_out = len(rows) - len(shown)
     more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
     return [title, *shown, *more]

@@ -12,7 +12,7 @@ from fixel.cli.options import AsJson, ProjectFolder
 if TYPE_CHECKING:
     from fixel.workflows.acquisition.track import TrackAnswer
 
-MOST_FLAGS = 8
+MAX_FLAGS = 8
 
 
 def track(
@@ -129,7 +129,7 @@ def _lines(answer: "TrackAnswer", folder: Path, again: str) -> list[str]:
         lines.append(f"fixels measured: {', '.join(f.name for f in tracked.fixels)}")
     if experiment.contact_mode:
         lines.append(f"contact mode at the end: {experiment.contact_mode}")
-    lines += [f"  {flag.name}: {flag.detail}" for flag in experiment.flags[:MOST_FLAGS]]
+    lines += [f"  {flag.name}: {flag.detail}" for flag in experiment.flags[:MAX_FLAGS]]
     if experiment.simulated_by:
         lines.append("SIMULATED: no camera has seen this")
     lines += [f"wrote {path}" for path in answer.files.values()]

@@ -11,12 +11,10 @@ from uuid import uuid4
 
 import numpy as np
 import sqlalchemy as sa
-from numpy.typing import NDArray
 
 from fixel.database.tables import MEDIA_BYTES, series
 from fixel.errors import StoreRefused
-
-FloatArray = NDArray[np.float64]
+from fixel.typing import FloatArray
 
 
 def bytes_of(values: FloatArray) -> bytes:

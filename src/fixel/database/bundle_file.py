@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import IO, Any, Final, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from fixel.database.bundle_lines import Line, Manifest, SeriesLine
 from fixel.database.rows import Measured
 from fixel.errors import InvalidInput
 from fixel.io.document import parse_json
+from fixel.typing import FloatArray
 
 FORMAT: Final = "fixel-bundle"
 VERSION: Final = 1
@@ -40,7 +40,6 @@ FILES: Final = (
 CHUNK: Final = 1 << 20  # [bytes]
 _CONTENT = re.compile(r"series/[0-9a-f]{64}\.npy|media/[0-9a-f]{64}")
 _Kind = TypeVar("_Kind", bound=Line)
-FloatArray = NDArray[np.float64]
 
 
 @final

@@ -15,7 +15,7 @@ from fixel.database import rows, tables
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Flag
 
-MOST_TEXT = 10_000  # characters of a note
+MAX_TEXT = 10_000  # characters of a note
 
 
 class Note(NamedTuple):
@@ -71,11 +71,11 @@ def delete_all(connection: sa.Connection, numbers: Iterable[int], instant: str |
 def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> list[int]:
     """Write a note beside experiments; returns the ids of the notes."""
     text = text.strip()
-    if not text or len(text) > MOST_TEXT:
+    if not text or len(text) > MAX_TEXT:
         raise InvalidInput(
             "note.text",
             found=f"{len(text)} characters",
-            expected=f"1 to {MOST_TEXT} characters",
+            expected=f"1 to {MAX_TEXT} characters",
         )
     wanted = _known(connection, tables.experiment, numbers, "experiment")
     instant = rows.now()

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import sqlalchemy as sa
-from numpy.typing import NDArray
 
 from fixel.database import arrays
 from fixel.formats.scene_build import scene_of
@@ -27,8 +26,8 @@ from fixel.model import (
     Trajectory,
 )
 from fixel.model.records import Estimate, Evaluations, FilterRun
+from fixel.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
 
 PATH = ("time_s", "x_m", "y_m", "theta_rad")

@@ -27,7 +27,7 @@ from fixel.model.records import (
     SimulationRecord,
 )
 
-MOST_NAMES: Final = 20_000  # experiments that a mistyped name is compared with
+MAX_NAMES: Final = 20_000  # experiments that a mistyped name is compared with
 T = TypeVar("T")
 
 
@@ -251,7 +251,7 @@ class Store:
             *conditions_of(Query(), self.engine_name)
         )
         with reading(self._engine) as connection:
-            keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MOST_NAMES)).all()
+            keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MAX_NAMES)).all()
         known = {name: f"{dataset}/{name}" for dataset, name in keys}
         known |= {whole: whole for whole in known.values()}
         close = difflib.get_close_matches(key, known, n=1)

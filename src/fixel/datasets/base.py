@@ -14,9 +14,10 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.raw.base import BoolArray, CsvRows, FloatArray
+from fixel.datasets.raw.base import CsvRows
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import Experiment, Flag, Provenance, Scene
+from fixel.typing import BoolArray, FloatArray
 
 # Numbers beyond this are no readings, not even microseconds since 1970; their squares stay far
 # inside float64.

@@ -23,20 +23,12 @@ from fixel.datasets.base import (
     scene_or_flag,
 )
 from fixel.datasets.contact import (
-    LARGEST_CORRECTION,
+    MAX_CORRECTION,
     corrected_path,
     correction_flag,
     moved_to_contact,
 )
-from fixel.datasets.raw.base import (
-    MM,
-    CsvRows,
-    FloatArray,
-    member,
-    only_file,
-    read_json,
-    read_table,
-)
+from fixel.datasets.raw.base import MM, CsvRows, member, only_file, read_json, read_table
 from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
@@ -53,6 +45,7 @@ from fixel.model import (
     Trajectory,
     UniformPressure,
 )
+from fixel.typing import FloatArray
 
 DATASET: Final = "cmu-tripod"
 OBJECT, FINGER = "block", "finger"
@@ -246,7 +239,7 @@ def _scene(
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     deep, offset = moved_to_contact(body.shape, data.finger.radius, start[None], path[:1, 1:3])
     gap = float(deep[0])
-    if gap < -LARGEST_CORRECTION:
+    if gap < -MAX_CORRECTION:
         return None, (remark("no-scene", f"the finger starts {-gap / MM:.3g} mm inside the block"),)
     waypoints = corrected_path(path, offset[0], FADE)
 

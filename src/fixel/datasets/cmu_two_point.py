@@ -21,9 +21,10 @@ from fixel.datasets.base import (
     rows_of,
     whole_numbers,
 )
-from fixel.datasets.raw.base import MM, FloatArray, only_file, read_table
+from fixel.datasets.raw.base import MM, only_file, read_table
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.typing import FloatArray
 
 DATASET: Final = "cmu-two-point"
 RUNS, POSES = "runs.csv", ("poses.csv.gz", "poses.csv")

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
-from fixel.datasets.raw.base import FloatArray
 from fixel.model import Flag, Shape
+from fixel.typing import FloatArray
 
 # Registration errors up to here are taken back by moving the pusher to contact; with larger ones
 # nobody knows where it was [m].
-LARGEST_CORRECTION: Final = 3e-3
+MAX_CORRECTION: Final = 3e-3
 
 # Left between the shapes after a correction, against rounding [m].
 CLEARANCE: Final = 1e-9

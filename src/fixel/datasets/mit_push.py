@@ -28,13 +28,13 @@ from fixel.datasets.base import (
     scene_or_flag,
 )
 from fixel.datasets.contact import (
-    LARGEST_CORRECTION,
+    MAX_CORRECTION,
     corrected_path,
     correction_flag,
     moved_to_contact,
 )
 from fixel.datasets.raw import mit_push
-from fixel.datasets.raw.base import MM, FloatArray, read_json
+from fixel.datasets.raw.base import MM, read_json
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import (
     Body,
@@ -50,6 +50,7 @@ from fixel.model import (
     Trajectory,
     UniformPressure,
 )
+from fixel.typing import FloatArray
 
 DATASET: Final = "mit-push"
 OBJECT, PUSHER = "object", "pusher"
@@ -133,7 +134,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
     origin = Origin()
     path = folder / data.table.source
     corrected = int((pushes.gap < 0.0).sum())
-    hopeless = int((pushes.gap < -LARGEST_CORRECTION).sum())
+    hopeless = int((pushes.gap < -MAX_CORRECTION).sum())
     return ImportPlan(
         DATASET,
         folder,
@@ -147,7 +148,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
             f"{corrected} pushes start with the tip inside the object by their measurement:"
             f" {corrected - hopeless} tips are moved to contact in the scene"
             f" (pusher-moved-to-contact), {hopeless} by more than"
-            f" {LARGEST_CORRECTION / MM:g} mm have no scene (no-scene).",
+            f" {MAX_CORRECTION / MM:g} mm have no scene (no-scene).",
             f"{int(_misregistered(data).sum())} pushes do not fit their own geometry"
             " (misregistered).",
             "Poses on the way and the predictions of the published simulator are left out.",
@@ -243,7 +244,7 @@ def _scene(
     body: Body, start: FloatArray, path: FloatArray, gap: float
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     """A scene with a round tip on a path that was moved out of the object; or none, and why."""
-    if gap < -LARGEST_CORRECTION:
+    if gap < -MAX_CORRECTION:
         return None, (remark("no-scene", f"the tip starts {-gap / MM:.3g} mm inside the object"),)
 
     def build() -> Scene:

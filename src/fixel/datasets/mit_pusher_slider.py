@@ -18,13 +18,13 @@ from fixel.datasets.base import (
     scene_or_flag,
 )
 from fixel.datasets.contact import (
-    LARGEST_CORRECTION,
+    MAX_CORRECTION,
     corrected_path,
     correction_flag,
     moved_to_contact,
 )
 from fixel.datasets.raw import mit_timeseries
-from fixel.datasets.raw.base import MM, CsvRows, FloatArray, read_table
+from fixel.datasets.raw.base import MM, CsvRows, read_table
 from fixel.datasets.raw.mit_timeseries import RUNS, SHAPES, PushRun
 from fixel.errors import DatasetMissing
 from fixel.model import (
@@ -39,6 +39,7 @@ from fixel.model import (
     Trajectory,
     UniformPressure,
 )
+from fixel.typing import FloatArray
 
 DATASET: Final = "mit-pusher-slider"
 OBJECT, PUSHER = "slider", "pusher"
@@ -165,7 +166,7 @@ def _scene(
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     deep, offset = moved_to_contact(run.shape, run.pusher_radius, pose[:1], pusher[:1, 1:3])
     gap = float(deep[0])
-    if gap < -LARGEST_CORRECTION:
+    if gap < -MAX_CORRECTION:
         return None, (remark("no-scene", f"the tip starts {-gap / MM:.3g} mm inside the object"),)
     path = corrected_path(pusher, offset[0], FADE)
 

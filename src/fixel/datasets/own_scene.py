@@ -10,18 +10,18 @@ import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.contact import (
-    LARGEST_CORRECTION,
+    MAX_CORRECTION,
     corrected_path,
     correction_flag,
     moved_to_contact,
 )
 from fixel.datasets.plausible import WORDS, hint_of, rescaled
-from fixel.datasets.raw.base import FloatArray
 from fixel.errors import InvalidInput
 from fixel.formats.scene_build import scene_of
 from fixel.formats.scene_schema import FILL_IN, scene_record
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
+from fixel.typing import FloatArray
 
 # How long the correction of a path lasts that starts inside the object [s].
 FADE: Final = 0.5
@@ -215,7 +215,7 @@ def _driven(
             f"; its surface comes within {1e3 * float(gaps.min()):.3g} mm of the outline and was"
             f" {1e3 * float(gaps[0]):.3g} mm from it at the start."
         )
-        if (deep := -float(np.quantile(gaps, OFTEN))) > LARGEST_CORRECTION:
+        if (deep := -float(np.quantile(gaps, OFTEN))) > MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
             sentence += " It is often deep inside the object: listings leave the experiment out."
     else:
@@ -263,7 +263,7 @@ def _refuse_strangers(
         "are the units of the table those of its header, are its poses those of the frame in which"
         " the outline is drawn, and are outline and tip in metres?"
     )
-    if gaps[0] < -LARGEST_CORRECTION:
+    if gaps[0] < -MAX_CORRECTION:
         raise InvalidInput(
             f"{path.name} and the table",
             found=f"a pusher {-1e3 * float(gaps[0]):.3g} mm inside the object at the start",

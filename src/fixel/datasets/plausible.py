@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from fixel.datasets.raw.base import FloatArray
 from fixel.errors import InvalidInput
 from fixel.model import Trajectory
+from fixel.typing import FloatArray
 
 WORDS: Final = {"deg": "degrees", "rad": "radians"}
 
@@ -21,8 +21,8 @@ GLANCES: Final = 60  # instants that a motion is judged at: more of them would a
 # A tip that pushes stays where it touches: how far it moves in the object's frame, under one unit
 # of the angles and under the other, tells them apart where one is this many times the other.
 FEWER_TIMES: Final = 8.0
-LEAST_SLIP: Final = 0.1  # of the distance from the object to the tip; less is noise
-LEAST_TURN: Final = 0.05  # [rad] under either unit; less tells nothing
+MIN_SLIP: Final = 0.1  # of the distance from the object to the tip; less is noise
+MIN_TURN: Final = 0.05  # [rad] under either unit; less tells nothing
 
 
 def refuse_implausible(
@@ -68,7 +68,7 @@ def refuse_implausible(
     slip, slip_other = _slip(here, tip, glance), _slip(there, tip, glance)
     arm = float(np.median(np.hypot(*(tip.at(glance) - track.at(glance))[:, :2].T)))
     turn = max(float(np.ptp(one.pose[:, 2])) for one in (here, there))
-    if turn > LEAST_TURN and slip > LEAST_SLIP * arm and slip > FEWER_TIMES * slip_other:
+    if turn > MIN_TURN and slip > MIN_SLIP * arm and slip > FEWER_TIMES * slip_other:
         _refuse(
             where,
             f"a pusher that moves {1e3 * slip:.3g} mm along the object, against"

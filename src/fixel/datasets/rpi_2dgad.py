@@ -21,7 +21,7 @@ from fixel.datasets.base import (
     whole_numbers,
 )
 from fixel.datasets.raw import rpi_2dgad
-from fixel.datasets.raw.base import MM, CsvRows, FloatArray, only_file, read_json, read_table
+from fixel.datasets.raw.base import MM, CsvRows, only_file, read_json, read_table
 from fixel.datasets.raw.rpi_2dgad import EXPERIMENTS, FRAME_RATE, RpiTrial
 from fixel.errors import InvalidInput
 from fixel.model import (
@@ -38,6 +38,7 @@ from fixel.model import (
     Trajectory,
     Tripod,
 )
+from fixel.typing import FloatArray
 
 DATASET: Final = "rpi-2dgad"
 OBJECT, ACTUATOR = "object", "actuator"

@@ -14,9 +14,10 @@ import numpy as np
 from fixel.datasets.base import LARGEST_NUMBER, Importer, ImportPlan, Origin, rate_of, remark
 from fixel.datasets.own_scene import with_scene
 from fixel.datasets.plausible import refuse_implausible
-from fixel.datasets.raw.base import CsvRows, FloatArray, increasing, read_table
+from fixel.datasets.raw.base import CsvRows, increasing, read_table
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Trajectory
+from fixel.typing import FloatArray
 
 DATASET: Final = "csv"
 ENDINGS = (".csv", ".csv.gz")
@@ -72,9 +73,9 @@ _ROLES: Final = _roles()
 
 # Values larger than these tell units apart where the header does not: a plate is no 5 m across, and
 # an angle is seldom more than a turn.
-LARGEST_METRES, LARGEST_RADIANS = 5.0, 2.0 * math.pi + 0.1
+MAX_METRES, MAX_RADIANS = 5.0, 2.0 * math.pi + 0.1
 # Readings come at more than one a second, and at less than a thousand.
-LONGEST_SECONDS, LONGEST_MILLISECONDS = 1.0, 1000.0
+MAX_SECONDS, MAX_MILLISECONDS = 1.0, 1000.0
 
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
 
@@ -322,15 +323,15 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
     if kind == "time":
         numbers = reading.numbers(column)
         step = float(np.nanmedian(np.diff(numbers))) if len(numbers) > 1 else 0.0
-        scale = (step >= LONGEST_SECONDS) + (step >= LONGEST_MILLISECONDS)
+        scale = (step >= MAX_SECONDS) + (step >= MAX_MILLISECONDS)
         return ("s", "ms", "us")[scale], f"typical steps of {step:g}"
     # Positions without unit share one, so the largest of them decides.
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
     largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
     small, large, limit = {
-        "length": ("m", "mm", LARGEST_METRES),
-        "angle": ("rad", "deg", LARGEST_RADIANS),
+        "length": ("m", "mm", MAX_METRES),
+        "angle": ("rad", "deg", MAX_RADIANS),
     }[kind]
     return (large if largest > limit else small), f"values up to {largest:g}"
 

@@ -15,7 +15,7 @@ from fixel.calibration.objective import Evaluation
 from fixel.domain.growth import NONE, OneSet, RolloutQueue, Singles, one_set
 from fixel.domain.places import AXES, ExperimentGroup, along, interval
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 # Samples that the thesis fits on (section 6.1).
 SIZES: Final[Mapping[str, tuple[int, ...]]] = {"x": (2, 4), "y": (3, 5), "theta": (2, 4)}

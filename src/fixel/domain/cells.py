@@ -12,11 +12,11 @@ import numpy as np
 
 from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 FEW: Final = 25  # distinct values that get a cell each
 BINS: Final = 8  # ranges of equal share, of more than that
-MOST_CELLS: Final = 2500
+MAX_CELLS: Final = 2500
 SAME: Final = 1e-9  # share of the extent by which equal values may differ
 
 _READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
@@ -137,7 +137,7 @@ def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:
         raise InvalidInput(f"axis {name}", found=f"a step of {step}", expected="a positive one")
     first = math.floor(float(numbers[0]) / step + 0.5)
     last = math.floor(float(numbers[-1]) / step + 0.5)
-    if last - first >= MOST_CELLS:
+    if last - first >= MAX_CELLS:
         raise InvalidInput(f"axis {name}", found=f"{last - first + 1} cells", expected="a few")
     return _ranges(name, np.asarray((np.arange(first, last + 2) - 0.5) * step, np.float64))
 
@@ -266,9 +266,9 @@ def cells_of(
         )
     else:
         index = list(product(*(range(len(axis)) for axis in made)))
-    if len(index) > MOST_CELLS:
+    if len(index) > MAX_CELLS:
         hint = "choose wider steps: --step NAME=WIDTH"
-        raise InvalidInput("cells", found=len(index), expected=f"{MOST_CELLS} at most", hint=hint)
+        raise InvalidInput("cells", found=len(index), expected=f"{MAX_CELLS} at most", hint=hint)
     return Cells(axes=made, index=tuple(index), nominal=index.index(centre), arms=arms)
 
 

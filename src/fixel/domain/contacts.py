@@ -14,8 +14,8 @@ import numpy as np
 from fixel.calibration.registration import gaps_and_normals
 from fixel.domain.features import Configurations
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
+from fixel.typing import FloatArray, IntArray
 
 # A contact is new where it differs by more than this from every pushed one of the part.
 MAX_TURN: Final = float(np.radians(20.0))  # of the outline's normal, in the frame of the part [rad]

@@ -19,8 +19,7 @@ from fixel.domain.evidence import HeldOutErrors, Measure, threshold_score, value
 from fixel.domain.promised_cells import untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Colours of cells.
 TRUSTED: Final = "trusted"
@@ -30,7 +29,7 @@ NO_DATA: Final = "no data"
 PREDICTED: Final = "predicted"  # no data, but a bound from elsewhere says it is below
 COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
 
-LEAST_EXPERIMENTS: Final = 6  # below, not even the scatter of the errors is known
+MIN_EXPERIMENTS: Final = 6  # below, not even the scatter of the errors is known
 
 
 @final
@@ -323,13 +322,13 @@ def domain_map(
     number = {group: g for g, group in enumerate(groups)}
     group = np.array([number[name] for name in evidence.group])
     usable = (place >= 0) & ~np.isnan(scores)
-    if int(usable.sum()) < LEAST_EXPERIMENTS:
+    if int(usable.sum()) < MIN_EXPERIMENTS:
         notes = next((note for note in evidence.notes if note), "")
         raise InvalidInput(
             "experiments",
             found=f"{int(usable.sum())} with held-out errors in the map"
             + (f" ({notes})" if notes else ""),
-            expected=f"{LEAST_EXPERIMENTS} at least for any claim",
+            expected=f"{MIN_EXPERIMENTS} at least for any claim",
             hint="make more, or leave out --where",
         )
     if surface is None:

@@ -10,8 +10,8 @@ from typing import Final, Literal, final, get_args
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import Comparable, frozen, settle
+from fixel.typing import FloatArray, IntArray
 
 Value = str | float | None
 Measure = Literal["absolute", "relative"]

@@ -15,9 +15,8 @@ import numpy as np
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.registration import gaps_and_normals
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Disk, Shape, wrapped
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 # How far a configuration may be from what was asked for: what trackers and tables leave open.
 SIDEWAYS: Final = 0.7e-3  # of the object, across the push [m]

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import IntArray
+from fixel.typing import IntArray
 
 FOLDS: Final = 5
 MANY: Final = 2000  # experiments from which on two folds are enough: either half says all there is
@@ -52,12 +52,12 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
             expected=f"{folds} at least, as many as there are folds",
             hint="make more experiments, or ask for fewer folds: --folds 2",
         )
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     place: dict[str, int] = {}
     at = 0
     for stratum in sorted(set(first.values())):
         own = sorted(block for block, s in first.items() if s == stratum)
-        for k in dice.permutation(len(own)).tolist():
+        for k in rng.permutation(len(own)).tolist():
             # Counting on from the last stratum: many small ones still fill all folds evenly.
             place[own[k]] = at % folds
             at += 1

@@ -17,11 +17,11 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.objective import Evaluation
-from fixel.calibration.study import LEAST_ERROR, weighted_mean
+from fixel.calibration.study import MIN_ERROR, weighted_mean
 from fixel.domain.places import PRINTED_STEPS, ExperimentGroup, Index, domain
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.fields import settle
+from fixel.typing import FloatArray, IntArray
 
 OWN: Final = "own"  # of the one experiment
 STORED: Final = "stored"
@@ -97,7 +97,7 @@ def one_set(members: Sequence[int], singles: Singles) -> OneSet:
 def weights(members: Sequence[int], singles: Singles) -> FloatArray:
     """(n_member,) shares of the members in their mean."""
     errors = singles.errors[np.array(members)]
-    weight = np.where(np.isfinite(errors), 1.0 / np.maximum(errors, LEAST_ERROR), 0.0)
+    weight = np.where(np.isfinite(errors), 1.0 / np.maximum(errors, MIN_ERROR), 0.0)
     return np.asarray(weight / weight.sum())
 
 

@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim, DomainMap
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 NODES: Final = 9  # of the quadrature over how the experiment might turn out
 

@@ -24,8 +24,7 @@ from fixel.domain.scale_model import (
     usual_model,
 )
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVEL: Final = 0.9
 # Parts that are left out in turn, so that every score is of an experiment its model has not seen.
@@ -437,10 +436,10 @@ def _weighted(
 
 def _folds(group: IntArray, seed: int) -> IntArray:
     """(n,) parts of every group, dealt out at random and evenly."""
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     fold, dealt = np.empty(len(group), np.int64), 0
     for g in np.unique(group):
-        own = dice.permutation(np.flatnonzero(group == g))
+        own = rng.permutation(np.flatnonzero(group == g))
         fold[own] = (dealt + np.arange(len(own))) % FOLDS
         dealt += len(own)
     return fold

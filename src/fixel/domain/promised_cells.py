@@ -8,8 +8,8 @@ from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
 from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.domain.promise import Promise, least_experiments
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
+from fixel.typing import FloatArray, IntArray
 
 
 def promised_cells(

@@ -10,15 +10,15 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Models predict this power of the error: a bound that scales with the error alone would be too wide
 # where errors are large, one that adds a length to all of them where they are small.
 POWER: Final = 1.0 / 3.0
 # Fewer experiments than this give a constant.
-LEAST_MODEL: Final = 30
+MIN_MODEL: Final = 30
 TREES: Final = 100
-LEAST_LEAF: Final = 5
+MIN_LEAF: Final = 5
 SHARE_OF_FEATURES: Final = 1.0 / 3.0
 NEIGHBOURS: Final = 12
 
@@ -41,7 +41,7 @@ def unpowered(values: FloatArray) -> FloatArray:
 
 def usual_model(n: int) -> str:
     """Name of the best model there is for n experiments."""
-    if n < LEAST_MODEL:
+    if n < MIN_MODEL:
         return "constant"
     try:
         import sklearn  # noqa: F401
@@ -114,7 +114,7 @@ def _forest(features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
     from sklearn.ensemble import ExtraTreesRegressor
 
     trees = ExtraTreesRegressor(
-        TREES, min_samples_leaf=LEAST_LEAF, max_features=SHARE_OF_FEATURES, random_state=seed,
+        TREES, min_samples_leaf=MIN_LEAF, max_features=SHARE_OF_FEATURES, random_state=seed,
         n_jobs=1,
     )  # fmt: skip
     return _Forest(trees.fit(features, values))

@@ -11,12 +11,12 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 DRAWS: Final = 32  # of what is not known of the surface itself
 WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
 JITTER: Final = 1e-8
-MOST_LEARNT: Final = 300  # cells that reach, changes and scatter are learnt from
+MAX_LEARNT: Final = 300  # cells that reach, changes and scatter are learnt from
 
 # Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
 # a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
@@ -138,9 +138,9 @@ def _uneven(
 def _some(seen: CellObservations, seed: int) -> CellObservations:
     """At most so many of the cells, at random, for what a few tell as well as all."""
     n = len(seen.mean)
-    if n <= MOST_LEARNT:
+    if n <= MAX_LEARNT:
         return seen
-    own = np.sort(np.random.default_rng(seed).choice(n, MOST_LEARNT, replace=False))
+    own = np.sort(np.random.default_rng(seed).choice(n, MAX_LEARNT, replace=False))
     return CellObservations._make(np.asarray(column)[own] for column in seen)
 
 
@@ -254,8 +254,8 @@ def _versions(best: FloatArray, spread: FloatArray, seed: int) -> FloatArray:
     from scipy.stats import qmc
 
     exponent = math.ceil(math.log2(DRAWS))
-    dice = np.random.default_rng(seed)
-    unit = qmc.Sobol(d=len(best), seed=dice).random_base2(exponent)[: DRAWS - 1]
+    rng = np.random.default_rng(seed)
+    unit = qmc.Sobol(d=len(best), seed=rng).random_base2(exponent)[: DRAWS - 1]
     normal = ndtri(np.clip(unit, 1e-6, 1.0 - 1e-6))
     drawn = best + normal @ np.linalg.cholesky(spread + JITTER * np.eye(len(best))).T
     inside = np.clip(drawn, _MIDDLE - 3.5 * _WIDTH, _MIDDLE + 3.5 * _WIDTH)

@@ -30,9 +30,9 @@ from fixel.drawing.view import (
     shapes_of,
     unit_for,
 )
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

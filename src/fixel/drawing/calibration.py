@@ -26,14 +26,14 @@ from fixel.drawing.chart import (
     without_common,
     written,
 )
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_NAMES: Final = 45  # experiments with a row of their own
-MOST_BARS: Final = 30
+MAX_NAMES: Final = 45  # experiments with a row of their own
+MAX_BARS: Final = 30
 
 BEFORE: Final = "before"
 # Series of errors in the order they come, and the last: they differ in shape as well as colour.
@@ -69,7 +69,7 @@ class ErrorsChart(AbstractChart):
 
     def figure(self) -> Figure:
         n = len(self.keys)
-        named = n <= MOST_NAMES
+        named = n <= MAX_NAMES
         figure = sheet(WIDE, max(1.5, 0.75 + 0.135 * n) if named else 3.2)
         axes = figure.subplots()
         _draw_errors(axes, self, named)
@@ -167,7 +167,7 @@ class SecondsChart(AbstractChart):
         figure = sheet(palette.COLUMN, 2.4)
         axes = figure.subplots()
         n = len(self.seconds)
-        bins = min(MOST_BARS, max(4, math.ceil(2.0 * math.sqrt(n))))
+        bins = min(MAX_BARS, max(4, math.ceil(2.0 * math.sqrt(n))))
         axes.hist(self.seconds, bins=bins, range=self._range(), color=palette.BODY,
                   edgecolor="white", linewidth=0.5)  # fmt: skip
         middle = float(np.median(self.seconds))

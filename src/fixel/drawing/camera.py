@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, sheet
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.plane_errors import PlaneErrors
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.banner import BANNER, add_band
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

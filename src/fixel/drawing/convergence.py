@@ -11,7 +11,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Style, Value, log_scale, sheet
 from fixel.drawing.picture import tint
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

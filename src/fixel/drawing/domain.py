@@ -21,7 +21,7 @@ from fixel.drawing.chart import (
     sheet,
     shortened,
 )
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +37,8 @@ FILLS: Final[Mapping[str, Style]] = {
 }
 LIGHT: Final = ("trusted", "not trusted")  # cells whose letters are white
 COLUMNS: Final = 5
-MOST_PANELS: Final = 30
-MOST_LETTERS: Final = 400  # cells with their members' count in one panel
+MAX_PANELS: Final = 30
+MAX_LETTERS: Final = 400  # cells with their members' count in one panel
 LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], its width
 LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], its height with the space to the next
 
@@ -101,7 +101,7 @@ class MapChart(AbstractChart):
     rows: Sequence[tuple[Any, ...]] = field(default=())
 
     def figure(self) -> Figure:
-        shown = self.panels[:MOST_PANELS]
+        shown = self.panels[:MAX_PANELS]
         columns = min(len(shown), self._columns())
         lines = math.ceil(len(shown) / columns)
         n_up, n_across = len(self.up.ticks), len(self.across.ticks)
@@ -146,7 +146,7 @@ def _draw_panel(axes: Axes, panel: MapPanel, chart: MapChart, *, first: bool, la
     from matplotlib.patches import Rectangle
 
     n_up, n_across = len(chart.up.ticks), len(chart.across.ticks)
-    letters = n_up * n_across <= MOST_LETTERS
+    letters = n_up * n_across <= MAX_LETTERS
     for i in range(n_up):
         for j in range(n_across):
             name = panel.colour[i][j]

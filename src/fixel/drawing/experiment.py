@@ -13,8 +13,8 @@ from fixel.drawing.banner import BANNER, add_simulated_band, cut_short
 from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import UNITS, Rectangle, ghosts
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Channel, Experiment, Fixel, Shape, Trajectory, placed, pose_error
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -31,11 +31,11 @@ LEGEND_ROW = 0.128
 LETTER = 0.046  # mean width of a letter of a fixel's name
 
 MARGIN = 0.05  # of the larger side, around everything drawn
-LEAST_SIDE = 5e-3  # [m] of a view: noise alone is no path
-MOST_OUTLINES = 60  # that the extent is measured by
+MIN_SIDE = 5e-3  # [m] of a view: noise alone is no path
+MAX_OUTLINES = 60  # that the extent is measured by
 FEW = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
 DOTTED: Final = (0, (1, 1))
-MOST_NAMES = 12  # fixels with names beside them
+MAX_NAMES = 12  # fixels with names beside them
 STEPS = 2  # outlines between start and end in a comparison
 
 DASHED: Final = (0, (3, 2))
@@ -150,7 +150,7 @@ def _fixels(experiment: Experiment) -> tuple[Fixel, ...]:
 
 def _swept(shape: Shape | None, track: Trajectory) -> list[FloatArray]:
     """Points that a track covers [m]: outlines where the shape is known."""
-    some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
+    some = np.unique(np.linspace(0, len(track.pose) - 1, MAX_OUTLINES).round().astype(int))
     if shape is None:
         return [track.pose[:, :2]]
     return [placed(shape.outline, pose) for pose in track.pose[some]]
@@ -165,7 +165,7 @@ def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Rectangle:
         corners += _swept(_pusher_shape(experiment), experiment.pusher)
     points = np.concatenate(corners)
     low, high = points.min(axis=0), points.max(axis=0)
-    short = np.maximum(LEAST_SIDE - (high - low), 0.0) / 2.0
+    short = np.maximum(MIN_SIDE - (high - low), 0.0) / 2.0
     (left, bottom), (right, top) = (low - short).tolist(), (high + short).tolist()
     return _with_names(experiment, Rectangle((left, right), (bottom, top)).widened(MARGIN))
 
@@ -174,7 +174,7 @@ def _with_names(experiment: Experiment, box: Rectangle) -> Rectangle:
     """Room on the right for the names of fixels."""
     right = box.x[1]
     per_inch = (box.x[1] - box.x[0]) / (palette.COLUMN - LEFT - RIGHT)
-    for fixel in _fixels(experiment)[:MOST_NAMES]:
+    for fixel in _fixels(experiment)[:MAX_NAMES]:
         reach = fixel.shape.radius + (LETTER * len(fixel.name) + 0.1) * per_inch
         right = max(right, float(fixel.pose[0]) + reach)
     return Rectangle((box.x[0], right), box.y)
@@ -199,7 +199,7 @@ def _draw_fixels(axes: Axes, experiment: Experiment) -> list[Artist]:
             style = {"facecolor": colour, "edgecolor": palette.INK, "linewidth": 0.5}
             outlines = [placed(f.shape.outline, f.pose) for f in some]
             handles.append(_patches(axes, outlines, label, zorder=4, **style))
-    for fixel in fixels[:MOST_NAMES]:
+    for fixel in fixels[:MAX_NAMES]:
         edge = placed(fixel.shape.outline, fixel.pose).max(axis=0) * MM.per_metre
         _name(axes, fixel.name, (float(edge[0]), float(fixel.pose[1]) * MM.per_metre))
     return handles

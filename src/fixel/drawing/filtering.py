@@ -30,7 +30,7 @@ from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import Rectangle
 from fixel.filtering.recorded import FilterEstimates
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
-from fixel.model.fields import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NINETY: Final = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
-MOST_OUTLINES: Final = 60  # that the extent is measured by
+MAX_OUTLINES: Final = 60  # that the extent is measured by
 MARGIN: Final = 0.05  # of the larger side
 FLAT: Final = 0.55  # of a panel's height: parameters need less than poses
 HIDDEN: Final = palette.FORCE
@@ -137,7 +137,7 @@ def _extent(experiment: Experiment, estimates: FilterEstimates) -> Rectangle:
         (scene.bodies[0].shape, estimates.trajectory),
         (scene.pushers[0].shape, _pusher(experiment, estimates)),
     ):
-        some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
+        some = np.unique(np.linspace(0, len(track.pose) - 1, MAX_OUTLINES).round().astype(int))
         corners += [placed(shape.outline, pose) for pose in track.pose[some]]
     points = np.concatenate(corners)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()

@@ -21,13 +21,13 @@ from fixel.drawing.chart import (
     readable,
     sheet,
 )
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_LINES: Final = 8  # layouts whose points are joined; more would be a thicket
+MAX_LINES: Final = 8  # layouts whose points are joined; more would be a thicket
 BINS: Final = 14
 
 
@@ -111,7 +111,7 @@ class OffsetsChart(AbstractChart):
         unit, scale = readable(axis.unit or "-"), readable(quantity.unit).factor
         values = positive(quantity.values) if quantity.log else quantity.values
         groups = list(dict.fromkeys(self.groups))
-        joined = bool(self.axes) and len(groups) <= MOST_LINES
+        joined = bool(self.axes) and len(groups) <= MAX_LINES
         for group in groups:
             own = np.array([self.groups[m] == group for m in axis.members], bool)
             own[own] = np.isfinite(values[axis.members[own]])

@@ -21,9 +21,9 @@ from fixel.drawing.chart import (
 )
 from fixel.drawing.picture import frame_axes, tint
 from fixel.drawing.view import UNITS, Rectangle
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MM: Final = UNITS[1]
 DASHED: Final = (0, (4, 1.6))
 FEW: Final = 3  # poses up to which each gets a dot
-MOST_OUTLINES: Final = 40  # that the extent is measured by
+MAX_OUTLINES: Final = 40  # that the extent is measured by
 
 # [inch] of the page.
 LEFT, BETWEEN, RIGHT, BOTTOM, TOP = 0.48, 0.62, 0.10, 0.36, 0.30
@@ -186,7 +186,7 @@ def _closed(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _extent(chart: OverlayChart) -> Rectangle:
     corners = [*chart.fixels, *chart.pusher]
     for _, track, _ in chart.tracks:
-        some = np.unique(np.linspace(0, len(track.pose) - 1, MOST_OUTLINES).round().astype(int))
+        some = np.unique(np.linspace(0, len(track.pose) - 1, MAX_OUTLINES).round().astype(int))
         corners += [placed(chart.outline, pose) for pose in track.pose[some]]
     points = np.concatenate(corners)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()

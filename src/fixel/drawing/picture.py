@@ -28,9 +28,9 @@ from fixel.drawing.view import (
     unit_for,
 )
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Ellipsoid, Fixel, placed, support_points
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

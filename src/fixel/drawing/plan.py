@@ -12,11 +12,11 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.picture import frame_axes, save_made, tint
 from fixel.drawing.view import LengthUnit, Rectangle, unit_for
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, SupportPoints, placed
 from fixel.sampling import FixelLayout, Offset, Plan, PlannedShape
 from fixel.sampling.plan import object_pose
 from fixel.sampling.rig import shape_of
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -27,8 +27,8 @@ Panel = tuple[PlannedShape, FixelLayout]
 Style = dict[str, Any]
 
 COLUMNS: Final = 5
-MOST_PANELS: Final = 40  # more would be too small to tell apart
-MOST_GHOSTS: Final = 200  # outlines in one panel; of more, an even choice
+MAX_PANELS: Final = 40  # more would be too small to tell apart
+MAX_GHOSTS: Final = 200  # outlines in one panel; of more, an even choice
 
 # [inch] of the page: the width of two columns of text, and margins of the panels.
 WIDTH: Final = 7.16
@@ -61,7 +61,7 @@ def plan_figure(plan: Plan) -> Figure:
     """The page as a Matplotlib figure, laid out in inches."""
     from matplotlib.figure import Figure
 
-    panels = list(product(plan.shapes, plan.layouts))[:MOST_PANELS]
+    panels = list(product(plan.shapes, plan.layouts))[:MAX_PANELS]
     rows = _rows(plan, panels)
     columns = max(len(row) for row in rows)
     box = _extent(plan, panels)
@@ -252,7 +252,7 @@ def _outline(plan: Plan, shape: PlannedShape, offset: Offset) -> FloatArray:
 
 def _ghosts(plan: Plan, shape: PlannedShape) -> list[FloatArray]:
     """Outlines of the object at its offsets; of very many, an even choice."""
-    stride = ceil(len(plan.offsets) / MOST_GHOSTS)
+    stride = ceil(len(plan.offsets) / MAX_GHOSTS)
     return [_outline(plan, shape, offset) for offset in plan.offsets[::stride]]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.drawing.picture import refuse_ending
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.boards import Board
 from fixel.vision.marks import Tag
 from fixel.vision.opencv import opencv

@@ -21,7 +21,7 @@ from fixel.drawing.chart import (
     sheet,
     shortened,
 )
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, clean, log_scale, positive, sheet
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

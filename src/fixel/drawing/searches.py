@@ -29,7 +29,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,8 +23,8 @@ from fixel.drawing.chart import (
 )
 from fixel.drawing.picture import tint
 from fixel.drawing.view import unit_for
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Scene, placed
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, sheet
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed, pose_error
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,13 +8,13 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.view import Rectangle
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, Shape, placed
+from fixel.typing import FloatArray
 
 WIDTH: Final = 120
 HEIGHT: Final = 80
 MARGIN: Final = 0.04  # of the larger side
-MOST_POINTS: Final = 60  # of a trail
+MAX_POINTS: Final = 60  # of a trail
 ROUND: Final = 16  # corners that a disk is drawn with
 
 
@@ -88,7 +88,7 @@ def thumbnail(experiment: Experiment) -> str:
 
 
 def _thinned(n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).round().astype(np.int64))
+    return np.unique(np.linspace(0, n - 1, min(n, MAX_POINTS)).round().astype(np.int64))
 
 
 def _outline(shape: Shape, pose: FloatArray) -> FloatArray:

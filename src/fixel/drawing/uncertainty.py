@@ -11,8 +11,8 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, readable, sheet
 from fixel.drawing.picture import tint
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

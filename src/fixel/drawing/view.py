@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Fixel, Pusher, Shape, placed
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray
 
 MARGIN = 0.06  # of the larger side, around everything drawn
-LONGEST_ARROW = 0.22  # of the larger side
+MAX_ARROW = 0.22  # of the larger side
 
 
 class LengthUnit(NamedTuple):
@@ -189,7 +189,7 @@ def round_number(value: float) -> float:
 
 def arrow_length_per_newton(largest: float, size: float) -> float:
     """Length of force arrows [m/N] so that the largest force stays readable."""
-    return LONGEST_ARROW * size / largest if largest > 0.0 else 0.0
+    return MAX_ARROW * size / largest if largest > 0.0 else 0.0
 
 
 def largest_force(force: FloatArray) -> float:

@@ -18,11 +18,11 @@ from fixel.filtering.observation import (
 )
 from fixel.filtering.unknowns import Unknowns
 from fixel.model import Scene, wrapped
-from fixel.model.fields import BoolArray, FloatArray
 from fixel.simulation import Newton, StewartTrinkle
 from fixel.simulation.batch import simulate_packed
 from fixel.simulation.pack import Template, Variation
 from fixel.simulation.simulate import method_of
+from fixel.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fixel.filtering.particle_filter import ParticleFilter

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 
 # Variance of the change of velocity in one mean interval over that of the noise [-], least first.
 RATIOS: Final = 10.0 ** np.arange(-8.0, 5.0, 2.0)

@@ -13,9 +13,9 @@ from fixel.calibration.target import Target
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.running import RunningFilter
 from fixel.model import Scene, Trajectory, wrapped
-from fixel.model.fields import FloatArray
 from fixel.simulation import StewartTrinkle, simulate_batch
 from fixel.simulation.ensemble import RolloutCase
+from fixel.typing import FloatArray
 
 TRIES: Final = 64  # simulations, of which the best counts
 STEP: Final = 5e-4  # [m] of the pusher's way in one step of these simulations

@@ -8,8 +8,8 @@ import numpy as np
 
 from fixel.kernels.measure import measure_gaps
 from fixel.model import Scene
-from fixel.model.fields import FloatArray
 from fixel.simulation.geometry import pack_shapes
+from fixel.typing import FloatArray
 
 CLEAR: Final = 1e-3  # probability from which a contact is clear
 FAR: Final = 5e-3  # [m] gaps beyond it are bounded, not measured

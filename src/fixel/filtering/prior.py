@@ -12,8 +12,9 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import KNOWN_PARAMETERS, Ellipsoid, Parameters, Scene, Tripod
-from fixel.model.fields import BoolArray, FloatArray, finite
+from fixel.model.fields import finite
 from fixel.model.parameters import info_of
+from fixel.typing import BoolArray, FloatArray
 
 # Uniform between these, as in the laboratory's own filter [-, -, -, m].
 DEFAULT_PRIORS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(

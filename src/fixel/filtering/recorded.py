@@ -15,9 +15,8 @@ from fixel.filtering.misfit import FilterMisfit, misfit_of
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, excited, touches_bound
 from fixel.filtering.running import FilterEstimate, FilterFrame
-from fixel.kernels.arrays import IntArray
 from fixel.model import Experiment, Scene, Trajectory, pose_error
-from fixel.model.fields import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 Progress = Callable[[int, int], None]
 

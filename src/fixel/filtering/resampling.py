@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 
 # Power of the likelihood for parameters, where all is well: below 1, because all particles share
 # errors that no one of them can explain, the pusher's smoothed path above all. Chosen on 17

@@ -25,7 +25,8 @@ from fixel.filtering.resampling import (
 from fixel.filtering.statistics import mean_pose, pose_covariance, quantiles
 from fixel.filtering.unknowns import Unknowns, accepted
 from fixel.model import Scene, wrapped
-from fixel.model.fields import BoolArray, FloatArray, vector
+from fixel.model.fields import vector
+from fixel.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fixel.filtering.particle_filter import ParticleFilter
@@ -35,8 +36,8 @@ QUANTILES: Final = (0.05, 0.5, 0.95)
 # chance but a lost object.
 LOST: Final = 6.0
 # Of all particles, in effective number, that a frame leaves at least: see `resampling.power`.
-LEAST_SHARE: Final = 0.5
-MOST_WIDENED: Final = 8.0  # times the spread at the start
+MIN_SHARE: Final = 0.5
+MAX_WIDENED: Final = 8.0  # times the spread at the start
 ISLAND: Final = 125  # particles at most that are weighed, resampled and moved among themselves
 BLOCK: Final = 40  # frames of the past through which proposals are simulated in one frame
 LONGEST: Final = 600  # frames of the pusher's path that are smoothed again with every new one
@@ -290,7 +291,7 @@ class RunningFilter:
         """
         score, reached = self._crowd.score[island], self._reached[island]
         log_weight = self._log_weight[island]
-        found = power(log_weight, score, reached, LEAST_SHARE * len(island))
+        found = power(log_weight, score, reached, MIN_SHARE * len(island))
         weight = normalised(log_weight + found * score - reached)
         with np.errstate(divide="ignore"):
             self._log_weight[island] = np.log(weight / len(self._islands))
@@ -375,7 +376,7 @@ class RunningFilter:
         names = len(self.prior.names)
         free[keep, :names] = self._crowd.free[systematic(weight, random)[keep], :names]
         if sight.seen is None:
-            wider = min(2.0**self._losses, MOST_WIDENED)
+            wider = min(2.0**self._losses, MAX_WIDENED)
             position, angle = (wider * spread for spread in self._start_spread)
             centre = mean_pose(self._crowd.place, weight, self._angle)
         else:

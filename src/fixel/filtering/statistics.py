@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.model import wrapped
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 
 
 def mean_pose(pose: FloatArray, weight: FloatArray, near: float) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.filtering.prior import UniformPrior
-from fixel.model.fields import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray
 
 N_POSE: Final = 3
 N_NORMAL: Final = N_POSE
@@ -16,8 +16,8 @@ TREMBLE: Final = 1e-3  # [-] of a proposal, where two particles are the same
 # Model error in one frame of 1/30 s [m], from what no camera sees in a run to what carries the
 # object wherever the camera sees it. The least with the probability that the model is right;
 # otherwise the logarithm is uniform in between.
-LEAST_WALK: Final = 3e-6
-MOST_WALK: Final = 5e-4
+MIN_WALK: Final = 3e-6
+MAX_WALK: Final = 5e-4
 RIGHT: Final = 0.5  # [-]
 
 
@@ -73,7 +73,7 @@ class Unknowns:
         """(n,) standard deviations of the model error in one frame [m]."""
         place = 0.5 * (1.0 + np.tanh(0.5 * free[:, -1]))  # uniform from 0 to 1
         share = np.maximum(0.0, place - RIGHT) / (1.0 - RIGHT)
-        return np.asarray(LEAST_WALK * (MOST_WALK / LEAST_WALK) ** share)
+        return np.asarray(MIN_WALK * (MAX_WALK / MIN_WALK) ** share)
 
     def log_density(self, free: FloatArray) -> FloatArray:
         """(n, size) logarithms of the belief's density on the free scale, up to constants."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.formats.camera_matrix import placed_above, refuse_strange
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.bundle import turned
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 

@@ -11,7 +11,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.camera_matrix import lens_of, matrix_of
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.opencv import opencv

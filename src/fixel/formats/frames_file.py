@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
+from fixel.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 EXPERIMENTS: Final = "experiments.parquet"
 FRAMES: Final = "frames.parquet"

@@ -37,7 +37,7 @@ from fixel.formats.recording_header import (
 from fixel.formats.recording_rows import MICRO, RecordingRow, RecordingRows, read_rows
 from fixel.formats.recording_video import Packet, PictureDecoder, packets
 from fixel.formats.recording_writer import RESERVE, RecordingWriter
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 
 __all__ = [

@@ -24,7 +24,7 @@ from fixel.formats.recording_rows import HEAD, MICRO, RecordingRow, row_text
 from fixel.formats.recording_video import FrameFate, VideoSink
 from fixel.vision.frame import Frame
 
-LARGEST_READING: Final = 255
+MAX_READING: Final = 255
 RESERVE: Final = ".reserve"  # room for the end mark on a disk that ran full
 RESERVED: Final = 65536  # [bytes]
 
@@ -189,7 +189,7 @@ class RecordingWriter:
         return micro
 
     def _check_reading(self, reading: int | None) -> None:
-        if reading is not None and not 0 <= reading <= LARGEST_READING:
+        if reading is not None and not 0 <= reading <= MAX_READING:
             raise InvalidInput(f"frame {self.frames}", found=reading, expected="a byte, or None")
 
     def _let_go(self) -> None:

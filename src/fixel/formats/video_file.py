@@ -21,7 +21,7 @@ from fixel.vision.frame import Frame
 SAME_RATE: Final = 0.1
 # Matroska keeps milliseconds; a step that is rounded both ways differs by this much.
 ROUNDING: Final = 2e-3  # [s]
-MOST_FRAMES_A_SECOND: Final = 10_000.0
+MAX_FRAMES_A_SECOND: Final = 10_000.0
 
 # Encoder, pixels and options of each codec one may ask for. `h264` is visually without loss, and
 # decodes fast; `ffv1` is without any loss, of pixels that are stored as they come; `mjpeg` keeps
@@ -261,7 +261,7 @@ class _StampReader:
         if len(steps) < 2:
             return []
         usual = float(np.percentile(steps, 50.0, method="lower"))
-        if usual < 1.0 / MOST_FRAMES_A_SECOND:
+        if usual < 1.0 / MAX_FRAMES_A_SECOND:
             return [f"{1.0 / usual:.0f} frames a second: are these times in seconds?"]
         odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)
         if not odd.any():

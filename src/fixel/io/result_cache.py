@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.io.atomic import written_whole
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Raise it when the same settings no longer mean the same fit.
 VERSION: Final = 1

@@ -13,11 +13,7 @@ every block may be read and written three wide.
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from fixel.typing import FloatArray, IntArray
 
 
 class Model(NamedTuple):

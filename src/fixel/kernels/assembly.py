@@ -18,8 +18,9 @@ See docs/theory/contact.md. The three models differ in `inertia` and `momentum` 
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray, Model, Problem, State
+from fixel.kernels.arrays import Model, Problem, State
 from fixel.kernels.jit import kernel
+from fixel.typing import FloatArray
 
 
 @kernel

@@ -7,9 +7,10 @@ that matter.
 
 import math
 
-from fixel.kernels.arrays import FloatArray, IntArray, Model, Problem, Workspace
+from fixel.kernels.arrays import Model, Problem, Workspace
 from fixel.kernels.gap import FEATURES, contact_pair
 from fixel.kernels.jit import kernel, large_kernel
+from fixel.typing import FloatArray, IntArray
 
 
 @kernel

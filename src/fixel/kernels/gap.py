@@ -18,8 +18,8 @@ difference, which, where positive, has a single peak, at the direction of the ne
 
 import math
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
+from fixel.typing import FloatArray, IntArray
 
 # Feature codes. The vertex of the second piece counts from 0, the vertex of the first from
 # FIRST_VERTEX; two corners are named by the second piece's, from VERTEX_VERTEX. Room for 2**18

@@ -10,9 +10,10 @@ Source: Jourdan, Alart & Jean (1998) for the contacts; Rockafellar (1976) for th
 
 import math
 
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import invert_block
+from fixel.typing import FloatArray
 
 
 @kernel

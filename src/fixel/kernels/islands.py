@@ -11,9 +11,10 @@ Source: George & Liu (1981), section 4.3, for the numbering.
 
 from typing import NamedTuple
 
-from fixel.kernels.arrays import FloatArray, IntArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.view import view
+from fixel.typing import FloatArray, IntArray
 
 ROUNDS = 12  # of putting contacts in, before all are
 

@@ -13,16 +13,17 @@ so that Lemke's method ends with an answer wherever prescribed motions do not sq
 
 import math
 
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.gauss_seidel import friction_answer
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import invert_block
 from fixel.kernels.newton import FLOOR, step_all
 from fixel.kernels.proximal import linearise_any
+from fixel.typing import FloatArray
 
 MOST_CONTACTS = 12
 MOST_DRIVES = 4
-MOST_UNKNOWNS = 36
+MAX_UNKNOWNS = 36
 COMPLIANCE = 1e-5  # of an element that sticks, relative to its block's
 PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, where a body
 LIGHT = 1e-3  # has less inertia than this
@@ -74,7 +75,7 @@ def is_small(problem: Problem) -> bool:
     """Whether there are few enough contacts, drives and unknowns."""
     n_drive = problem.size[0] - problem.size[3]
     return (
-        problem.size[0] <= MOST_UNKNOWNS
+        problem.size[0] <= MAX_UNKNOWNS
         and problem.size[1] <= MOST_CONTACTS
         and n_drive <= MOST_DRIVES
     )

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel
+from fixel.typing import FloatArray, IntArray
 
 # How a solve ended.
 SOLVED: Final = 0

@@ -1,8 +1,8 @@
 """Small dense and large banded linear systems, in place, always in the same order (hence the same
 bits)."""
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel
+from fixel.typing import FloatArray, IntArray
 
 DENSE_LIMIT = 12  # up to this many unknowns Gauss with row pivots; above, envelope without pivots
 

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.gap import COINCIDENT, contact_pair
 from fixel.kernels.jit import entry, kernel
+from fixel.typing import FloatArray, IntArray
 
 
 @entry

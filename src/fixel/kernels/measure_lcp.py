@@ -1,10 +1,11 @@
 """Lemke's method for callers in Python."""
 
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, lemke
 from fixel.kernels.linear_form import NOT_LINEAR, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
+from fixel.typing import FloatArray
 
 
 @entry

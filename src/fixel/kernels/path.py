@@ -2,8 +2,8 @@
 
 import math
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import kernel, large_kernel
+from fixel.typing import FloatArray, IntArray
 
 
 @kernel

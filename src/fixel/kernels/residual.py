@@ -2,8 +2,9 @@
 
 import math
 
-from fixel.kernels.arrays import FloatArray, Problem
+from fixel.kernels.arrays import Problem
 from fixel.kernels.jit import kernel
+from fixel.typing import FloatArray
 
 
 @kernel

@@ -7,7 +7,6 @@ import numpy as np
 from fixel.kernels import codes
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import (
-    FloatArray,
     Model,
     Problem,
     RolloutRecord,
@@ -21,6 +20,7 @@ from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_k
 from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE, locked, solve
 from fixel.kernels.step import ALONG, RECOVERY, creates_energy, move, prepare_step
+from fixel.typing import FloatArray
 
 GROWTH = 3.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection

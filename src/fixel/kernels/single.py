@@ -3,7 +3,7 @@
 from fixel.kernels import assembly as _assembly
 from fixel.kernels import rollout as _rollout
 from fixel.kernels.allocate import empty_problem, empty_workspace
-from fixel.kernels.arrays import FloatArray, Model, Problem, RolloutRecord, State, Workspace
+from fixel.kernels.arrays import Model, Problem, RolloutRecord, State, Workspace
 from fixel.kernels.feasible import squeezed
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau
@@ -11,6 +11,7 @@ from fixel.kernels.linear_form import ENOUGH, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
 from fixel.kernels.solve import locked, solve
 from fixel.kernels.step import creates_energy, move, prepare_bodies, prepare_contacts, prepare_rows
+from fixel.typing import FloatArray
 
 
 @entry

@@ -3,7 +3,7 @@
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.feasible import squeezed
 from fixel.kernels.gauss_seidel import gauss_seidel
 from fixel.kernels.islands import (
@@ -21,6 +21,7 @@ from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
 from fixel.kernels.proximal import newton_any, proximal_newton
 from fixel.kernels.residual import residual
+from fixel.typing import FloatArray
 
 TOLERANCE = (
     1e-9  # natural-map residual, scaled units, that every step must reach; judged by residual.py

@@ -4,7 +4,7 @@ bodies."""
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray, Model, Problem, State, Workspace
+from fixel.kernels.arrays import Model, Problem, State, Workspace
 from fixel.kernels.assembly import (
     assemble_bodies,
     assemble_contact,
@@ -14,6 +14,7 @@ from fixel.kernels.assembly import (
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
+from fixel.typing import FloatArray
 
 REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
 CLOSE = 1e-9  # of the characteristic length: an overlap that is none

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from typing import final
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, FloatArray, instance, name_of, positive, settle, vector
+from fixel.model.fields import Comparable, instance, name_of, positive, settle, vector
 from fixel.model.shape import Shape
 from fixel.model.support import Ellipsoid, NoSupport, Support, support_points
+from fixel.typing import FloatArray
 
 
 @final

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 
-from fixel.model.fields import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray
 
 Piece = tuple[FloatArray, BoolArray]
 

@@ -11,17 +11,10 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    FloatArray,
-    frozen,
-    instance,
-    name_of,
-    optional_positive,
-    settle,
-)
+from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
 from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
+from fixel.typing import FloatArray
 
 # What a channel's columns are measured in. A column is named for what it is and its unit: `fx_n`.
 UNITS: Final[Mapping[str, str]] = MappingProxyType(

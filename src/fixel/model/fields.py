@@ -10,12 +10,10 @@ from types import UnionType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from fixel.typing import FloatArray
 
 
 class Comparable:

@@ -6,17 +6,9 @@ from dataclasses import dataclass
 from typing import final
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    FloatArray,
-    fraction,
-    instance,
-    name_of,
-    non_negative,
-    settle,
-    vector,
-)
+from fixel.model.fields import Comparable, fraction, instance, name_of, non_negative, settle, vector
 from fixel.model.shape import Shape
+from fixel.typing import FloatArray
 
 
 @final

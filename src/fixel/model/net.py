@@ -10,11 +10,12 @@ import shapely.affinity
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray, finite
+from fixel.model.fields import finite
 from fixel.model.shape import Disk, Shape
+from fixel.typing import FloatArray
 
 # Outlines with more corners than this are taken for smooth curves.
-MOST_CORNERS: Final = 12
+MAX_CORNERS: Final = 12
 # Points of the outer and of the inner ring under a smooth outline.
 SMOOTH_RINGS: Final = (10, 6)
 # Sizes of the two rings, of the outline about its centroid. Where exactly is of no consequence: on
@@ -54,7 +55,7 @@ def support_net(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> 
                 f"net.{name}", found=size, expected="a fraction between 0 and 1 of the outline"
             )
     centre = shape.centroid
-    smooth = isinstance(shape, Disk) or len(shape.outline) > MOST_CORNERS
+    smooth = isinstance(shape, Disk) or len(shape.outline) > MAX_CORNERS
     if smooth:
         rings = {
             "ring": _evenly(shape, outer, SMOOTH_RINGS[0], 0.0),

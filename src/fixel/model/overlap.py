@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
 from fixel.model.shape import Disk, Shape, placed
+from fixel.typing import FloatArray
 
 
 def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) -> float:

@@ -9,16 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    FloatArray,
-    finite,
-    frozen,
-    instance,
-    settle,
-    table,
-    vector,
-)
+from fixel.model.fields import Comparable, finite, frozen, instance, settle, table, vector
+from fixel.typing import FloatArray
 
 
 @final

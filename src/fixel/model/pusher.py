@@ -11,7 +11,6 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.fields import (
     Comparable,
-    FloatArray,
     fraction,
     frozen,
     instance,
@@ -23,6 +22,7 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.model.shape import Shape
+from fixel.typing import FloatArray
 
 # How far from 1 the length of a direction may be before it is scaled; a few times the rounding of
 # one float64, so that a direction that was scaled once stays bitwise the same.

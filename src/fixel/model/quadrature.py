@@ -6,8 +6,8 @@ from math import pi
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
 from fixel.model.shape import Disk, Polygon, Shape
+from fixel.typing import FloatArray
 
 
 def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:

@@ -12,9 +12,10 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model.experiment import Provenance
-from fixel.model.fields import Comparable, FloatArray, frozen, name_of, settle
+from fixel.model.fields import Comparable, frozen, name_of, settle
 from fixel.model.parameters import Parameters
 from fixel.model.trajectory import Trajectory
+from fixel.typing import FloatArray
 
 
 @final

@@ -13,7 +13,6 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.body import Body
 from fixel.model.fields import (
-    BoolArray,
     Comparable,
     fraction,
     instance,
@@ -26,6 +25,7 @@ from fixel.model.fixel import Fixel
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
 from fixel.model.plane import Plane
 from fixel.model.pusher import Pusher
+from fixel.typing import BoolArray
 
 T = TypeVar("T")
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.decomposition import Piece, convex_pieces, is_convex
-from fixel.model.fields import Comparable, FloatArray, frozen, positive, settle, table
+from fixel.model.fields import Comparable, frozen, positive, settle, table
+from fixel.typing import FloatArray
 
 # Share of the size of a polygon below which two points are one, and a vertex lies on a straight
 # edge. Larger values eat detail of finely digitised outlines.

@@ -11,16 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    FloatArray,
-    finite,
-    frozen,
-    optional_positive,
-    positive,
-    settle,
-)
+from fixel.model.fields import Comparable, finite, frozen, optional_positive, positive, settle
 from fixel.model.parameters import info_of, refuse_two_supports
+from fixel.typing import FloatArray
 
 # Of the range between its bounds: the scale of a parameter without one, as in Dakota.
 SHARE_OF_RANGE: Final = 0.1

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import (
     Comparable,
-    FloatArray,
     finite,
     frozen,
     non_negative,
@@ -23,6 +22,7 @@ from fixel.model.fields import (
 )
 from fixel.model.quadrature import cells
 from fixel.model.shape import Shape
+from fixel.typing import FloatArray
 
 # Share of the weight below which a negative load is rounding and becomes zero.
 LOAD_ROUNDING = 1e-12

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, FloatArray, frozen, settle, table
+from fixel.model.fields import Comparable, frozen, settle, table
+from fixel.typing import FloatArray
 
 
 @final

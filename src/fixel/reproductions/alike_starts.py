@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.datasets.rpi_2dgad import Rpi2dgad
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Experiment, LineDrive, Polygon, Pusher, Scene, Tripod
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 

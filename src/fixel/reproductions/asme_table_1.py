@@ -28,7 +28,6 @@ from fixel.calibration.solutions import (
 )
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
-from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.reproductions.charts.reproductions import ClusterPicture, TriangleCluster
@@ -36,6 +35,7 @@ from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
+from fixel.typing import FloatArray
 
 # Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)

@@ -17,7 +17,6 @@ import numpy as np
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.solutions import support_features
 from fixel.calibration.study import box_of
-from fixel.kernels.arrays import FloatArray
 from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
@@ -39,6 +38,7 @@ from fixel.reproductions.tripod_pushes import (
     sliding_forces,
     support_of,
 )
+from fixel.typing import FloatArray
 
 
 def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:

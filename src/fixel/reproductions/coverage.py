@@ -17,13 +17,13 @@ import numpy as np
 from fixel.datasets.raw.mit_push import read
 from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.reproductions.fitting import ARM, Belief, FittedPushes
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_beliefs, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.splits import Split
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 

@@ -17,13 +17,12 @@ from fixel.domain.features import (
     scaled,
     simulated_features,
 )
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
-from fixel.model.fields import BoolArray
 from fixel.reproductions.fitting import FittedPushes
 from fixel.reproductions.leftover import in_object
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.splits import Split
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Times at which simulated pushes are looked at.
 SAMPLES: Final = 10

@@ -13,9 +13,9 @@ from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import Registration, registration_from_gaps
 from fixel.datasets.raw.mit_push import PUSHER_RADIUS
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
 from fixel.reproductions.pushes import PART_NAMES, PushGroup
+from fixel.typing import FloatArray, IntArray
 
 # A radian counts as this much [m]; one degree as 0.6 mm.
 ARM: Final = 35e-3

@@ -12,11 +12,11 @@ from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
 from fixel.datasets.raw.mit_push import MitPushes
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.pushes import DURATION, STEP, PushGroup, rows_by_key, usable_rows
 from fixel.reproductions.result import Progress, Row
 from fixel.simulation import StewartTrinkle
+from fixel.typing import FloatArray, IntArray
 
 PUSHES: Final = 1000
 EVALUATIONS: Final = 2000
@@ -76,7 +76,7 @@ def joint_calibration(
 def _searched(
     objective: Objective, box: SearchBox, evaluations: int, progress: Progress
 ) -> tuple[Best, int, float]:
-    dice = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     best, made, first = Best(box.start, np.inf), 0, np.nan
     while made < evaluations:
         search = PatternSearch().start(box)
@@ -88,7 +88,7 @@ def _searched(
             search.tell(errors)
             progress(min(made, evaluations), evaluations, "joint calibration")
         best = min(best, search.best, key=lambda own: own.error)
-        box = box._replace(start=dice.uniform(box.low, box.high))
+        box = box._replace(start=rng.uniform(box.low, box.high))
     return best, made, first
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fixel.calibration.learned import NINETY, ResidualProcess
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
-from fixel.model.fields import BoolArray
 from fixel.reproductions.pushes import PushGroup
 from fixel.reproductions.splits import Split
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 
 def learned_ends(

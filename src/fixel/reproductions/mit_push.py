@@ -15,11 +15,11 @@ import numpy as np
 
 from fixel.datasets.raw.mit_push import MitPushes
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray
 from fixel.model import pose_error
 from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from fixel.reproductions.pushes import usable_rows
 from fixel.reproductions.result import Benchmark, HeldOutScores, Progress, Row
+from fixel.typing import FloatArray
 
 PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
 

@@ -22,23 +22,22 @@ from fixel.domain.features import Configurations
 from fixel.domain.promise import LEVEL, Experience, Promise, least_experiments
 from fixel.drawing.promise import NewSidesChart
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
-from fixel.model.fields import BoolArray
 from fixel.reproductions.evidence import evidence_of
 from fixel.reproductions.fitting import FittedPushes
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.splits import split_without
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 SIDE: Final = "side"
 SPEED: Final = "speed"
 RANDOM: Final = "random"  # sides of the same sizes, dealt out at random
 ERRORS: Final = {"position": ("mm", 1e3), "angle": ("deg", 180.0 / np.pi)}
 SMOOTH_SIDES: Final = 4  # of outlines with more corners than this many sides
-MOST_SIDES: Final = 8
-LEAST_PUSHES: Final = 15  # on a side of its own
+MAX_SIDES: Final = 8
+MIN_PUSHES: Final = 15  # on a side of its own
 CONTROL_SEED: Final = 12345
 FIRST_SEED: Final = 100
 
@@ -69,7 +68,7 @@ def side_labels(group: PushGroup) -> IntArray:
     _, normal = gaps_and_normals(group.shape, PUSHER_RADIUS, group.start, group.tip_start)
     angle = wrapped(np.arctan2(normal[:, 1], normal[:, 0]) - group.start[:, 2])
     outline = getattr(group.shape, "outline", np.zeros((0, 2)))
-    if 0 < len(outline) <= MOST_SIDES:
+    if 0 < len(outline) <= MAX_SIDES:
         edge = np.roll(outline, -1, axis=0) - outline
         outward = np.arctan2(-edge[:, 0], edge[:, 1])
         side = np.abs(wrapped(angle[:, None] - outward)).argmin(axis=1)
@@ -77,7 +76,7 @@ def side_labels(group: PushGroup) -> IntArray:
         quarter = 2.0 * np.pi / SMOOTH_SIDES
         side = (np.floor((angle + quarter) / quarter)).astype(np.int64) % SMOOTH_SIDES
     _, side, count = np.unique(side, return_inverse=True, return_counts=True)
-    side = np.where((count < LEAST_PUSHES)[side], count.argmax(), side)
+    side = np.where((count < MIN_PUSHES)[side], count.argmax(), side)
     return np.asarray(np.unique(side, return_inverse=True)[1], np.int64)
 
 

@@ -18,11 +18,10 @@ from fixel.datasets.raw.mit_push import read
 from fixel.domain.promise import LEVEL, Experience, Promise, constant_bound
 from fixel.drawing.promise import PromiseChart
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray, IntArray
-from fixel.model.fields import BoolArray
 from fixel.reproductions.evidence import PushErrors, evidence_of
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 HALVINGS: Final = 2  # of the held-out pushes of every fit; each counts both ways
@@ -142,10 +141,10 @@ def _both_ways(
 
 def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
     """Held-out rows in two halves, each group apart."""
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     halves: tuple[list[int], list[int]] = ([], [])
     for group in np.unique(table.group):
-        own = dice.permutation(np.flatnonzero(table.held_out & (table.group == group)))
+        own = rng.permutation(np.flatnonzero(table.held_out & (table.group == group)))
         for k, half in enumerate(halves):
             half += own[k::2].tolist()
     return np.sort(halves[0]), np.sort(halves[1])

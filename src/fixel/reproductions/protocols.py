@@ -12,9 +12,7 @@ import numpy as np
 from fixel.datasets.raw.mit_push import MitPushes
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import wrapped
-from fixel.model.fields import BoolArray
 from fixel.reproductions.fitting import (
     Belief,
     FitMember,
@@ -33,6 +31,7 @@ from fixel.reproductions.leftover import inside_ninety, learned_ends
 from fixel.reproductions.pushes import Key, PushGroup, rows_by_key, usable_rows
 from fixel.reproductions.result import Progress, Row
 from fixel.reproductions.splits import Split, few_of, folds, random_split
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 SHARE: Final = 0.6  # of the pushes for training, where there are no folds
 FEW: Final = 10
@@ -40,7 +39,7 @@ FEW: Final = 10
 FREE: Final = 1.0
 FREEDOMS: Final = (1.5, 0.3, 3.0)
 # Of each other shape in the fit of what a surface has in common.
-MOST_OF_OTHERS: Final = 100
+MAX_OF_OTHERS: Final = 100
 QUICK_SHAPES, QUICK_PUSHES, QUICK_ITERATIONS = 3, 60, 4
 ITERATIONS: Final = 10
 
@@ -257,9 +256,9 @@ def _new_shape(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     """The plate has no part in anything that predicts it."""
     others = [own for own in bench.on_surface(key) if own != key]
     if others:
-        dice = np.random.default_rng(0)
+        rng = np.random.default_rng(0)
         some = {
-            own: np.sort(dice.permutation(len(bench.rows[own]))[:MOST_OF_OTHERS]) for own in others
+            own: np.sort(rng.permutation(len(bench.rows[own]))[:MAX_OF_OTHERS]) for own in others
         }
         shift, common = _in_common(bench, f"without_{key[1]}", key[0], some, quarter=0.0)
         group = bench.group(key)

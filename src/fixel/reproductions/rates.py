@@ -21,7 +21,6 @@ from fixel.datasets.raw.mit_timeseries import PushRuns
 from fixel.drawing.promise import RatesChart
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
@@ -29,6 +28,7 @@ from fixel.reproductions.replay import ReplayRequest, replay_dataset
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import hypotheses
 from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
+from fixel.typing import FloatArray
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION

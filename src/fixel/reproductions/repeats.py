@@ -15,13 +15,13 @@ import numpy as np
 
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.errors import DatasetMissing
-from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
 from fixel.reproductions.alike_starts import HEAD_PLACE, alike_group
 from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
 from fixel.simulation import StewartTrinkle
+from fixel.typing import FloatArray
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 

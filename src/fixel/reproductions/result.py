@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.io.atomic import written_whole
-from fixel.kernels.arrays import FloatArray
 from fixel.reproductions.replay.report import mean_and_median
+from fixel.typing import FloatArray
 
 Row = dict[str, Any]
 # Told after each part: how many of how many are done, and what they are.

@@ -22,13 +22,13 @@ from fixel.datasets.raw import rpi_2dgad as trials
 from fixel.datasets.raw.base import MM, read_table
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.charts.reproductions import PathCurve, PathPicture
 from fixel.reproductions.reproduction import Progress, Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import BOUNDS, CORNERS, Hypothesis, hypotheses, scene_of
 from fixel.simulation import StewartTrinkle
+from fixel.typing import FloatArray
 
 EXPERIMENT: Final = "141"
 RATE: Final = 30.0  # video frames a second

@@ -8,7 +8,6 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import (
     Body,
     Experiment,
@@ -19,6 +18,7 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
+from fixel.typing import FloatArray
 
 # [low, high, nominal] of what can be fitted; the lab's own values as nominal.
 BOUNDS: Final[Mapping[str, tuple[float, float, float]]] = {

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import IntArray
+from fixel.typing import IntArray
 
 
 class Split(NamedTuple):
@@ -30,10 +30,10 @@ def random_split(strata: Sequence[Hashable], share: float, seed: int) -> Split:
     """
     if not 0.0 < share < 1.0:
         raise InvalidInput("share", found=share, expected="a number between 0 and 1")
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     train: list[int] = []
     for own in _members(strata):
-        train += dice.permutation(own)[: round(share * len(own))].tolist()
+        train += rng.permutation(own)[: round(share * len(own))].tolist()
     return _split(train, len(strata))
 
 
@@ -41,11 +41,11 @@ def folds(strata: Sequence[Hashable], n: int, seed: int) -> list[Split]:
     """Splits that hold out every member exactly once, each stratum spread evenly over them."""
     if not 2 <= n <= max(len(strata), 2):
         raise InvalidInput("--folds", found=n, expected=f"2 to {len(strata)}")
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     fold = np.zeros(len(strata), np.int64)
     dealt = 0
     for own in _members(strata):
-        fold[dice.permutation(own)] = (dealt + np.arange(len(own))) % n
+        fold[rng.permutation(own)] = (dealt + np.arange(len(own))) % n
         dealt += len(own)
     return [Split(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(n)]
 
@@ -65,8 +65,8 @@ def split_without(labels: IntArray, label: int, seed: int) -> Split:
 
 def few_of(split: Split, n: int, seed: int) -> Split:
     """The same held out, and only `n` of those for training."""
-    dice = np.random.default_rng(seed)
-    return split._replace(train=np.sort(dice.permutation(split.train)[:n]))
+    rng = np.random.default_rng(seed)
+    return split._replace(train=np.sort(rng.permutation(split.train)[:n]))
 
 
 def _members(strata: Sequence[Hashable]) -> list[IntArray]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.study import box_of
-from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.tripod_pushes import (
     FORCE_NOISE,
@@ -24,6 +23,7 @@ from fixel.reproductions.tripod_pushes import (
     outline_of,
     sliding_forces,
 )
+from fixel.typing import FloatArray
 
 CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 

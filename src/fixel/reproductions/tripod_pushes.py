@@ -12,12 +12,12 @@ import numpy as np
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
 from fixel.datasets.cmu_tripod import CmuTripod
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment, SupportPoints
 from fixel.model.space import ParameterSpace
 from fixel.model.support import triangle_shares
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import RolloutCase
+from fixel.typing import FloatArray
 
 GRAVITY: Final = 9.81  # [m/s^2]
 SURFACES: Final = ("hardboard", "plywood")

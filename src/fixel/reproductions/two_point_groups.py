@@ -10,18 +10,18 @@ import numpy as np
 import shapely
 
 from fixel.datasets.cmu_two_point import FINGER_RADIUS, FINGER_SPACING, CmuTwoPoint
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Experiment, PathDrive, Polygon, Pusher, Scene, UniformPressure
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.uncertainty.apart import Neighbour, set_apart
 
-FEWEST_ROWS: Final = 30  # of a push
+MIN_ROWS: Final = 30  # of a push
 JUMP: Final = 4e-3  # [m], from the last pose of the push before to the first of a push
 WAYPOINTS: Final = 40
 READINGS: Final = 3  # of the tracker that make one pose
 # [s], a reading this far from when it is wanted is none: blocks move meanwhile.
 OLD: Final = 0.15
-MOST_APART: Final = 6e-3  # [m], how far the frame of the fingers may be off
+MAX_APART: Final = 6e-3  # [m], how far the frame of the fingers may be off
 
 MASS: Final = 0.1  # [kg]; without inertia it does not matter
 CORNERS: Final = 4  # straight pieces a quarter of a finger is drawn with
@@ -130,7 +130,7 @@ def _pushes(experiment: Experiment) -> Iterator[_RepeatedPush]:
         skip = 0
         while skip < 3 and np.hypot(*(pose[skip + 1] - pose[skip])[:2]) > JUMP:
             skip += 1
-        if len(rows) - skip < FEWEST_ROWS:
+        if len(rows) - skip < MIN_ROWS:
             continue
         time, pose = time[skip:], pose[skip:]
         start, end = _seen(experiment, time[0], 1.0), _seen(experiment, time[-1], -1.0)
@@ -162,7 +162,7 @@ def group_scene(group: RepeatGroup) -> Scene:
         outline,
         group.start.mean(axis=0)[None],
         [Neighbour("fingers", fingers, group.path[0, 1:])],
-        MOST_APART,
+        MAX_APART,
     )
     assert not reasons[0], f"{group.name}: {reasons[0]}"
     body = Body(

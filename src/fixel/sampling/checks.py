@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from fixel.model import LineDrive, Scene, Shape, placed
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 
 # [m] Beyond everything on a plate.
 FAR: Final = 1e6

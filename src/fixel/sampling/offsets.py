@@ -11,7 +11,8 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray, finite, positive, settle, vector
+from fixel.model.fields import finite, positive, settle, vector
+from fixel.typing import FloatArray
 
 AxisName = Literal["x", "y", "theta"]
 Method = Literal["sobol", "halton", "uniform"]
@@ -237,14 +238,14 @@ def _unit_points(method: Method, count: int, seed: int) -> FloatArray:
     """(count, 3) points in the unit cube."""
     from scipy.stats import qmc
 
-    dice = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     if method == "uniform":
-        return dice.random((count, len(AXES)))
+        return rng.random((count, len(AXES)))
     if method == "halton":
-        return np.asarray(qmc.Halton(d=len(AXES), seed=dice).random(count))
+        return np.asarray(qmc.Halton(d=len(AXES), seed=rng).random(count))
     # Sobol's points are balanced in powers of two; the first ones of a longer row are a fair start.
     exponent = (count - 1).bit_length()
-    return np.asarray(qmc.Sobol(d=len(AXES), seed=dice).random_base2(exponent)[:count])
+    return np.asarray(qmc.Sobol(d=len(AXES), seed=rng).random_base2(exponent)[:count])
 
 
 def _refuse_crowd(count: int, where: str) -> None:

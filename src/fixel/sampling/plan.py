@@ -12,16 +12,17 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, LineDrive, PlannedExperiment, Pusher, Scene
-from fixel.model.fields import FloatArray, settle
+from fixel.model.fields import settle
 from fixel.sampling.checks import PlanProblem, scene_problems
 from fixel.sampling.offsets import Offset, OffsetScheme
 from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
+from fixel.typing import FloatArray
 
 OBJECT: Final = "object"
 HEAD: Final = "actuator"
 
 # Experiments of one plan. Beyond this a file of some lines could fill the memory.
-MOST_EXPERIMENTS: Final = 100_000
+MAX_EXPERIMENTS: Final = 100_000
 
 
 class PlanEntry(NamedTuple):
@@ -81,11 +82,11 @@ class Plan:
             raise InvalidInput("offsets", found="none", expected="at least the nominal pose")
         if self.repetitions < 1:
             raise InvalidInput("repetitions", found=self.repetitions, expected="at least 1")
-        if self.total > MOST_EXPERIMENTS:
+        if self.total > MAX_EXPERIMENTS:
             raise InvalidInput(
                 "plan",
                 found=f"{self.total} experiments",
-                expected=f"at most {MOST_EXPERIMENTS}",
+                expected=f"at most {MAX_EXPERIMENTS}",
                 hint="make the grids coarser, or sample instead",
             )
 

@@ -8,10 +8,10 @@ import numpy as np
 import shapely
 
 from fixel.model import PlannedExperiment, Scene, placed
-from fixel.model.fields import FloatArray
 from fixel.sampling.checks import PlanProblem
 from fixel.sampling.plan import Plan
 from fixel.simulation import QuasiStatic, simulate_batch
+from fixel.typing import FloatArray
 
 SAMPLES: Final = 61  # of the motion; at 13.5 mm/s one every 2.5 mm
 

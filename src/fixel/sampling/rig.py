@@ -13,7 +13,6 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model import Disk, NoSupport, Polygon, Shape, Support, placed
 from fixel.model.fields import (
-    FloatArray,
     finite,
     instance,
     name_of,
@@ -22,10 +21,11 @@ from fixel.model.fields import (
     positive,
     settle,
 )
+from fixel.typing import FloatArray
 
-MOST_SIDES: Final = 1000
+MAX_SIDES: Final = 1000
 
-MOST_PEGS: Final = 100
+MAX_PEGS: Final = 100
 MOST_NUMBER: Final = 9999
 
 Peg = tuple[float, float]
@@ -56,9 +56,9 @@ class RegularPolygon:
     side: float
 
     def __post_init__(self) -> None:
-        if not 3 <= self.sides <= MOST_SIDES:
+        if not 3 <= self.sides <= MAX_SIDES:
             raise InvalidInput(
-                "regular.sides", found=self.sides, expected=f"a number from 3 to {MOST_SIDES}"
+                "regular.sides", found=self.sides, expected=f"a number from 3 to {MAX_SIDES}"
             )
         settle(self, side=positive(self.side, "regular.side", "m"))
 
@@ -154,9 +154,9 @@ class FixelLayout:
                 raise InvalidInput(
                     f"{where}.pegs[{k}]", found=list(peg), expected="u and v, each from 0 to 1"
                 )
-        if len(self.pegs) > MOST_PEGS:
+        if len(self.pegs) > MAX_PEGS:
             raise InvalidInput(
-                f"{where}.pegs", found=f"{len(self.pegs)} pegs", expected=f"at most {MOST_PEGS}"
+                f"{where}.pegs", found=f"{len(self.pegs)} pegs", expected=f"at most {MAX_PEGS}"
             )
         if self.number is not None and not 1 <= self.number <= MOST_NUMBER:
             raise InvalidInput(f"{where}.number", found=self.number, expected=f"1 to {MOST_NUMBER}")

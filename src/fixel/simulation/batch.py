@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
-from fixel.kernels.arrays import Batch, BatchRecord, FloatArray, StepMethod
+from fixel.kernels.arrays import Batch, BatchRecord, StepMethod
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
 from fixel.simulation.pack import PackedBatch, Variation, stack
@@ -28,6 +28,7 @@ from fixel.simulation.simulate import (
 )
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.typing import FloatArray
 
 
 def simulate_batch(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import BatchRecord, FloatArray, IntArray
+from fixel.kernels.arrays import BatchRecord
 from fixel.model import Scene
 from fixel.simulation.batch import refuse_plugins, roll
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
@@ -32,9 +32,10 @@ from fixel.simulation.simulate import empty_record, method_of, shape_poses
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.vary import infeasible
+from fixel.typing import FloatArray, IntArray
 
 # Poses recorded in one pass, all rollouts together; more of them run in several passes.
-MOST_POSES = 300_000
+MAX_POSES = 300_000
 
 
 class RolloutCase(NamedTuple):
@@ -124,7 +125,7 @@ class Ensemble:
         values : mapping of name to (n,) float64
             Parameters of each rollout.
         """
-        per_pass = max(1, MOST_POSES // self.n_sample)
+        per_pass = max(1, MAX_POSES // self.n_sample)
         parts = [
             self._pass(which[k : k + per_pass], {m: v[k : k + per_pass] for m, v in values.items()})
             for k in range(0, len(which), per_pass)

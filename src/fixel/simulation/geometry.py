@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.measure import measure_gaps
 from fixel.model.decomposition import Piece
 from fixel.model.shape import Disk, Polygon, Shape
+from fixel.typing import FloatArray, IntArray
 
 # Sine of the turn below which a corner is straight. Smaller ones let the edges on both sides of the
 # corner tie by rounding, larger ones move the outline.

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from fixel.kernels import codes, single
-from fixel.kernels.arrays import FloatArray, Model, Problem, State
+from fixel.kernels.arrays import Model, Problem, State
+from fixel.typing import FloatArray
 
 
 class AbstractMotionModel(abc.ABC):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
 from fixel.kernels import codes
-from fixel.kernels.arrays import Batch, FloatArray, IntArray, Model
+from fixel.kernels.arrays import Batch, Model
 from fixel.model import (
     Body,
     Disk,
@@ -44,6 +44,7 @@ from fixel.simulation.vary import (
     varied_plane,
     varied_start,
 )
+from fixel.typing import FloatArray, IntArray
 
 # A part of the time in which the fastest body moves by one characteristic length; friction
 # impulses over such a step are of the order of one in scaled units.

@@ -11,7 +11,6 @@ from fixel.kernels import batch as kernel
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import (
     BatchRecord,
-    FloatArray,
     Model,
     Problem,
     RolloutRecord,
@@ -24,6 +23,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
 from fixel.simulation.solver import AbstractSolver
 from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits
+from fixel.typing import FloatArray
 
 
 class _Loop:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Parameters, Scene, Trajectory
+from fixel.typing import FloatArray, IntArray
 
 CONTACT_FIELDS = np.dtype(
     [
@@ -146,7 +146,7 @@ class Simulation:
         return answer
 
 
-MOST_NAMES: Final = 12  # bodies that a printed batch lists
+MAX_NAMES: Final = 12  # bodies that a printed batch lists
 
 
 @final
@@ -209,7 +209,7 @@ class BatchResult:
             f" {np.max(self.max_residual, initial=0.0):.1e}",
         ]
         if n and n_sample:
-            shown = self.names[:MOST_NAMES]
+            shown = self.names[:MAX_NAMES]
             rows = [(name, np.median(self.final[:, k], axis=0)) for k, name in enumerate(shown)]
             lines += [
                 f"  {name}: median end x {x:.6g} m, y {y:.6g} m, angle {angle:.6g} rad"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
-from fixel.kernels.arrays import BatchRecord, FloatArray, StepMethod
+from fixel.kernels.arrays import BatchRecord, StepMethod
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
 from fixel.simulation.pack import PackedBatch, Variation, pack
@@ -24,6 +24,7 @@ from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import composed, inverted
+from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper that sets no limit of its own
 MAX_SAMPLES = 200_000

@@ -8,8 +8,9 @@ from typing import ClassVar, final
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE
+from fixel.typing import FloatArray
 
 
 class AbstractSolver(abc.ABC):

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
-from fixel.kernels.arrays import FloatArray, Problem
+from fixel.kernels.arrays import Problem
 from fixel.kernels.rollout import (
     CAUTION,
     CUT,
@@ -26,6 +26,7 @@ from fixel.kernels.rollout import (
     SHRINK,
 )
 from fixel.kernels.solve import TOLERANCE
+from fixel.typing import FloatArray
 
 
 class Attempt(NamedTuple):

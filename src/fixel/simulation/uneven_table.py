@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Distance at which a bend of 1 changes a load by the factor exp(1/2), and a slope of 1 by e [m].
 LENGTH: Final = 40e-3
 # Of the exponent: a factor of seven either way is all or nothing already.
-LARGEST_EXPONENT: Final = 2.0
+MAX_EXPONENT: Final = 2.0
 
 TABLE_NAMES: Final = (
     "table_bend",
@@ -56,4 +56,4 @@ def factors_on_table(
     x, y = c * u - s * v, s * u + c * v
     exponent = 0.5 * (bend * (x * x + y * y) + bend_xy * (x * x - y * y)) + bend_diagonal * x * y
     exponent = exponent + slope_x * x + slope_y * y
-    return np.asarray(np.exp(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT)))
+    return np.asarray(np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)))

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.parameters import info_of, refuse_two_supports
 from fixel.model.quadrature import cells
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
-from fixel.simulation.uneven_table import LARGEST_EXPONENT, TABLE_NAMES, factors_on_table
+from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
+from fixel.typing import FloatArray, IntArray
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
 
-LEAST_FACTOR = 0.05  # of the plane's friction in one direction, of its mean
+MIN_FACTOR = 0.05  # of the plane's friction in one direction, of its mean
 PRESSURE_POINTS = 24  # about so many stand for pressure under the whole body
 
 _CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
@@ -107,7 +107,7 @@ def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, Float
     square = ((points - body.shape.centroid) ** 2).sum(axis=1)
     exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
     # Beyond that it is all or nothing already.
-    load = share * np.exp(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))
+    load = share * np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT))
     load /= load.sum(axis=1, keepdims=True)
     return points - body.com, tilted_shares(load, points - body.com)
 

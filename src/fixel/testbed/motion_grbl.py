@@ -19,7 +19,7 @@ from fixel.testbed.motion import NEAR, REACH, AbstractActuator, checked_reach
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 
 DEAD_MAN: Final = 0.5  # [s]
-LONGEST_DEAD_MAN: Final = 3.0  # [s]
+MAX_DEAD_MAN: Final = 3.0  # [s]
 CHUNKS: Final = 6  # pieces a queue is made of
 HOMING_TIME: Final = 90.0  # [s]
 UNLOCK: Final = "see where the drive stands, then: fixel actuator move --unlock"
@@ -228,12 +228,12 @@ class GrblActuator(AbstractActuator):
         piece = 1.0 / CHUNKS
         needed = (0.5 * speed / settings.acceleration + 2.0 * ASKING) / (1.0 - 1.5 * piece)
         queue = max(DEAD_MAN, needed) if self.dead_man is None else self.dead_man
-        if queue < needed or queue > LONGEST_DEAD_MAN:
+        if queue < needed or queue > MAX_DEAD_MAN:
             number = 120 + grbl.AXES.index(self.axis)
             raise InvalidInput(
                 "dead_man" if queue < needed else "speed",
                 found=f"{queue:.3g} s" if queue < needed else f"{speed:.4g} mm/s",
-                expected=f"a queue of at least {needed:.2g} s and at most {LONGEST_DEAD_MAN:.3g} s",
+                expected=f"a queue of at least {needed:.2g} s and at most {MAX_DEAD_MAN:.3g} s",
                 hint=f"with an acceleration of {settings.acceleration:.4g} mm/s^2 (${number}) the"
                 " drive would slow down between pieces; raise that",
             )

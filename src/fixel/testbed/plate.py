@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model import Body, Ellipsoid, FrictionMap, NoSupport, Plane, Support, SupportPoints
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray, frozen
+from fixel.model.fields import frozen
 from fixel.model.quadrature import cells
 from fixel.model.shape import Shape
 from fixel.model.support import support_points
+from fixel.typing import FloatArray
 
 # The part of the world that has a map; the thesis's plate with room to spare.
 PLATE_ORIGIN = (-0.2, -0.4)  # [m]

@@ -9,7 +9,7 @@ from typing import Final
 from fixel.errors import InvalidInput
 from fixel.testbed.frame_source import Stream
 
-LEAST_TIME: Final = 60.0  # [s] that must fit
+MIN_TIME: Final = 60.0  # [s] that must fit
 SPARE: Final = 32 * 1024 * 1024  # [bytes] that are left free when the disk fills up
 USUAL_RATE: Final = 30.0  # [frames/s] of a camera that does not say
 # Bytes a pixel of a bench with its noise, with something to spare.
@@ -32,7 +32,7 @@ def bytes_a_second(stream: Stream, codec: str) -> float:
 
 def refuse_full_disk(folder: Path, stream: Stream, codec: str, limit: float | None) -> None:
     """Refuse a disk on which a minute does not fit, or less where less is recorded."""
-    duration = LEAST_TIME if limit is None else min(limit, LEAST_TIME)
+    duration = MIN_TIME if limit is None else min(limit, MIN_TIME)
     needed = bytes_a_second(stream, codec) * duration + SPARE
     free = free_space(folder)
     if free < needed:

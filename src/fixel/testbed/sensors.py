@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fixel.model import Channel
-from fixel.model.fields import BoolArray, FloatArray
 from fixel.simulation import Simulation
+from fixel.typing import BoolArray, FloatArray
 
 ON_CLOCK = 1e-6  # [-] of a frame: a sample further from the clock is no frame
 

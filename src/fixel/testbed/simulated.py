@@ -30,8 +30,6 @@ from fixel.model import (
 )
 from fixel.model.chance import stream
 from fixel.model.fields import (
-    BoolArray,
-    FloatArray,
     fraction,
     instance,
     name_of,
@@ -45,6 +43,7 @@ from fixel.simulation import Simulation, simulate
 from fixel.testbed.plate import planned_support, rough_plane, uneven_support
 from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
 from fixel.testbed.uneven_drive import driven_unevenly, with_stall_force
+from fixel.typing import BoolArray, FloatArray
 
 Progress = Callable[[int, int], None]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fixel.model import LineDrive, PathDrive, Pusher
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 
 WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; a ripple of some hertz is a smooth curve in this
 

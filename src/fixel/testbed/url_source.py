@@ -19,7 +19,7 @@ from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stre
 from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
-LONGEST_LINE: Final = 4096  # [bytes] of a header
+MAX_LINE: Final = 4096  # [bytes] of a header
 LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
 GARBAGE: Final = 10  # pictures in a row that are none
 OPENS_WITHIN: Final = 10.0  # [s] the first picture, however slowly it comes
@@ -170,7 +170,7 @@ class UrlSource(FrameSource):
         """The length of the next part, -1 where it is not said; None at the end of the stream."""
         begun, length, read = self._inside, -1, 0
         self._inside, self._stamp = False, None
-        while line := answer.readline(LONGEST_LINE):
+        while line := answer.readline(MAX_LINE):
             read += len(line)
             text = line.strip()
             if text == self._boundary or text == b"--" + self._boundary:
@@ -189,7 +189,7 @@ class UrlSource(FrameSource):
     def _until_boundary(self, answer: http.client.HTTPResponse) -> bytes | None:
         """A part whose length nobody said: up to the boundary, which may stand in the last line."""
         data = bytearray()
-        while line := answer.readline(LONGEST_LINE):
+        while line := answer.readline(MAX_LINE):
             if line.strip() in (self._boundary, b"--" + self._boundary) and line.endswith(b"\n"):
                 self._inside = True
                 return bytes(data[: data.rfind(END) + 2])

@@ -6,7 +6,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
 from fixel.vision.calibrate_lens import BoardView
 from fixel.vision.lens import Lens

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from fixel.kernels import codes, single
-from fixel.kernels.arrays import FloatArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import TOLERANCE
 from fixel.model import Scene
 from fixel.simulation.motion import AbstractMotionModel
@@ -26,6 +26,7 @@ from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import AbstractSolver
 from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits, StewartTrinkle
 from fixel.testing.scenes import free_push, grasp, row, sliding_block, touching_pose
+from fixel.typing import FloatArray
 
 G = 9.81
 SIDES = 16  # of support friction in the problems below, so that linear solvers can take part

@@ -19,7 +19,7 @@ import pytest
 
 from fixel.calibration.optimiser import AbstractOptimiser, Search, SearchBox
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 Error = Callable[[FloatArray], float]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
 from fixel.testing.scenes import row
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.lens import Lens

@@ -18,11 +18,12 @@ import math
 import numpy as np
 
 from fixel.kernels.allocate import empty_problem, empty_workspace
-from fixel.kernels.arrays import FloatArray, IntArray, Problem, Workspace
+from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
 from fixel.kernels.solve import PATIENT, TOLERANCE, solve
+from fixel.typing import FloatArray, IntArray
 
 MAX_BODIES = 6
 MAX_CONTACTS = 12

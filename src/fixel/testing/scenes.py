@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import (
     Body,
     Disk,
@@ -34,6 +33,7 @@ from fixel.sampling.eight_push import (
     PROBE_TRAVEL,
     probe_offset,
 )
+from fixel.typing import FloatArray
 
 FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch pegs of the thesis, appendix C.3
 FINGER_RADIUS: Final = 0.005  # [m] of `free_push`

@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape, placed
 from fixel.simulation.vary import composed, inverted
+from fixel.typing import FloatArray
 
 ROUNDS: Final = 8  # of moving out of one neighbour, perhaps into another
 ROUNDING: Final = 1e-9  # of the size of a body, that still counts as touching

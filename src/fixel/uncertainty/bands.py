@@ -18,9 +18,9 @@ import numpy as np
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import fraction
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import draw_walks
 from fixel.uncertainty.likelihood import expected_shares
 from fixel.uncertainty.posterior import Posterior
@@ -131,12 +131,12 @@ def predict(
         At most as many as there are samples.
     seed : int
     """
-    dice = np.random.default_rng([seed, member])
-    rows = dice.permutation(len(posterior.samples))[: max(2, draws)]
+    rng = np.random.default_rng([seed, member])
+    rows = rng.permutation(len(posterior.samples))[: max(2, draws)]
     points, k = posterior.samples[rows], len(rows)
     n_free = len(comparer.space.labels)
     own = noise.standard_deviations if start_sd is None else np.asarray(start_sd, np.float64)
-    errors = dice.standard_normal((k, 3)) * own
+    errors = rng.standard_normal((k, 3)) * own
     fit = np.array([name in {u.name for u in comparer.space.free} for name in START])
     errors[:, fit] = 0.0
     still = np.zeros_like(errors)
@@ -152,8 +152,8 @@ def predict(
     walk = np.zeros_like(both)
     if prior.model_error is not None:
         share = expected_shares(comparer, member, prior.model_error)
-        walk = draw_walks(share, points[:, -1], prior.model_error.sides, dice)
-    seen = dice.standard_normal(both.shape) * noise.standard_deviations
+        walk = draw_walks(share, points[:, -1], prior.model_error.sides, rng)
+    seen = rng.standard_normal(both.shape) * noise.standard_deviations
     paths = [_near(path, centre) for path in (only, begun, both)]
     truths = (paths[2] + walk)[good]
     if len(truths) < 2:

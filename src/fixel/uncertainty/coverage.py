@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import positive, settle
+from fixel.typing import FloatArray
 
 LABEL: Final = "model_error"
 MEANING: Final = "standard deviation of the model's own error at the end of the way"
@@ -102,11 +102,11 @@ def walk_over(share: FloatArray) -> WalkAxes:
 
 
 def draw_walks(
-    share: FloatArray, tau: FloatArray, sides: FloatArray, dice: np.random.Generator
+    share: FloatArray, tau: FloatArray, sides: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Model errors (k, n_frame, 3) of x, y, theta [m, m, rad] for standard deviations tau (k,)."""
     steps = np.sqrt(np.diff(share, prepend=0.0))
-    walks = np.cumsum(steps[:, None] * dice.standard_normal((len(tau), len(share), 3)), axis=1)
+    walks = np.cumsum(steps[:, None] * rng.standard_normal((len(tau), len(share), 3)), axis=1)
     return np.asarray(walks * tau[:, None, None] / sides)
 
 

@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Pusher, Scene, Shape
-from fixel.model.fields import BoolArray
 from fixel.model.trajectory import wrapped
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, moves, varied_start
+from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.apart import Neighbour, overlaps, set_apart
 from fixel.uncertainty.starts import StartError
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
+from fixel.typing import FloatArray
 from fixel.uncertainty.fan import START, Fan, Progress, fan_of
 from fixel.uncertainty.starts import Kind, StartError
 
@@ -27,7 +27,7 @@ RESAMPLES: Final = 200
 CONFIDENCE: Final = 0.95
 
 # Share of rollouts that may be without an outcome; the mean stands for theirs.
-MOST_FAILED: Final = 0.02
+MAX_FAILED: Final = 0.02
 # Spread of an outcome below which there is nothing to share out [m], [rad].
 NO_SPREAD: Final = 1e-9
 
@@ -282,11 +282,11 @@ def _refuse(factors: Sequence[Factor], n: int) -> None:
 def _filled(found: FloatArray) -> tuple[FloatArray, int]:
     """Outcomes with the mean in place of what is missing, and how many were."""
     missing = ~np.isfinite(found).all(axis=1)
-    if missing.mean() > MOST_FAILED:
+    if missing.mean() > MAX_FAILED:
         raise InvalidInput(
             "indices",
             found=f"{missing.mean():.1%} of the rollouts without an outcome",
-            expected=f"at most {MOST_FAILED:.0%}",
+            expected=f"at most {MAX_FAILED:.0%}",
             hint="make the ranges or the start error smaller",
         )
     filled = np.array(found)

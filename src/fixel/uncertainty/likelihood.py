@@ -18,11 +18,11 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.noise import LEAST_SCATTER, Noise
-from fixel.calibration.objective import MOST_ROLLOUTS, Comparer
+from fixel.calibration.noise import MIN_SCATTER, Noise
+from fixel.calibration.objective import MAX_ROLLOUTS, Comparer
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import (
     ModelError,
     WalkAxes,
@@ -36,7 +36,7 @@ from fixel.uncertainty.prior import ParameterPrior
 FLOOR: Final = -1e300
 
 # Frames of one experiment that are looked at; of more, every second, third, ... from the last.
-MOST_FRAMES: Final = 400
+MAX_FRAMES: Final = 400
 
 # Standard deviation over the median absolute value of a normal variable.
 _SD_OF_MEDIAN: Final = 1.4826
@@ -86,7 +86,7 @@ class LogLikelihood:
     def __call__(self, points: FloatArray) -> FloatArray:
         """(k,) of points (k, n); `FLOOR` where an experiment cannot be simulated."""
         table = np.ascontiguousarray(points, np.float64)
-        most = max(1, MOST_ROLLOUTS // len(self.members))
+        most = max(1, MAX_ROLLOUTS // len(self.members))
         parts = [self._some(table[k : k + most]) for k in range(0, len(table), most)]
         found = np.concatenate(parts) if parts else np.zeros(0)
         self.evaluations += len(found)
@@ -189,8 +189,8 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
     table = np.concatenate(rows)
     sd = _SD_OF_MEDIAN * np.median(np.abs(table), axis=0) / math.sqrt(6.0)
     return Noise(
-        position_m=max(LEAST_SCATTER, float(np.sqrt(np.mean(sd[:2] ** 2)))),
-        angle_rad=max(LEAST_SCATTER, float(sd[2])),
+        position_m=max(MIN_SCATTER, float(np.sqrt(np.mean(sd[:2] ** 2)))),
+        angle_rad=max(MIN_SCATTER, float(sd[2])),
         source="residuals",
         freedom=float(max(1, table.size // 3)),
     )
@@ -198,5 +198,5 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
 
 def _seen(length: int) -> np.ndarray:
     """Frames that are looked at, counted from the last."""
-    stride = max(1, math.ceil(length / MOST_FRAMES))
+    stride = max(1, math.ceil(length / MAX_FRAMES))
     return np.asarray(np.arange(length)[(length - 1 - np.arange(length)) % stride == 0])

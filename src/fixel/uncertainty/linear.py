@@ -23,12 +23,12 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 # Steps of fitting model error and covariance to each other; the third changes nothing to speak of.
 ROUNDS: Final = 3
 # Leverage of an outcome on its own prediction, at most.
-MOST_LEVERAGE: Final = 0.9
+MAX_LEVERAGE: Final = 0.9
 # Degrees of freedom of Student's t: from "a mean exists" to "normal".
 FREEDOM: Final = (1.5, 50.0)
 
@@ -214,7 +214,7 @@ def _corrected(
     leverage = weight * np.matmul(np.matmul(white, pull), white.transpose(0, 2, 1))
     values, vectors = np.linalg.eigh(leverage)
     # An outcome that decides an unknown alone has no residual to speak of.
-    keep = 1.0 - np.clip(values, 0.0, MOST_LEVERAGE)
+    keep = 1.0 - np.clip(values, 0.0, MAX_LEVERAGE)
     residual = np.matmul(white, outcomes.residual[:, :, None])
     turned = np.matmul(vectors.transpose(0, 2, 1), residual) / keep[:, :, None] ** power
     return np.asarray(np.matmul(root, np.matmul(vectors, turned))[:, :, 0])

@@ -18,7 +18,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 Batched = Callable[[FloatArray], FloatArray]
 
@@ -76,14 +76,14 @@ class Lockstep:
         self, waiting: list[Any], drawn: Callable[[Any, np.random.Generator], FloatArray]
     ) -> list[Any]:
         """Draw until a point is likelier than the limit, for each proposal."""
-        dice = [_dice(one) for one in waiting]
+        rng = [_dice(one) for one in waiting]
         tries = [0] * len(waiting)
         found: list[Any] = [None] * len(waiting)
         left = list(range(len(waiting)))
         while left:
             each = -(-WORTH // len(left)) if len(left) < WORTH else 1
             slots = [k for k in left for _ in range(each)]
-            unit = np.array([drawn(waiting[k], dice[k]) for k in slots])
+            unit = np.array([drawn(waiting[k], rng[k]) for k in slots])
             points = self._transform(unit)
             values = self._evaluated(points)
             for row, k in enumerate(slots):
@@ -167,18 +167,18 @@ class _Walker:
 def _dice(argument: Any) -> np.random.Generator:
     from dynesty.utils import get_random_generator
 
-    dice: np.random.Generator = get_random_generator(argument.rseed)
-    return dice
+    rng: np.random.Generator = get_random_generator(argument.rseed)
+    return rng
 
 
-def _in_cube(argument: Any, dice: np.random.Generator) -> FloatArray:
-    return np.asarray(dice.uniform(size=argument.kwargs["ndim"]))
+def _in_cube(argument: Any, rng: np.random.Generator) -> FloatArray:
+    return np.asarray(rng.uniform(size=argument.kwargs["ndim"]))
 
 
-def _in_bound(argument: Any, dice: np.random.Generator) -> FloatArray:
+def _in_bound(argument: Any, rng: np.random.Generator) -> FloatArray:
     bound = argument.kwargs["bound"]
     while True:
-        unit = np.asarray(bound.samples(1, rstate=dice)).flatten()
+        unit = np.asarray(bound.samples(1, rstate=rng)).flatten()
         if ((unit > 0.0) & (unit < 1.0)).all():
             return unit
 

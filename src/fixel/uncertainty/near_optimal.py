@@ -13,8 +13,8 @@ import numpy as np
 
 from fixel.calibration.solutions import Solution, find_solutions
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import fraction, non_negative
+from fixel.typing import FloatArray
 
 # Gap between clusters, as a share of the range of what was evaluated.
 GAP: Final = 0.1

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.fan import Fan
 
 FEWEST: Final = 50  # outcomes below which a fan has no shape
@@ -19,7 +19,7 @@ FEWEST: Final = 50  # outcomes below which a fan has no shape
 RARE: Final = 0.01
 # Chance that a gap as wide as one that counts opens in a fan without one.
 FALSE_ALARM: Final = 1e-3
-MOST_OUTCOMES: Final = 8
+MAX_OUTCOMES: Final = 8
 
 # Share of the starts next to the nominal one that the local gain is fitted to.
 LOCAL: Final = 0.25
@@ -208,7 +208,7 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
     least = max(5, math.ceil(RARE * len(cloud)))
     while waiting:
         own = waiting.pop()
-        full = len(done) + len(waiting) + 1 >= MOST_OUTCOMES
+        full = len(done) + len(waiting) + 1 >= MAX_OUTCOMES
         low = None if full else _gap(cloud[own], floor, least)
         if low is None:
             done.append(own)

@@ -18,14 +18,14 @@ import numpy as np
 
 from fixel.calibration.solutions import find_solutions
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.lockstep import Batched, Lockstep
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
 SAMPLES_PER_LIVE: Final = 3.0
 # Fewer would lose a minimum that holds a few percent of the probability.
-FEWEST_LIVE: Final = 250
+MIN_LIVE: Final = 250
 # The proposals in flight; their number changes no answer's correctness, only how many are thrown
 # away because the limit has risen since: about half of this over the number of live points.
 IN_FLIGHT: Final = 32
@@ -37,17 +37,17 @@ ENLARGED: Final = 1.5
 # Evaluations a live point between two fits of the ellipsoids.
 UPDATED: Final = 2.0
 # Up to so many unknowns uniform draws within the bound are cheaper than walks.
-MOST_FOR_UNIFORM: Final = 6
+MAX_FOR_UNIFORM: Final = 6
 # Uniform draws that a new point costs, on average over as many as there are live points, before the
 # run goes on with walks: a rough likelihood fills little of any ellipsoid. A walk takes 20 + n.
 DEAR: Final = 40
 # Runs that are put together, at most, to have as many effective samples as were asked for.
-MOST_RUNS: Final = 6
+MAX_RUNS: Final = 6
 # Share of the probability below which a cluster of samples is not a mode of its own.
-LEAST_MODE: Final = 0.01
+MIN_MODE: Final = 0.01
 # Samples that come back at least, where there are as many effective ones: of fewer, those of one
 # mode are too far from one another to be seen as one.
-FEWEST_BACK: Final = 1000
+MIN_BACK: Final = 1000
 # How often progress is told [s].
 BETWEEN: Final = 0.2
 
@@ -186,16 +186,16 @@ class NestedSampling:
         count = _Count(progress, self.remaining)
         pool = Lockstep(log_likelihood, prior.transform, count)
         runs: list[Any] = []
-        for k in range(MOST_RUNS):
-            dice = np.random.Generator(np.random.PCG64([seed, k]))
-            runs.append(self._run(pool, log_likelihood, prior, dice, count))
+        for k in range(MAX_RUNS):
+            rng = np.random.Generator(np.random.PCG64([seed, k]))
+            runs.append(self._run(pool, log_likelihood, prior, rng, count))
             merged = _merged(runs)
             effective = _kish(merged.importance_weights())
             if effective >= self.samples:
                 break
-        dice = np.random.Generator(np.random.PCG64([seed, MOST_RUNS]))
-        count_back = max(self.samples, min(FEWEST_BACK, int(effective)))
-        rows = equal_weight(merged.importance_weights(), count_back, dice)
+        rng = np.random.Generator(np.random.PCG64([seed, MAX_RUNS]))
+        count_back = max(self.samples, min(MIN_BACK, int(effective)))
+        rows = equal_weight(merged.importance_weights(), count_back, rng)
         samples, values = merged.samples[rows], merged.logl[rows]
         evidence = float(merged.logz[-1])
         information = _information(merged.importance_weights(), merged.logl, evidence)
@@ -222,11 +222,11 @@ class NestedSampling:
         )
 
     def _walks(self, n: int) -> bool:
-        return n > MOST_FOR_UNIFORM if self.walks is None else self.walks
+        return n > MAX_FOR_UNIFORM if self.walks is None else self.walks
 
     def _live(self, n: int) -> int:
         wanted = math.ceil(self.samples / (SAMPLES_PER_LIVE * math.sqrt(0.5 * n)))
-        return max(FEWEST_LIVE, 25 * n, wanted) if self.live is None else self.live
+        return max(MIN_LIVE, 25 * n, wanted) if self.live is None else self.live
 
     def _method(self, n: int, runs: int) -> str:
         how = "random walks" if self._walks(n) else "uniform draws (walks where these are dear)"
@@ -238,7 +238,7 @@ class NestedSampling:
         pool: Lockstep,
         log_likelihood: Batched,
         prior: Any,
-        dice: np.random.Generator,
+        rng: np.random.Generator,
         count: _Count,
     ) -> Any:
         nested = _nested_sampler()
@@ -254,7 +254,7 @@ class NestedSampling:
                 nlive=self._live(n),
                 bound="multi",
                 sample="rwalk" if self._walks(n) else "unif",
-                rstate=dice,
+                rstate=rng,
                 pool=pool,
                 queue_size=min(IN_FLIGHT, max(1, self._live(n) // 4)),
                 use_pool={"prior_transform": False, "update_bound": False},
@@ -308,11 +308,11 @@ class _Count:
         )
 
 
-def equal_weight(weights: FloatArray, count: int, dice: np.random.Generator) -> IntArray:
+def equal_weight(weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
     """Rows (count,) drawn with weights, as evenly as can be (systematic), in random order."""
-    place = (dice.random() + np.arange(count)) / count
+    place = (rng.random() + np.arange(count)) / count
     rows = np.searchsorted(np.cumsum(weights) / np.sum(weights), place)
-    return np.asarray(dice.permutation(np.minimum(rows, len(weights) - 1)))
+    return np.asarray(rng.permutation(np.minimum(rows, len(weights) - 1)))
 
 
 def modes_of(samples: FloatArray, log_likelihood: FloatArray) -> tuple[Mode, ...]:
@@ -327,7 +327,7 @@ def modes_of(samples: FloatArray, log_likelihood: FloatArray) -> tuple[Mode, ...
     found = find_solutions(
         samples, -log_likelihood, scale, threshold=1e300, distance=0.5 * math.sqrt(n)
     )
-    large = [one.members for one in found if one.size >= LEAST_MODE * k] or [np.arange(k)]
+    large = [one.members for one in found if one.size >= MIN_MODE * k] or [np.arange(k)]
     label = np.full(k, -1)
     for number, members in enumerate(large):
         label[members] = number

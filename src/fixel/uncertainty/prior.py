@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
+from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL, ModelError
 
 
@@ -69,6 +69,6 @@ class ParameterPrior:
             return np.asarray(values)
         return np.column_stack((values, self.model_error.transform(unit[:, n])))
 
-    def draw(self, count: int, dice: np.random.Generator) -> FloatArray:
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """(count, n) points from the prior."""
-        return self.transform(dice.random((count, len(self.labels))))
+        return self.transform(rng.random((count, len(self.labels))))

@@ -18,8 +18,8 @@ import numpy as np
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
-from fixel.kernels.arrays import FloatArray
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError, draw_walks
 from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
@@ -58,12 +58,12 @@ def uniformity(ranks: FloatArray, bins: int = BINS) -> float:
     return float(chisquare(count).pvalue)
 
 
-def rank_of(truth: FloatArray, samples: FloatArray, dice: np.random.Generator) -> FloatArray:
+def rank_of(truth: FloatArray, samples: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(n,) ranks of a truth (n,) among samples (k, n), ties broken at random."""
     below = np.sum(samples < truth, axis=0)
     equal = np.sum(samples == truth, axis=0)
-    place = below + np.floor(dice.random(len(truth)) * (equal + 1.0))
-    return np.asarray((place + dice.random(len(truth))) / (len(samples) + 1.0))
+    place = below + np.floor(rng.random(len(truth)) * (equal + 1.0))
+    return np.asarray((place + rng.random(len(truth))) / (len(samples) + 1.0))
 
 
 def calibrate_by_simulation(
@@ -104,11 +104,11 @@ def calibrate_by_simulation(
     prior = ParameterPrior(comparer.space, model_error)
     truths, ranks = [], []
     for k in range(first, first + data_sets):
-        dice = np.random.default_rng([seed, k])
-        truth = prior.draw(1, dice)[0]
-        posterior = _posterior(comparer, truth, prior, noise, chosen, dice, k, threads)
+        rng = np.random.default_rng([seed, k])
+        truth = prior.draw(1, rng)[0]
+        posterior = _posterior(comparer, truth, prior, noise, chosen, rng, k, threads)
         truths.append(truth)
-        ranks.append(rank_of(truth, posterior.samples, dice))
+        ranks.append(rank_of(truth, posterior.samples, rng))
         if progress is not None:
             progress(k + 1 - first, data_sets)
     return Ranks(prior.labels, np.array(truths), np.array(ranks))
@@ -120,12 +120,12 @@ def _posterior(
     prior: ParameterPrior,
     noise: Noise,
     sampling: NestedSampling,
-    dice: np.random.Generator,
+    rng: np.random.Generator,
     number: int,
     threads: int | None,
 ) -> Posterior:
     members = range(len(comparer.targets))
-    measured = [measured_path(comparer, m, truth, prior, noise, dice) for m in members]
+    measured = [measured_path(comparer, m, truth, prior, noise, rng) for m in members]
     targets = [
         target._replace(pose=pose) for target, pose in zip(comparer.targets, measured, strict=True)
     ]
@@ -147,7 +147,7 @@ def measured_path(
     truth: FloatArray,
     prior: ParameterPrior,
     noise: Noise,
-    dice: np.random.Generator,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """(n_sample, 3) what a camera would see of an experiment under a truth (n,)."""
     target = comparer.targets[member]
@@ -158,7 +158,7 @@ def measured_path(
     path = outcome.pose[0, : len(target.pose)]
     if prior.model_error is not None:
         share = expected_shares(comparer, member, prior.model_error, path)
-        path = path + draw_walks(share, truth[-1:], prior.model_error.sides, dice)[0]
-    seen = path + dice.standard_normal(path.shape) * noise.standard_deviations
+        path = path + draw_walks(share, truth[-1:], prior.model_error.sides, rng)[0]
+    seen = path + rng.standard_normal(path.shape) * noise.standard_deviations
     seen[:, 2] = wrapped(seen[:, 2])
     return np.asarray(seen)

@@ -11,13 +11,13 @@ from typing import Final, Literal, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.fields import non_negative, settle
+from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
 KINDS: Final = ("uniform", "normal")
 
-MOST_STARTS: Final = 1_000_000
+MAX_STARTS: Final = 1_000_000
 
 
 @final
@@ -120,8 +120,8 @@ def even_points(n: int, dimensions: int, seed: int) -> FloatArray:
     """(n, dimensions) points that fill the unit cube evenly: a scrambled Sobol sequence."""
     from scipy.stats import qmc
 
-    if isinstance(n, bool) or not 1 <= n <= MOST_STARTS:
-        raise InvalidInput("samples", found=n, expected=f"a whole number from 1 to {MOST_STARTS}")
+    if isinstance(n, bool) or not 1 <= n <= MAX_STARTS:
+        raise InvalidInput("samples", found=n, expected=f"a whole number from 1 to {MAX_STARTS}")
     power = math.ceil(math.log2(n)) if n > 1 else 0
     cube = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
     return np.asarray(cube.random_base2(power)[:n], np.float64)

@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray, positive, settle
+from fixel.model.fields import positive, settle
+from fixel.typing import FloatArray
 from fixel.vision.opencv import opencv
 
 Gray = NDArray[np.uint8]
 Picture = NDArray[np.uint8]
 
-LEAST_OTHERS: Final = 3  # tags of another dictionary that are no chance
-LEAST_CORNERS: Final = 8  # of one picture; a pose has six unknowns, a corner two numbers
+MIN_OTHERS: Final = 3  # tags of another dictionary that are no chance
+MIN_CORNERS: Final = 8  # of one picture; a pose has six unknowns, a corner two numbers
 DICTIONARIES: Final = {"4x4": 50, "5x5": 100, "6x6": 250}  # how many tags of each there are
 UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 SHAPE: Final = (
@@ -111,7 +112,7 @@ class Board:
         """
         gray = gray_of(picture)
         found = self._find_tagged(gray) if self.marker else self._find_plain(gray)
-        if found is None or len(found.pixels) < LEAST_CORNERS:
+        if found is None or len(found.pixels) < MIN_CORNERS:
             self._refuse(gray, 0 if found is None else len(found.pixels))
         assert found is not None
         return found
@@ -119,7 +120,7 @@ class Board:
     def _refuse(self, gray: Gray, count: int) -> None:
         if self.marker:
             mirrored = self._find_tagged(np.ascontiguousarray(gray[:, ::-1]))
-            if mirrored is not None and len(mirrored.pixels) >= max(LEAST_CORNERS, count + 1):
+            if mirrored is not None and len(mirrored.pixels) >= max(MIN_CORNERS, count + 1):
                 raise InvalidInput(
                     "picture",
                     found="a mirrored board",
@@ -138,7 +139,7 @@ class Board:
         raise InvalidInput(
             "picture",
             found=f"{count} of {inner} corners" if count else "no such board",
-            expected=f"a sharp view of at least {LEAST_CORNERS} of its {inner} corners"
+            expected=f"a sharp view of at least {MIN_CORNERS} of its {inner} corners"
             if self.marker
             else f"a sharp view of all {inner} inner corners, white all round",
         )
@@ -161,7 +162,7 @@ class Board:
             ids = aruco.ArucoDetector(tags).detectMarkers(gray)[1]
             counts[name] = 0 if ids is None else len(ids)
         most = max(counts, key=lambda name: counts[name])
-        return most if most != self.dictionary and counts[most] > LEAST_OTHERS else ""
+        return most if most != self.dictionary and counts[most] > MIN_OTHERS else ""
 
     def _find_plain(self, gray: Gray) -> Corners | None:
         cv2 = opencv()

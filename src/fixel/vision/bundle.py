@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, FOCAL
 

@@ -10,26 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Corners, Picture
 from fixel.vision.bundle import BundleFit, PointObservations, fit, lens_with
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
 from fixel.vision.opencv import opencv
 
-LEAST_PICTURES: Final = 4
-LEAST_TILT: Final = 8.0  # [deg] between two boards, or the focal length is anyone's guess
+MIN_PICTURES: Final = 4
+MIN_TILT: Final = 8.0  # [deg] between two boards, or the focal length is anyone's guess
 LOOSE_FOCAL: Final = 0.03  # relative standard deviation from which on a calibration is refused
 FAR_OUT: Final = 5.0  # of robust standard deviations, from which on a corner is a wrong one
 WORSE: Final = 3.0  # times the usual, from which on a picture is dropped
 TOLERABLE: Final = 0.3  # [px] a picture as good as this is never dropped
 COEFFICIENTS: Final = 5  # k1, k2, p1, p2, k3
-MOST_COEFFICIENTS: Final = 8
+MAX_COEFFICIENTS: Final = 8
 FEWER: Final = (4,)  # numbers of coefficients that are compared with these
 FEW_COEFFICIENTS: Final = 4
 FOLDS: Final = 3
 NEAR_STEPS: Final = 6  # of fits that begin at that of all pictures
-LEAST_TO_HOLD_OUT: Final = 8  # pictures
+MIN_TO_HOLD_OUT: Final = 8  # pictures
 CELLS: Final = 16  # across the picture, of the map of where boards were seen
 
 
@@ -99,7 +99,7 @@ class LensCalibration:
         Of all residuals along each axis [px].
     unseen : dict of int to float
         Root mean square of residuals in pictures that the lens was found without [px], by number
-        of distortion coefficients; empty with fewer than `LEAST_TO_HOLD_OUT` pictures, and where
+        of distortion coefficients; empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where
         the number was given.
     """
 
@@ -157,7 +157,7 @@ def calibrate_lens(
         How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Left
         out, 5 are found, or 8 where pictures that were left out say that 5 are too few: fewer would
         fit as well in the middle, and hide how little is known of the corners of the picture. With
-        `fisheye` or fewer than `LEAST_TO_HOLD_OUT` pictures, 4.
+        `fisheye` or fewer than `MIN_TO_HOLD_OUT` pictures, 4.
     fisheye : bool
         The model of Kannala and Brandt in place of Brown's.
 
@@ -181,9 +181,9 @@ def calibrate_lens(
         del left[worst]
     found, sight, wrong = _without_wrong_corners(found, sight, names)
     unseen: dict[int, float] = {}
-    if coefficients is None and not fisheye and len(left) >= LEAST_TO_HOLD_OUT:
+    if coefficients is None and not fisheye and len(left) >= MIN_TO_HOLD_OUT:
         unseen, more = _held_out(found, sight)
-        for count in (MOST_COEFFICIENTS, COEFFICIENTS) if more else (COEFFICIENTS,):
+        for count in (MAX_COEFFICIENTS, COEFFICIENTS) if more else (COEFFICIENTS,):
             wider = fit(
                 found.lens, _names(count, False), found.rotations, found.translations, sight
             )
@@ -215,7 +215,7 @@ def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, flo
     twice their standard error.
     """
     n_view = len(found.rotations)
-    squares = {count: np.zeros(n_view) for count in (*FEWER, COEFFICIENTS, MOST_COEFFICIENTS)}
+    squares = {count: np.zeros(n_view) for count in (*FEWER, COEFFICIENTS, MAX_COEFFICIENTS)}
     for count, own in squares.items():
         names = _names(count, False)
         kept = names[4:]
@@ -233,7 +233,7 @@ def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, flo
             residuals = places.residuals
             sums = np.bincount(left.view, (residuals**2).mean(axis=1), minlength=int(out.sum()))
             own[out] = sums / np.bincount(left.view, minlength=int(out.sum()))
-    gain = squares[COEFFICIENTS] - squares[MOST_COEFFICIENTS]
+    gain = squares[COEFFICIENTS] - squares[MAX_COEFFICIENTS]
     error = float(gain.std(ddof=1)) / np.sqrt(n_view)
     return {count: float(np.sqrt(own.mean())) for count, own in squares.items()}, bool(
         gain.mean() > 2.0 * error
@@ -291,13 +291,13 @@ def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
 
 
 def _refuse_few(views: Sequence[BoardView], dropped: Sequence[SkippedPicture]) -> None:
-    if len(views) >= LEAST_PICTURES:
+    if len(views) >= MIN_PICTURES:
         return
     reasons = "; ".join(f"{each.name}: {each.reason}" for each in dropped[:3])
     raise InvalidInput(
         "pictures",
         found=f"{len(views)} with a usable board" + (f" ({reasons})" if reasons else ""),
-        expected=f"at least {LEAST_PICTURES}; 10 to 20 are good",
+        expected=f"at least {MIN_PICTURES}; 10 to 20 are good",
         hint="is the board the one that was named? see: fixel camera board --help"
         if dropped
         else "take more, tilted by 20 to 40 degrees, some in every corner of the picture",
@@ -319,11 +319,11 @@ def _refuse_parallel(views: Sequence[BoardView], size: tuple[int, int]) -> None:
         normals.append(normal / np.linalg.norm(normal) * np.sign(normal[2]))
     between = np.array(normals) @ np.array(normals).T
     most = float(np.degrees(np.arccos(np.clip(between.min(), -1.0, 1.0))))
-    if most < LEAST_TILT:
+    if most < MIN_TILT:
         raise InvalidInput(
             "pictures",
             found=f"boards within {most:.1f} degrees of parallel",
-            expected=f"boards tilted against each other by more than {LEAST_TILT:g} degrees",
+            expected=f"boards tilted against each other by more than {MIN_TILT:g} degrees",
             hint="tilt the board by 20 to 40 degrees to the left, right, top and bottom",
         )
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, FloatArray, frozen, settle, vector
+from fixel.model.fields import Comparable, frozen, settle, vector
+from fixel.typing import FloatArray
 from fixel.vision.lens import Lens
 
 ORTHONORMAL = 1e-6

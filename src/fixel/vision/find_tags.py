@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.boards import Gray, Picture, gray_of
 from fixel.vision.marks import Tag
 from fixel.vision.tracking.edges import EdgeLine, find_edges
@@ -16,7 +16,7 @@ from fixel.vision.tracking.tag_reader import read_tags
 
 ALONG: Final = np.linspace(0.12, 0.88, 16)  # of a side, where its edge is looked for
 REACH: Final = 4.0  # [px] from where it was roughly found
-LEAST_ON_A_SIDE: Final = 6
+MIN_ON_A_SIDE: Final = 6
 
 
 def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:
@@ -70,7 +70,7 @@ def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
         outwards = np.array([along[1], -along[0]])  # clockwise in the picture, black inside
         pixels = start + ALONG[:, None] * (end - start)
         edge = find_edges(gray, EdgeLine(pixels, np.tile(outwards, (len(ALONG), 1))), REACH)
-        if edge.clear.sum() < LEAST_ON_A_SIDE:
+        if edge.clear.sum() < MIN_ON_A_SIDE:
             return None
         on_it = (pixels + edge.offset[:, None] * outwards)[edge.clear]
         middle = np.median(on_it, axis=0)

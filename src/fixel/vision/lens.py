@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, FloatArray, frozen, settle, vector
+from fixel.model.fields import Comparable, frozen, settle, vector
+from fixel.typing import FloatArray
 
 # From a start without distortion Newton's method needs four or five steps in any picture a lens
 # can make; where light comes from nowhere it wanders.

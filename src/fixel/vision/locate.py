@@ -7,7 +7,7 @@ from typing import Final, final
 
 from fixel.errors import InvalidInput
 from fixel.model import Scene
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import Sighting

@@ -7,16 +7,8 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    FloatArray,
-    instance,
-    name_of,
-    non_negative,
-    positive,
-    settle,
-    vector,
-)
+from fixel.model.fields import Comparable, instance, name_of, non_negative, positive, settle, vector
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.measured_camera import MeasuredCamera
 

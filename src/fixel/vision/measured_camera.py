@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, FloatArray, frozen, instance, positive, settle
+from fixel.model.fields import Comparable, frozen, instance, positive, settle
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 

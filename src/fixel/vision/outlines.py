@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.model.fields import FloatArray
 from fixel.model.shape import Shape, placed
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray, vector
+from fixel.model.fields import vector
+from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Picture, gray_of
 from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
 from fixel.vision.camera import Camera
@@ -24,7 +25,7 @@ from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking.tag_reader import other_families, tag_corners
 
-LEAST_TAGS: Final = 2
+MIN_TAGS: Final = 2
 UNEVEN: Final = 0.2  # of the spread of tags' edges, by which it differs from corner to corner
 WRONG: Final = 3e-3  # [m] from here on a point is not where it is said to be
 WORST_PIXELS: Final = 3.0  # [px] of the root mean square: this is another board, or another lens
@@ -87,14 +88,14 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
     """The place of a camera from tags fixed to the plate, at poses of the world."""
     _refuse_size(measured.lens, picture)
     found = find_tags(picture, tags)
-    if len(found) < LEAST_TAGS:
+    if len(found) < MIN_TAGS:
         seen = ", ".join(str(tags[k].id) for k in found) or "none"
         others = other_families(gray_of(picture), {tag.family for tag in tags})
         raise InvalidInput(
             "picture",
             found=f"{seen} of the {len(tags)} tags of the plate"
             + (f", but {others}" if others else ""),
-            expected=f"at least {LEAST_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
+            expected=f"at least {MIN_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
             hint="is the plate lit and in full view?",
         )
     corners = [(tags[k], tag_corners(tags[k]), pixels) for k, pixels in found.items()]

@@ -10,7 +10,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.bundle import lens_with, turned, values_of
 from fixel.vision.camera import Camera
 from fixel.vision.measured_camera import FOCAL, PLACE, MeasuredCamera

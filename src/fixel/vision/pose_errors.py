@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.plane_errors import slope_of
 

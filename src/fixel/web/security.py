@@ -26,7 +26,7 @@ from fixel.web.problems import Refusal, answer
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 WORD_HEADER: Final = "x-fixel-word"  # carries the word of our own pages
 SAFE_METHODS: Final = ("GET", "HEAD", "OPTIONS")
-MOST_BODY: Final = 2 * 1024 * 1024  # [byte] of a request
+MAX_BODY: Final = 2 * 1024 * 1024  # [byte] of a request
 
 HEADERS: Final = {
     # Everything comes from here, and no script or style is written into a page.
@@ -181,7 +181,7 @@ class Guard:
 class BodyLimit:
     """Refuses requests whose body is longer than anything this interface asks for."""
 
-    def __init__(self, app: ASGIApp, most: int = MOST_BODY) -> None:
+    def __init__(self, app: ASGIApp, most: int = MAX_BODY) -> None:
         self.app = app
         self.most = most
 
@@ -214,7 +214,7 @@ WRONG_TOKEN: Final = (
     "This is not the token of this server.",
     "It is in the link that fixel printed when it started, behind token=",
 )
-TOO_LONG: Final = ("This request is too long.", f"At most {MOST_BODY // 1024**2} MB are taken.")
+TOO_LONG: Final = ("This request is too long.", f"At most {MAX_BODY // 1024**2} MB are taken.")
 
 
 def _refusal(scope: Scope, status: int, words: tuple[str, str]) -> Response:

@@ -23,7 +23,7 @@ from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import each_readable, readable
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
 Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]

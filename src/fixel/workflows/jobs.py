@@ -42,7 +42,7 @@ JOBS: Final = "jobs"  # folder of a project
 COORDINATOR: Final = "fixel.jobs.coordinator"
 # What travels with a packed job: nothing that is of one machine or secret.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
-_MOST_BYTES: Final = 50_000_000_000
+_MAX_BYTES: Final = 50_000_000_000
 
 
 @final
@@ -296,8 +296,8 @@ def _refuse_strange(file: Path, members: list[zipfile.ZipInfo]) -> None:
             raise InvalidInput(str(file), found=f"a file {name!r}", expected="a packed job")
     if "job.json" not in names or len(set(names)) < len(names):
         raise InvalidInput(str(file), found="something else", expected="a packed job")
-    if sum(member.file_size for member in members) > _MOST_BYTES:
-        raise InvalidInput(str(file), found="too much", expected=f"at most {_MOST_BYTES} bytes")
+    if sum(member.file_size for member in members) > _MAX_BYTES:
+        raise InvalidInput(str(file), found="too much", expected=f"at most {_MAX_BYTES} bytes")
 
 
 def _refuse_running(folder: Path) -> None:

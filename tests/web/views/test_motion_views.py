@@ -13,7 +13,7 @@ from fixel.web.views.motion_views import contacts_of, simulated_motion, story_of
 
 SAMPLES = 440  # as a page shows a run of this length
 CARRIED = 3e-4  # [m]: half a sample at the speed of the pusher, and what slides within a step
-LONGEST_STEP = 5e-3  # [m] of the pusher
+MAX_STEP = 5e-3  # [m] of the pusher
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_contact_points_lie_between_the_two_at_every_sample(simulation, story):
             apart.append(abs(gap(point, (*place, 0.0), thing.shape, pose).distance))
     # A step in which two meet has its force from its start on, where they are still apart.
     assert np.quantile(apart, 0.9) < CARRIED
-    assert max(apart) < LONGEST_STEP
+    assert max(apart) < MAX_STEP
 
 
 def test_forces_are_those_of_the_simulation_and_push_the_part_away(simulation, story):

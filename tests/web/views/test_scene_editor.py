@@ -53,7 +53,7 @@ def test_what_a_page_cannot_bear_is_refused_where_it_stands(change, where):
 
 
 def test_many_corners_points_and_waypoints_are_refused():
-    angle = np.linspace(0.0, 2.0 * np.pi, scene_editor.MOST_CORNERS + 2)[:-1]
+    angle = np.linspace(0.0, 2.0 * np.pi, scene_editor.MAX_CORNERS + 2)[:-1]
     scene = scene_editor.example("grasp")
     scene["bodies"][0]["shape"] = {
         "polygon": (0.05 * np.column_stack((np.cos(angle), np.sin(angle)))).tolist()

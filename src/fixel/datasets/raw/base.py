@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Disk, Polygon, Shape
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from fixel.typing import FloatArray
 
 # Corners of the polygon that stands for an ellipse: at most 0.02 mm inside one of 65 mm.
 ELLIPSE_CORNERS = 128
@@ -28,9 +26,9 @@ MM = 1e-3
 
 # What a file may hold at most, unpacked, and one line of it [characters]: a few kilobytes of gzip
 # can unpack to more than the memory holds.
-LARGEST_FILE = 500_000_000
-LONGEST_LINE = 1_000_000
-MOST_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
+MAX_FILE = 500_000_000
+MAX_LINE = 1_000_000
+MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
 
 
 @final
@@ -121,14 +119,14 @@ def read_table(path: Path) -> CsvRows:
 
 def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
     """The lines of a file, or a refusal once they are more than a table of readings can be."""
-    left = LARGEST_FILE
-    while line := stream.readline(LONGEST_LINE):
+    left = MAX_FILE
+    while line := stream.readline(MAX_LINE):
         left -= len(line)
-        if left < 0 or len(line) == LONGEST_LINE:
+        if left < 0 or len(line) == MAX_LINE:
             raise InvalidInput(
                 source,
-                found=f"a line of {LONGEST_LINE} characters" if left >= 0 else "more",
-                expected=f"at most {LARGEST_FILE // 10**6} million characters, unpacked",
+                found=f"a line of {MAX_LINE} characters" if left >= 0 else "more",
+                expected=f"at most {MAX_FILE // 10**6} million characters, unpacked",
             )
         yield line
 
@@ -138,9 +136,9 @@ def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
     kept, cells = [], 0
     for row in rows:
         cells += len(row) + 1  # an empty row takes room too
-        if cells > MOST_CELLS:
+        if cells > MAX_CELLS:
             raise InvalidInput(
-                source, found="more", expected=f"at most {MOST_CELLS // 10**6} million cells"
+                source, found="more", expected=f"at most {MAX_CELLS // 10**6} million cells"
             )
         kept.append(row)
     return kept
@@ -149,7 +147,7 @@ def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
 def read_json(path: Path) -> dict[str, Any]:
     """One JSON object of a file."""
     try:
-        if path.stat().st_size > LARGEST_FILE:
+        if path.stat().st_size > MAX_FILE:
             raise ValueError(f"{path.stat().st_size} bytes")
         content = json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:

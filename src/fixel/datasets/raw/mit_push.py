@@ -13,18 +13,10 @@ from typing import Any, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.raw.base import (
-    MM,
-    CsvRows,
-    FloatArray,
-    ellipse,
-    member,
-    only_file,
-    read_json,
-    read_table,
-)
+from fixel.datasets.raw.base import MM, CsvRows, ellipse, member, only_file, read_json, read_table
 from fixel.errors import InvalidInput
 from fixel.model import Polygon, Shape
+from fixel.typing import FloatArray
 
 PUSHES = ("pushes.csv.gz", "pushes.csv")
 SHAPES = "shapes.json"

@@ -12,17 +12,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.datasets.raw.base import (
-    MM,
-    BoolArray,
-    FloatArray,
-    increasing,
-    member,
-    read_json,
-    read_table,
-)
+from fixel.datasets.raw.base import MM, increasing, member, read_json, read_table
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Polygon, Trajectory
+from fixel.typing import BoolArray, FloatArray
 
 SHAPES = "shapes.json"
 RUNS = "cpush_*.csv*"

@@ -14,9 +14,10 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.raw.base import MM, FloatArray, increasing, member, read_json, read_table
+from fixel.datasets.raw.base import MM, increasing, member, read_json, read_table
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Parameters, Polygon
+from fixel.typing import FloatArray
 
 EXPERIMENTS = "experiments.csv"
 FRAME_RATE = 30.0  # of the overhead camera [1/s]

@@ -10,8 +10,8 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.picture import save_filled
-from fixel.kernels.arrays import FloatArray
 from fixel.reproductions.charts.replay import SHOWN, WIDE, refuse_file
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,7 +19,7 @@ from fixel.drawing.chart import (
     log_scale,
     sheet,
 )
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,8 +11,8 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.picture import save_filled
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,8 +11,8 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import AbstractChart, draw_chart
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
-from fixel.kernels.arrays import FloatArray
 from fixel.model import placed
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

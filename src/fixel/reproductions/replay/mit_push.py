@@ -29,15 +29,9 @@ from fixel.reproductions.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.report import (
-    FloatArray,
-    Progress,
-    Replay,
-    Row,
-    Timing,
-    mean_and_median,
-)
+from fixel.reproductions.replay.report import Progress, Replay, Row, Timing, mean_and_median
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
+from fixel.typing import FloatArray
 
 # Nothing here is fitted: friction at the tip as in the published simulator, even pressure. Friction
 # of the plane drops out of quasi-static motion.
@@ -45,7 +39,7 @@ NOMINAL = {"mu_pusher": 0.25, "mu_support": 0.3, "support_points": 64}
 
 # Beyond these a record does not fit its own geometry (the dataset's README) [m].
 LARGEST_GAP = 3e-3
-LARGEST_STROKE_ERROR = 1e-3
+MAX_STROKE_ERROR = 1e-3
 
 # Shares of the pushes that are nearer than those drawn as examples.
 EXAMPLES_AT = (0.25, 0.5, 0.75, 0.9)
@@ -158,7 +152,7 @@ def _usable(data: MitPushes, choice: ReplayRequest) -> tuple[NDArray[np.intp], d
     """Rows to replay, and how many were left out for which reason."""
     fits = matching(data.table.columns, choice.select, len(data))
     astray = (np.abs(data.gap_start) > LARGEST_GAP) | (data.gap_end < -LARGEST_GAP)
-    short = np.abs(data.stroke - STROKE) > LARGEST_STROKE_ERROR
+    short = np.abs(data.stroke - STROKE) > MAX_STROKE_ERROR
     reasons = {
         "gap at the start beyond 3 mm or at the end below -3 mm": astray,
         "stroke off 50 mm by more than 1 mm": short & ~astray,

@@ -30,16 +30,9 @@ from fixel.reproductions.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.report import (
-    FloatArray,
-    Progress,
-    Replay,
-    Row,
-    Timing,
-    mean_and_median,
-    rms,
-)
+from fixel.reproductions.replay.report import Progress, Replay, Row, Timing, mean_and_median, rms
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
+from fixel.typing import FloatArray
 
 # Friction as in the authors' model of their rig; masses of 13 mm of steel: 10000 kg/m^3 for rect1
 # as they have it, the plate of the MIT push dataset for the hexagon.
@@ -49,7 +42,7 @@ MASSES = {"rect1": 10_000.0 * 0.09 * 0.09 * 0.013, "hex": 0.983}
 GRAVITY = 9.81  # [m/s^2]
 
 # How far an object slides on once it is let go decides whether inertia counts [m].
-LONGEST_COAST = 1e-3
+MAX_COAST = 1e-3
 
 # A window is left out where the tip starts deeper in the object than this: the tracker had lost
 # it; or where the tip is farther than this for half of the time: nothing is pushed [m].
@@ -172,7 +165,7 @@ def usual_motion(run: PushRun, mu_support: float) -> str:
     way = float(np.hypot(*np.diff(run.pusher[:, 1:], axis=0).T).sum())
     speed = run.commanded_speed or way / float(np.ptp(run.pusher[:, 0]))
     coast = speed**2 / (2.0 * mu_support * GRAVITY) if mu_support > 0.0 else np.inf
-    return "dynamic" if coast > LONGEST_COAST else "quasistatic"
+    return "dynamic" if coast > MAX_COAST else "quasistatic"
 
 
 def _window(run: PushRun, number: int, begin: float, end: float) -> RunWindow:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
 Row = dict[str, Any]
 
 # Length by which angles count in the error of the thesis [m/rad] (section 5.1: "a scale of 35").

@@ -28,16 +28,9 @@ from fixel.reproductions.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.report import (
-    ANGLE_LENGTH,
-    FloatArray,
-    Progress,
-    Replay,
-    Row,
-    Timing,
-    rms,
-)
+from fixel.reproductions.replay.report import ANGLE_LENGTH, Progress, Replay, Row, Timing, rms
 from fixel.simulation import Simulation, StewartTrinkle, simulate
+from fixel.typing import FloatArray
 
 GRAVITY = 9.81  # [m/s^2]
 

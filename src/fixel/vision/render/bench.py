@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.model import Scene
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow

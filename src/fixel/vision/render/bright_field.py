@@ -9,8 +9,8 @@ import numpy as np
 
 from fixel.model import Body, Disk, Pusher, Scene
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of

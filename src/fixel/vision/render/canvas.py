@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.render.fill import cover_most, paint
 
 FloatPicture = NDArray[np.float32]

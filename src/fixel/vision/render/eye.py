@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 
 # How far outside the picture points may be, as factors of the way from its middle to its corners.

@@ -9,8 +9,8 @@ Source: the accumulation buffers of R. Levien's font-rs (2015) and S. Barrett's 
 
 import math
 
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.kernels.jit import entry, kernel
+from fixel.typing import FloatArray, IntArray
 
 
 @entry

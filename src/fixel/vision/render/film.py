@@ -10,8 +10,8 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Scene, Trajectory
-from fixel.model.fields import FloatArray
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render.bench import HAND, Poses, RenderedBench
@@ -22,7 +22,7 @@ from fixel.vision.render.looks import Looks, light
 from fixel.vision.render.sensor import Sensor
 
 STRIDE: Final = 0.4  # [px] between instants of one exposure
-MOST_INSTANTS: Final = 6
+MAX_INSTANTS: Final = 6
 
 Motion = Simulation | Mapping[str, Trajectory]
 
@@ -120,5 +120,5 @@ def _instants(
         return [time]
     ends = np.array([time - 0.5 * exposure, time + 0.5 * exposure])
     way = max(float(np.hypot(*np.diff(track.at(ends), axis=0)[0, :2])) for track in tracks.values())
-    count = min(max(1, ceil(way / pixel / STRIDE)), MOST_INSTANTS)
+    count = min(max(1, ceil(way / pixel / STRIDE)), MAX_INSTANTS)
     return [time + exposure * ((k + 0.5) / count - 0.5) for k in range(count)]

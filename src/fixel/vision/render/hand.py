@@ -8,8 +8,9 @@ import numpy as np
 
 from fixel.model import Shape
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray, frozen
+from fixel.model.fields import frozen
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.render.canvas import cover
 from fixel.vision.render.eye import Eye

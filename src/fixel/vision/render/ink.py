@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.marks import Mark, Tag
 from fixel.vision.opencv import opencv
 from fixel.vision.render.solids import Ink, circle, polygon

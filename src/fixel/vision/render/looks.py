@@ -11,7 +11,8 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray, fraction, non_negative, settle
+from fixel.model.fields import fraction, non_negative, settle
+from fixel.typing import FloatArray
 
 LIGHTINGS: Final = ("above", "through")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.kernels.jit import entry
 from fixel.model.chance import stream
+from fixel.typing import FloatArray
 from fixel.vision.frame import Picture
 from fixel.vision.render.canvas import FloatPicture
 from fixel.vision.render.looks import Looks

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.eye import Eye

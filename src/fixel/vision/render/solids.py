@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.model import Disk, Shape
-from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, window_of
 from fixel.vision.render.eye import Eye
 

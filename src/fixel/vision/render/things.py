@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Shape
 from fixel.model.chance import stream
-from fixel.model.fields import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture

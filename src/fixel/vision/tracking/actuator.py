@@ -6,12 +6,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
 SMOOTH: Final = 0.25  # [s] to either side, that a speed is told from
 STEADY: Final = 0.05  # of the cruising speed, that a steady one may differ by
 MOVING: Final = 0.3  # of the largest speed: below, it stands
-LEAST_TRAVEL: Final = 8.0  # standard deviations of a position, below which nothing moved
+MIN_TRAVEL: Final = 8.0  # standard deviations of a position, below which nothing moved
 
 
 class ActuatorMotion(NamedTuple):
@@ -66,7 +66,7 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> ActuatorMoti
     farthest = int(np.argmax(away))  # where it ends, unless it goes home before the film ends
     way, travel = place[farthest] - place[0], float(away[farthest])
     still = ActuatorMotion(np.zeros(len(time)), 0.0, np.zeros(2), travel, time[0], time[-1], False)
-    if len(time) < 8 or travel < LEAST_TRAVEL * noise:
+    if len(time) < 8 or travel < MIN_TRAVEL * noise:
         return still
     direction = way / travel
     along = place @ direction

@@ -9,9 +9,9 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Body, Pusher
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 

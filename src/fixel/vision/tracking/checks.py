@@ -10,14 +10,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
 from fixel.model.shape import placed
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import place_covariance, radius95
-from fixel.vision.tracking.outline import LEAST_SCATTER, fit_pose, window_of
+from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges
 
@@ -25,7 +24,7 @@ MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
 CERTAIN: Final = 1.6  # times the radius of 95 %: four standard deviations
 FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
 ABOVE: Final = 0.03  # [m], about where marks are
-LEAST_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
+MIN_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
 DARK, WHITE = 45.0, 234.0  # of brightness; videos may have 16 for black, and 235 for white
 PLATE_EVERY: Final = 15  # frames between two looks at the plate
 UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera has moved"
@@ -225,11 +224,11 @@ def registered(rig: Rig, frame: Frame) -> Rig:
     rough = {
         tag: found[tag.family, tag.id][0] for tag in rig.plate if (tag.family, tag.id) in found
     }
-    if len(rough) < LEAST_TAGS:
+    if len(rough) < MIN_TAGS:
         raise InvalidInput(
             "camera",
             found=f"{len(rough)} tags of the plate in the picture",
-            expected=f"at least {LEAST_TAGS} to find the camera's place from, near the corners",
+            expected=f"at least {MIN_TAGS} to find the camera's place from, near the corners",
         )
     camera = _placed(rig.camera, rough)[0]
     exact = {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
@@ -285,7 +284,7 @@ def _placed(
     rest = float(np.sqrt(np.mean(fitted.fun**2)))
     found = at(fitted.x)
     if exact:
-        _refuse_vague(found, at, fitted.x, np.asarray(fitted.jac), max(rest, LEAST_SCATTER))
+        _refuse_vague(found, at, fitted.x, np.asarray(fitted.jac), max(rest, MIN_SCATTER))
     return found, rest
 
 

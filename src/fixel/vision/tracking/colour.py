@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Sticker
@@ -28,8 +28,8 @@ HUES: Final = {
     "magenta": 310.0,
 }
 HUE_SLACK: Final = 30.0  # [deg]
-LEAST_SATURATION: Final = 75  # of 255
-LEAST_BRIGHTNESS: Final = 35  # of 255
+MIN_SATURATION: Final = 75  # of 255
+MIN_BRIGHTNESS: Final = 35  # of 255
 AREA: Final = (0.45, 1.8)  # of what it should be, for what might be a sticker
 ROUND: Final = 0.6  # least share of its box, and of the box's sides, of something round
 RIM: Final = 14.0  # [px] around a sticker that is looked at
@@ -66,7 +66,7 @@ def find_patches(
     hue, saturation, value = np.moveaxis(
         cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_BGR2HSV), -1, 0
     )
-    coloured = (saturation >= LEAST_SATURATION) & (value >= LEAST_BRIGHTNESS)
+    coloured = (saturation >= MIN_SATURATION) & (value >= MIN_BRIGHTNESS)
     kind = _nearest_hue(tuple(sticker.colour for sticker in stickers))[hue]
     found: dict[str, list[Patch]] = {}
     for index, sticker in enumerate(stickers):

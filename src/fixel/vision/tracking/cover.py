@@ -10,7 +10,7 @@ from fixel.vision.frame import Gray, Picture
 CORE, RING = 0.55, (1.35, 1.75)  # of the radius: surely inside, surely outside
 CONTRAST = 25.0  # of 255 between a sticker and what is around it
 COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
-LEAST_INSIDE, LEAST_AROUND = 4, 8  # pixels that tell a colour
+MIN_INSIDE, MIN_AROUND = 4, 8  # pixels that tell a colour
 
 
 @entry
@@ -36,7 +36,7 @@ def cover(window: Picture, u: float, v: float, radius: float, covered: Gray) -> 
                 n_around += 1
                 for k in range(3):
                     around[k] += window[y, x, k]
-    if n_inside < LEAST_INSIDE or n_around < LEAST_AROUND:
+    if n_inside < MIN_INSIDE or n_around < MIN_AROUND:
         return False
     inside /= n_inside
     around /= n_around

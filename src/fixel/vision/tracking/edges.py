@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.frame import Gray
 from fixel.vision.tracking.loops import edges_along
 

@@ -7,8 +7,8 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Fixel
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
@@ -23,8 +23,8 @@ RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
 WIDEST, NARROWEST = 1.1, 0.5
 LOOKS: Final = 4  # at a ring, each with the radius of the one before
 SAME: Final = 0.02  # [px] of a radius, below which another look adds nothing
-LEAST_SHARE: Final = 0.45  # of a ring
-MOST_RESIDUAL: Final = 0.5  # [px]
+MIN_SHARE: Final = 0.45  # of a ring
+MAX_RESIDUAL: Final = 0.5  # [px]
 LEAST: Final = 3  # frames that a place is worth something from
 
 Ring = tuple[float, bool]  # share of the radius, whether it is dark inside
@@ -86,7 +86,7 @@ class FixelFinder:
             pose, reach = fit.pose, REACH
             if abs(wider) < SAME:
                 break
-        if fit is None or fit.share < LEAST_SHARE or fit.residual > MOST_RESIDUAL:
+        if fit is None or fit.share < MIN_SHARE or fit.residual > MAX_RESIDUAL:
             return None
         return fit, (share, dark)
 

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Scene
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.pose_errors import pose_covariance

@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
 from fixel.model.trajectory import wrapped
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.tracking.base import Sighting
 from fixel.vision.tracking.tracked import PartTrack
 

@@ -7,16 +7,15 @@ import math
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.kernels.jit import entry, kernel
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.frame import Gray
 
 STEP = 0.5  # [px] between readings along a normal
 WINDOW = 2.6  # [px] to either side of an edge that its rise is looked for in
 SHIFTS = 4  # of that window onto the centre of what is in it
 BESIDE = 2.5  # [px] from an edge to where its dark and its bright side are judged
-LEAST_RISE = 12.0  # of brightness, of 255, below which nothing is an edge
+MIN_RISE = 12.0  # of brightness, of 255, below which nothing is an edge
 
 NUDGE = 1e-5  # [m], for derivatives of pixels by places
 
@@ -82,7 +81,7 @@ def edges_along(
             k = int(min(max(place, 1), m - 2))
             found[i, 1 + side] = (profile[k - 1] + profile[k] + profile[k + 1]) / 3.0
         clear[i] = (
-            total > LEAST_RISE
+            total > MIN_RISE
             and abs(centre) <= reach - 0.5 * WINDOW
             and 1.0 <= u0 <= width - 2.0
             and 1.0 <= v0 <= height - 2.0

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Shape
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.opencv import opencv
@@ -24,7 +24,7 @@ REACH_TIP: Final = 12.0  # [px] from where the tip is expected
 ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] beside the axis, where the end is looked for
 TOUCHING: Final = 1.0  # [px] below which a gap cannot be told from none: blur fills it
 LEAST: Final = 8  # stations that must show
-MOST_RESIDUAL: Final = 0.6  # [px]
+MAX_RESIDUAL: Final = 0.6  # [px]
 BRIGHT: Final = 0.6  # of the contrast at the sides, that the end must have to be one
 
 
@@ -116,7 +116,7 @@ class NeedleFollower:
                 return Sighting(reason=f"where the needle of {self.name} ends does not show")
             tip = tip + along * needle.axis
             scatter = np.array([max(residual, 0.05) * spread, max(residual, 0.05)])
-        if residual > MOST_RESIDUAL:
+        if residual > MAX_RESIDUAL:
             return Sighting(reason=f"sides of the needle scatter by {residual:.2f} px")
         scale = self.camera.metres_per_pixel(self.height)
         pose = self._pose_of(tip, needle)

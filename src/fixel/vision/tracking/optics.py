@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.tracking.loops import pixel_of
 
-MOST_KEPT: Final = 64
+MAX_KEPT: Final = 64
 
 # A camera is asked for thousands of times a second, and its hash takes longer than a projection:
 # by identity, with the camera itself, which thus stays the one of that identity.
@@ -34,7 +34,7 @@ def optics_of(camera: Camera) -> FloatArray:
                 lens.distortion,
             )
         )
-        if len(_kept) >= MOST_KEPT:
+        if len(_kept) >= MAX_KEPT:
             _kept.clear()
         kept = _kept[id(camera)] = camera, np.pad(optics, (0, 26 - len(optics)))
     return kept[1]

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray, Comparable, settle
+from fixel.model.fields import Comparable, settle
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.tracking.loops import box_of, edges_along, edges_expected
@@ -21,13 +21,13 @@ from fixel.vision.tracking.optics import optics_of
 from fixel.vision.tracking.solver import plausible, solve_robustly
 
 ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
-LEAST_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
-LEAST_SHARE: Final = 0.25  # of all points that must show an edge
+MIN_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
+MIN_SHARE: Final = 0.25  # of all points that must show an edge
 BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to it
 SMALLEST: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
-MOST_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
+MAX_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
 WHOLE: Final = 0.8  # of the edges: where fewer show, a spread cannot be told from a shift
 SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
 
@@ -148,10 +148,10 @@ def fit_pose(
         edges_along(picture, pixel, normal, min(reach, NEAR) if look else reach, found, clear)
         found[:, 0] -= spread or 0.0
         count = plausible(found, edges.group, clear, usable)
-        if count < LEAST_SHARE * n or count < 2 * free + 2:
+        if count < MIN_SHARE * n or count < 2 * free + 2:
             return None
         residual = solve_robustly(
-            slope, found, usable, LEAST_SCATTER, ROBUST, step, covariance, used, room, square
+            slope, found, usable, MIN_SCATTER, ROBUST, step, covariance, used, room, square
         )
         if residual < 0.0:
             return None
@@ -182,7 +182,7 @@ def fit_spread(
         fit = fit_pose(
             picture, camera, edges, pose, reach=reach, rounds=rounds, corner=corner, spread=spread
         )
-        if fit is not None and fit.share > WHOLE and abs(fit.spread) < MOST_SPREAD:
+        if fit is not None and fit.share > WHOLE and abs(fit.spread) < MAX_SPREAD:
             break
     return fit
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk, Shape
 from fixel.model.shape import placed
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig
@@ -34,8 +34,8 @@ POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
 REACH: Final = 8.0  # [px] from where an outline is expected
 REACH_FIRST: Final = 20.0  # [px] from where moments put it
-MOST_RESIDUAL: Final = 0.7  # [px]
-LEAST_SHARE: Final = 0.3
+MAX_RESIDUAL: Final = 0.7  # [px]
+MIN_SHARE: Final = 0.3
 DOUBTFUL: Final = 0.8  # of an outline: where less shows it may be elsewhere, and is looked for
 ALIKE: Final = 0.1  # [-] of shares and [px] of residuals, that do not tell two poses apart
 NEEDLE: Final = 0.3  # of the part's narrower side: what is thinner is taken for the probe
@@ -150,9 +150,9 @@ class _OutlineTrack:
             last=self._spread,
             rounds=6,
         )
-        if fit is None or fit.share < LEAST_SHARE:
+        if fit is None or fit.share < MIN_SHARE:
             return Sighting(reason=f"too little of the outline of {self.name} shows")
-        if fit.residual > MOST_RESIDUAL:
+        if fit.residual > MAX_RESIDUAL:
             return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
         if vague(fit.deviations, self._scale):
             return Sighting(reason=f"too little of the outline of {self.name} shows")

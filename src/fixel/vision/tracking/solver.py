@@ -8,12 +8,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels.arrays import FloatArray
 from fixel.kernels.jit import entry, kernel
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 
 LEVEL = 0.35  # how far from the usual, as a share of the contrast, brightness may be
-LEAST_LEVELS = 4  # edges of a group below which nothing is usual
+MIN_LEVELS = 4  # edges of a group below which nothing is usual
 
 ROUNDS = 12  # of weighting, at most
 SAME = 0.005  # [px] of change between them that ends it
@@ -65,7 +64,7 @@ def plausible(
                 dark[count], bright[count] = found[end, 1], found[end, 2]
                 count += 1
             end += 1
-        if count >= LEAST_LEVELS:
+        if count >= MIN_LEVELS:
             half = count // 2
             low, high = _ranked(dark, count, half), _ranked(bright, count, half)
             slack = LEVEL * (high - low)

@@ -9,8 +9,8 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model.shape import placed
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Sticker
@@ -29,10 +29,10 @@ from fixel.vision.tracking.tags import rigid
 
 REACH: Final = 6.0  # [px] from where a sticker is expected
 APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
-MOST_RESIDUAL: Final = 0.7  # [px]
+MAX_RESIDUAL: Final = 0.7  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 WIDER: Final = 20  # [px] around the last place, beyond what a part without stickers needs
-LEAST_SHARE: Final = 0.35  # of a sticker's edge
+MIN_SHARE: Final = 0.35  # of a sticker's edge
 
 
 @final
@@ -122,9 +122,7 @@ class _StickeredPart:
         good = [
             (k, fit)
             for k, fit in enumerate(fits)
-            if not isinstance(fit, str)
-            and fit.share >= LEAST_SHARE
-            and fit.residual <= MOST_RESIDUAL
+            if not isinstance(fit, str) and fit.share >= MIN_SHARE and fit.residual <= MAX_RESIDUAL
         ]
         if len(good) < 2:
             return Sighting(reason=missing[0] if missing else "its stickers are not round")

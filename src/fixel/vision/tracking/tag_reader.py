@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.frame import Gray
 from fixel.vision.marks import Tag
 from fixel.vision.opencv import opencv
@@ -27,7 +26,7 @@ KNOWN: Final = DICTIONARIES | {
     "apriltag-25h9": "DICT_APRILTAG_25h9",
     "apriltag-36h10": "DICT_APRILTAG_36h10",
 }
-MOST_NAMED: Final = 6  # tags of a family
+MAX_NAMED: Final = 6  # tags of a family
 # Corners of a tag of side 1, as they are found: clockwise in the picture from the upper left.
 CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
@@ -59,7 +58,7 @@ def other_families(picture: Gray, families: set[str]) -> str:
     for family, id_ in sorted(found):
         by_family.setdefault(family, []).append(id_)
     return "; ".join(
-        f"{family} tag{'' if len(ids) == 1 else 's'} {', '.join(map(str, ids[:MOST_NAMED]))}"
+        f"{family} tag{'' if len(ids) == 1 else 's'} {', '.join(map(str, ids[:MAX_NAMED]))}"
         for family, ids in by_family.items()
     )
 

@@ -10,9 +10,8 @@ from typing import ClassVar, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
-from fixel.model.fields import BoolArray
 from fixel.model.shape import placed
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
@@ -38,14 +37,14 @@ REACH: Final = 7.0  # [px] from where a tag is expected
 REACH_READ: Final = 5.0  # [px] from where it was read
 AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
 # Of a tag that is half covered, and was seen a moment ago:
-LEAST_ON_SIDE: Final = 5  # edges on a side, and on one across
+MIN_ON_SIDE: Final = 5  # edges on a side, and on one across
 SHOWS: Final = 0.3  # of the contrast that a cell may be off black or white
-LEAST_SHOWN: Final = 0.3  # of its cells
+MIN_SHOWN: Final = 0.3  # of its cells
 AGREES_PARTLY: Final = 0.8  # of those
 NEAR_BY: Final = 3.0  # [px] from where it is expected
 PARTLY: Final = 3.0  # how much wider its standard deviations are taken
 CONTRAST: Final = 15.0  # of brightness between black and white cells
-MOST_RESIDUAL: Final = 0.6  # [px]
+MAX_RESIDUAL: Final = 0.6  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
 WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
 
@@ -156,7 +155,7 @@ class _TaggedPart:
             sd *= PARTLY
         if not agreeing:
             return Sighting(reason="what is there does not read as its tags")
-        if fit.residual > MOST_RESIDUAL:
+        if fit.residual > MAX_RESIDUAL:
             return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
             return Sighting(reason="too little of its tags shows to tell a pose")
@@ -189,14 +188,14 @@ class _TaggedPart:
         for k, (tag, (middle, white)) in enumerate(zip(self._tags, self._cells, strict=True)):
             used = fit.used & (self._edges.group == k)
             sides = used[self._edges.group == k].reshape(4, POINTS).sum(axis=1)
-            if min(max(sides[0], sides[2]), max(sides[1], sides[3])) < LEAST_ON_SIDE:
+            if min(max(sides[0], sides[2]), max(sides[1], sides[3])) < MIN_ON_SIDE:
                 continue
             dark, bright = (float(level) for level in np.median(fit.found[used, 1:], axis=0))
             slack = SHOWS * (bright - dark)
             right, shown = cells_shown(
                 picture, origin, optics, middle, tag.height, white, fit.pose, dark, bright, slack
             )
-            agreeing += shown >= LEAST_SHOWN * len(white) and right >= AGREES_PARTLY * shown
+            agreeing += shown >= MIN_SHOWN * len(white) and right >= AGREES_PARTLY * shown
         return agreeing
 
     def _near(self, fit: PoseFit, pose: FloatArray) -> bool:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Trajectory
-from fixel.model.fields import BoolArray, Comparable, frozen, settle
+from fixel.model.fields import Comparable, frozen, settle
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.marks import Rig
 
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from fixel.web.views.calibration_progress import CalibrationProgress
     from fixel.workflows.calibration.detail import CalibrationDetail, CalibrationSummary, Residual
 
-MOST_LISTED: Final = 500
-MOST_KEPT: Final = 64  # calibrations at hand; what is stored never changes
+MAX_LISTED: Final = 500
+MAX_KEPT: Final = 64  # calibrations at hand; what is stored never changes
 
 Filter = Annotated[Text, Field(max_length=1000)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
@@ -258,13 +258,13 @@ def router(desk: ProjectContext) -> APIRouter:
     found = APIRouter(prefix="/calibrations", tags=["calibrations"])
     watch = Watch(desk.project)
 
-    @lru_cache(maxsize=MOST_KEPT)
+    @lru_cache(maxsize=MAX_KEPT)
     def at_hand(number: int) -> CalibrationDetail:
         return detail.tell(desk.project, desk.store, number)
 
     @found.get("", summary="All calibrations, those of one run together")
     def calibrations(
-        limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
+        limit: Annotated[int, Query(ge=1, le=MAX_LISTED)] = 100,
         offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> CalibrationsOut:
         running, unreadable = watch.unfinished()  # first: what is done becomes one of those stored

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fixel.model import Experiment
     from fixel.web.project import ProjectContext
 
-MOST_AT_ONCE: Final = 50  # about a second of work
+MAX_AT_ONCE: Final = 50  # about a second of work
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
 # A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
 Finite = Annotated[float | None, BeforeValidator(plain_numbers)]
@@ -79,7 +79,7 @@ class ComparedOut(BaseModel):
 class SimulateIn(RequestBody):
     """Experiments to simulate."""
 
-    ids: list[Id] = Field(min_length=1, max_length=MOST_AT_ONCE)
+    ids: list[Id] = Field(min_length=1, max_length=MAX_AT_ONCE)
 
 
 class NewSimulationsOut(BaseModel):

@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.web.api._values import RequestBody, Text
 from fixel.web.views import job_list
 from fixel.web.views.domain_views import (
-    MOST_GROUPS,
+    MAX_GROUPS,
     DomainDesk,
     MapView,
     axes_offered,
@@ -249,7 +249,7 @@ def router(desk: ProjectContext) -> APIRouter:
     ) -> ShownOut:
         seen = at_hand.view(name, tuple(axis or ()), measure)
         answer = shown(seen, threshold, level, confidence)
-        own = slice(0, MOST_GROUPS)
+        own = slice(0, MAX_GROUPS)
         return ShownOut(
             threshold=answer.claim.threshold,
             words=answer.claim.text(),
@@ -327,7 +327,7 @@ def _job(one: jobs.JobStatus) -> DomainJobOut:
 
 def _view(one: MapView) -> ViewOut:
     domain, question = one.domain, one.kept.analysis.question
-    if len(domain.cells) * min(len(domain.groups), MOST_GROUPS) > 40_000:
+    if len(domain.cells) * min(len(domain.groups), MAX_GROUPS) > 40_000:
         raise InvalidInput("axis", found="more cells than a page can show", expected="fewer")
     low, high = one.thresholds
     number = {group: g for g, group in enumerate(domain.groups)}
@@ -356,12 +356,12 @@ def _view(one: MapView) -> ViewOut:
         floor_mm=one.gathered.floor_mm,
         floor_from=one.gathered.floor_from,
         calibration=one.gathered.calibration,
-        groups=list(domain.groups[:MOST_GROUPS]),
-        omitted=max(0, len(domain.groups) - MOST_GROUPS),
+        groups=list(domain.groups[:MAX_GROUPS]),
+        omitted=max(0, len(domain.groups) - MAX_GROUPS),
         panels=[_panel(one, k) for k in range(len(one.table))],
         texts=[domain.cells.text(c) for c in range(len(domain.cells))],
         nominal=domain.cells.nominal,
-        counts=domain.counts[:MOST_GROUPS].tolist(),
+        counts=domain.counts[:MAX_GROUPS].tolist(),
         points=points,
         axes=[MapAxisOut(**axis._asdict()) for axis in axes_offered(one)],
         chosen=[axis.name for axis in domain.cells.axes],

@@ -46,8 +46,8 @@ from fixel.workflows.project.suggestions import meant_filter
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_ROWS: Final = 500  # on one page
-MOST_THUMBNAILS: Final = 5000  # kept; about 2 kB each
+MAX_ROWS: Final = 500  # on one page
+MAX_THUMBNAILS: Final = 5000  # kept; about 2 kB each
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
 
 Filter = Annotated[
@@ -73,7 +73,7 @@ def _add_table(router: APIRouter, desk: ProjectContext) -> None:
         filter: Filter = "",
         sort: Annotated[str, Query(max_length=100, description="a column or a condition")] = "id",
         descending: bool = False,
-        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+        limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
         offset: Annotated[int, Query(ge=0, le=LARGEST)] = 0,
     ) -> ExperimentPageOut:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
@@ -308,7 +308,7 @@ class Thumbnails:
         So many are kept.
     """
 
-    def __init__(self, draw: Callable[[int], str], most: int = MOST_THUMBNAILS) -> None:
+    def __init__(self, draw: Callable[[int], str], most: int = MAX_THUMBNAILS) -> None:
         self._draw = draw
         self._most = most
         self._kept: OrderedDict[tuple[int, str], str] = OrderedDict()

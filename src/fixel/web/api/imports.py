@@ -13,7 +13,7 @@ from fixel.workflows.project.importing import import_texts
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 MB
+MAX_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 MB
 
 
 def _writable(text: str) -> str:
@@ -34,8 +34,8 @@ class TableIn(RequestBody):
     name: str = Field(
         pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .()+-]{0,99}\.csv$", description="of the table's file"
     )
-    table: FileText = Field(max_length=MOST_TEXT)
-    scene: FileText | None = Field(None, max_length=MOST_TEXT, description="scene file, as YAML")
+    table: FileText = Field(max_length=MAX_TEXT)
+    scene: FileText | None = Field(None, max_length=MAX_TEXT, description="scene file, as YAML")
     angle_unit: str | None = Field(
         None, pattern="^(rad|deg)$", description="of the angles, whatever the header has"
     )

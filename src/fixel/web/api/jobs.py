@@ -13,7 +13,7 @@ from fixel.web.views.job_list import JobSummary
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_LINES: Final = 2000
+MAX_LINES: Final = 2000
 JobName = Annotated[str, Path(min_length=1, max_length=255, description="of its folder")]
 
 
@@ -94,7 +94,7 @@ def router(desk: ProjectContext) -> APIRouter:
         return _detail(job_list.posted(project, name))
 
     @found.get("/jobs/{name}/log", summary="The end of its log")
-    def log(name: JobName, lines: Annotated[int, Query(ge=1, le=MOST_LINES)] = 200) -> LogOut:
+    def log(name: JobName, lines: Annotated[int, Query(ge=1, le=MAX_LINES)] = 200) -> LogOut:
         tail, whole = job_list.log_tail(job_list.posted(project, name), lines)
         return LogOut(lines=[_plain(line) for line in tail], whole=whole)
 

@@ -13,11 +13,11 @@ from fixel.web.api._values import Id, RequestBody, Text
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_MARKED: Final = 20_000  # in one act
+MAX_MARKED: Final = 20_000  # in one act
 
 
 class _MarkBody(RequestBody):
-    ids: list[Id] = Field(min_length=1, max_length=MOST_MARKED)
+    ids: list[Id] = Field(min_length=1, max_length=MAX_MARKED)
 
 
 class MarkRequest(_MarkBody):

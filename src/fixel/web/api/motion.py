@@ -16,7 +16,7 @@ from fixel.web.views.motion_views import MotionView, Story, story_of_experiment
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_SIMULATIONS = 8
+MAX_SIMULATIONS = 8
 
 
 class ShapeOut(BaseModel):
@@ -154,7 +154,7 @@ Simulations = Annotated[
     list[Id],
     Query(
         alias="simulation",
-        max_length=MOST_SIMULATIONS,
+        max_length=MAX_SIMULATIONS,
         description="ids of stored simulations of it; may be repeated",
     ),
 ]

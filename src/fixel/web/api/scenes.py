@@ -42,7 +42,7 @@ class SceneIn(RequestBody):
 class FileIn(RequestBody):
     """The text of a scene file."""
 
-    text: Text = Field(max_length=scene_editor.MOST_TEXT)
+    text: Text = Field(max_length=scene_editor.MAX_TEXT)
     is_json: bool = Field(False, description="JSON; else YAML")
 
 
@@ -107,7 +107,7 @@ def router(desk: ProjectContext) -> APIRouter:
         "/simulate",
         summary="Simulate a scene",
         description=f"Within {scene_editor.LIMIT:g} s of computing, {scene_editor.MOST_STEPS} "
-        f"steps and {scene_editor.MOST_DURATION:g} s of simulated time. "
+        f"steps and {scene_editor.MAX_DURATION:g} s of simulated time. "
         "Ends when the connection does.",
     )
     async def simulate(wanted: SceneIn, request: Request) -> SceneMotionOut:

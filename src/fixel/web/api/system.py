@@ -19,7 +19,7 @@ from fixel.workflows.project.maintenance import CheckResult
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MOST_TROUBLES: Final = 200  # that are told of
+MAX_TROUBLES: Final = 200  # that are told of
 
 
 class CacheOut(BaseModel):
@@ -211,7 +211,7 @@ def _backup(kept: system_status.BackupFile) -> BackupOut:
 
 
 def _checked(found: CheckResult) -> DatabaseCheckOut:
-    told = found.troubles[:MOST_TROUBLES]
+    told = found.troubles[:MAX_TROUBLES]
     return DatabaseCheckOut(
         ok=not found.troubles,
         engine=found.engine,

@@ -17,7 +17,7 @@ from fixel.workflows.project.compare import summary
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-LARGEST_ID = 2**31 - 1
+MAX_ID = 2**31 - 1
 
 
 class Fact(NamedTuple):
@@ -32,7 +32,7 @@ def number_in(request: Request, what: str, hint: str) -> int:
     """The id in an address; whatever no record can have is refused as one that is not there."""
     given = str(request.path_params["number"])
     number = int(given) if given.isdecimal() and len(given) < 11 else 0
-    if not 0 < number <= LARGEST_ID:
+    if not 0 < number <= MAX_ID:
         raise NotStored(f"{what} {given!r}", hint=hint)
     return number
 

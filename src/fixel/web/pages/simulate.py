@@ -32,7 +32,7 @@ def pages(desk: ProjectContext) -> list[Page]:
             "number": desk.store.find(key) if key else "",
             "key": key,
             "keys": [summary.key for summary in listed],
-            "most_bytes": scene_editor.MOST_TEXT,
+            "most_bytes": scene_editor.MAX_TEXT,
         }
 
     return [Page(path="/simulate", title="Simulate", template="simulate.html", fill=fill, place=50)]

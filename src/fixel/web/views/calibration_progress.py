@@ -18,7 +18,7 @@ from fixel.io.array_bytes import arrays_of
 from fixel.io.damaged_files import each_readable
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows import jobs
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
 from fixel.workflows.calibration.request import CalibrationRequest

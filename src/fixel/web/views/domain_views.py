@@ -21,17 +21,17 @@ from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, usual_thresh
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.errors import FixelError, JobRefused, NotStored
-from fixel.kernels.arrays import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray
 from fixel.web.views.background_fits import BackgroundFit, Fits
 from fixel.workflows.analysis import StoredAnalysis, kept_and_not
 from fixel.workflows.domain.evidence import DomainEvidence, gathered_before, mark_of
 from fixel.workflows.domain.request import DomainRequest, asked_again
 from fixel.workflows.domain.run import is_fitted, refuse_axes, spread_out
 
-MOST_MAPS: Final = 12  # at hand
+MAX_MAPS: Final = 12  # at hand
 PATIENCE: Final = 2.0  # [s] that who asks for a map waits for it
-MOST_GROUPS: Final = 40
-MOST_ON_AXIS: Final = 60  # values of a text that may be an axis
+MAX_GROUPS: Final = 40
+MAX_ON_AXIS: Final = 60  # values of a text that may be an axis
 
 
 class MapAxis(NamedTuple):
@@ -250,7 +250,7 @@ class DomainDesk:
     def _put(self, key: Key, view: MapView) -> MapView:
         with self._lock:
             self._views[key] = view
-            while len(self._views) > MOST_MAPS:
+            while len(self._views) > MAX_MAPS:
                 self._views.popitem(last=False)
         return view
 
@@ -290,7 +290,7 @@ def axes_offered(view: MapView) -> list[MapAxis]:
     for name, column in sorted(view.gathered.evidence.coordinates.items()):
         values = {value for value in column if value is not None}
         text = any(isinstance(value, str) for value in values)
-        if len(values) > 1 and not (text and len(values) > MOST_ON_AXIS):
+        if len(values) > 1 and not (text and len(values) > MAX_ON_AXIS):
             found.append(MapAxis(name, len(values)))
     return found
 

@@ -20,9 +20,9 @@ from fixel.workflows.jobs import LOST, JobStatus
 
 UNREADABLE: Final = "unreadable"  # the state of a folder that some other program wrote into
 NO_WORKERS: Final = ("scheduler", "coordinator")  # whose logs lie among those of the workers
-MOST_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
-MOST_WORKERS: Final = 200  # that are told of, the newest
-MOST_AT_ONCE: Final = 4  # jobs of a project that pages may have running
+MAX_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
+MAX_WORKERS: Final = 200  # that are told of, the newest
+MAX_AT_ONCE: Final = 4  # jobs of a project that pages may have running
 
 _starting = threading.Lock()
 
@@ -86,7 +86,7 @@ def workers(job: JobSummary) -> list[Worker]:
     owner = files.coordinator_of(job.folder)
     found = [_worker(job.folder, name, owner) for name in _worker_names(job.folder)]
     order = ("working", "joined", "starting", "refused", "ended")
-    return sorted(found, key=lambda worker: order.index(worker.state))[:MOST_WORKERS]
+    return sorted(found, key=lambda worker: order.index(worker.state))[:MAX_WORKERS]
 
 
 def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
@@ -96,12 +96,12 @@ def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
         return [], True
     with path.open("rb") as stream:
         size = stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, size - MOST_LOG))
+        stream.seek(max(0, size - MAX_LOG))
         text = stream.read().decode("utf-8", errors="replace")
     found = text.splitlines()
-    if size > MOST_LOG:
+    if size > MAX_LOG:
         found = found[1:]  # it begins somewhere in a line
-    return found[-lines:], size <= MOST_LOG and len(found) <= lines
+    return found[-lines:], size <= MAX_LOG and len(found) <= lines
 
 
 def cancel(job: JobSummary) -> None:
@@ -128,7 +128,7 @@ def room(project: Path) -> Iterator[None]:
     """
     with _starting:
         running = [path for path in _folders(project).values() if files.coordinator_of(path)]
-        if len(running) >= MOST_AT_ONCE:
+        if len(running) >= MAX_AT_ONCE:
             raise JobRefused(
                 f"{len(running)} jobs of this project are running",
                 hint="wait until one ends, or end one on the page Jobs",

@@ -32,7 +32,7 @@ from fixel.workflows.project.compare import Comparison, comparison
 DYNAMIC: Final = "dynamic"
 MOST_STEPS: Final = 20_000  # of one simulation; the thesis's runs take about a hundred
 KEPT: Final = 16  # experiments that are at hand without a look into the database
-MOST_SETS: Final = 40  # that are offered of one kind, the newest first
+MAX_SETS: Final = 40  # that are offered of one kind, the newest first
 
 SetKind = Literal["nominal", "calibration", "simulation"]
 
@@ -115,9 +115,9 @@ class CompareDesk:
         scene_of(experiment)
         found = [StoredSet("nominal", "nominal", "nominal", Parameters(), DYNAMIC, None)]
         for id_, record in reversed(self._store.calibration_summaries().items()):
-            if record.method.get("how") != GROWTH and len(found) <= MOST_SETS:
+            if record.method.get("how") != GROWTH and len(found) <= MAX_SETS:
                 found.append(_calibrated_set(id_, record, experiment, number))
-        for id_ in reversed(self._store.simulations(number)[-MOST_SETS:]):
+        for id_ in reversed(self._store.simulations(number)[-MAX_SETS:]):
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
 

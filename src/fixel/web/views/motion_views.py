@@ -14,11 +14,11 @@ import numpy as np
 
 from fixel.calibration.target import scene_of
 from fixel.drawing.view import forces
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model import Channel, Experiment, Scene, Trajectory
 from fixel.model.records import SimulationRecord
 from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray, IntArray
 from fixel.workflows.project.compare import Comparison, errors_of
 
 Kind = Literal["measured", "simulated"]

@@ -22,13 +22,13 @@ from fixel.workflows.demo.scene_demo import example_names, example_text
 from fixel.workflows.simulation import SimulationMethod, parts
 
 LIMIT: Final = 20.0  # [s] of computing
-MOST_TEXT: Final = 512 * 1024  # [byte] of a scene file
-MOST_DURATION: Final = 600.0  # [s] of simulated time
+MAX_TEXT: Final = 512 * 1024  # [byte] of a scene file
+MAX_DURATION: Final = 600.0  # [s] of simulated time
 MOST_STEPS: Final = 20_000
-MOST_THINGS: Final = 60
-MOST_CORNERS: Final = 4_000  # of all outlines
-MOST_POINTS: Final = 4_000  # of all supports
-MOST_WAYPOINTS: Final = 20_000
+MAX_THINGS: Final = 60
+MAX_CORNERS: Final = 4_000  # of all outlines
+MAX_POINTS: Final = 4_000  # of all supports
+MAX_WAYPOINTS: Final = 20_000
 SAMPLES: Final = 440  # of a motion that is shown; 40 a second for the runs of the thesis
 
 
@@ -68,9 +68,9 @@ def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
     InvalidInput
         Too long, not well-formed, no scene, or one that is too large for a page.
     """
-    if len(text.encode()) > MOST_TEXT:
+    if len(text.encode()) > MAX_TEXT:
         raise InvalidInput(
-            "file", found=f"more than {MOST_TEXT // 1024} kB", expected="a scene file"
+            "file", found=f"more than {MAX_TEXT // 1024} kB", expected="a scene file"
         )
     content = (parse_json if json else parse_yaml)(text, "file")
     return scene_dict(check_scene(content))
@@ -127,12 +127,12 @@ def _refuse_large(file: SceneFile) -> None:
     scene = file.scene
     steps = 0.0 if file.step is None else scene.duration / file.step
     for where, found, most, unit in (
-        ("duration", scene.duration, MOST_DURATION, " s"),
+        ("duration", scene.duration, MAX_DURATION, " s"),
         ("step", steps, MOST_STEPS, " steps"),
-        ("bodies", len(scene.names), MOST_THINGS, " bodies, pushers and fixels"),
-        ("bodies[0].shape.polygon", _corners(scene), MOST_CORNERS, " corners in all"),
-        ("bodies[0].support", _points(scene), MOST_POINTS, " support points in all"),
-        ("pushers[0].drive.waypoints", _waypoints(scene), MOST_WAYPOINTS, " waypoints in all"),
+        ("bodies", len(scene.names), MAX_THINGS, " bodies, pushers and fixels"),
+        ("bodies[0].shape.polygon", _corners(scene), MAX_CORNERS, " corners in all"),
+        ("bodies[0].support", _points(scene), MAX_POINTS, " support points in all"),
+        ("pushers[0].drive.waypoints", _waypoints(scene), MAX_WAYPOINTS, " waypoints in all"),
     ):
         if found > most:
             raise InvalidInput(

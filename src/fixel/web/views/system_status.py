@@ -27,7 +27,7 @@ from fixel.workflows.project import maintenance
 from fixel.workflows.project.maintenance import Backup, CheckResult
 
 BACKUPS: Final = "backups"  # folder of a project
-MOST_FILES: Final = 100_000  # of the media folder, that are counted
+MAX_FILES: Final = 100_000  # of the media folder, that are counted
 SELF_TEST_LIMIT: Final = 600.0  # [s]; with an engine to compile, it takes about two minutes
 _BACKUP_NAME: Final = re.compile(r"experiments-[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?\.db")
 
@@ -103,7 +103,7 @@ def room(project: Project) -> Room:
         size = sum(path.stat().st_size for path in names if path.is_file())
     total = files = 0
     for path in project.media.glob("??/*"):
-        if files == MOST_FILES:
+        if files == MAX_FILES:
             break
         with suppress(
             FileNotFoundError
@@ -111,7 +111,7 @@ def room(project: Project) -> Room:
             total += path.stat(follow_symlinks=False).st_size
             files += 1
     disk = shutil.disk_usage(project.folder)
-    return Room(size, total, files, files < MOST_FILES, disk.free, disk.total)
+    return Room(size, total, files, files < MAX_FILES, disk.free, disk.total)
 
 
 def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, Any]:

@@ -9,8 +9,8 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.formats.rig_file import EXAMPLES, load_rig, rig_of
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.outlines import outline_pixels
 from fixel.workflows.acquisition.tracked_experiment import CAMERA

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fixel.io.atomic import written_whole
 from fixel.model import Trajectory
 from fixel.model.chance import stream
-from fixel.model.fields import BoolArray, FloatArray
 from fixel.testbed.sensors import tactile_channel, touching
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.render import Looks
 from fixel.vision.render.bench import HAND

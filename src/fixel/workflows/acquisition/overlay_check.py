@@ -9,8 +9,9 @@ from typing import Any, final
 import numpy as np
 
 from fixel.model import Body, Disk, Fixel, Pusher
-from fixel.model.fields import FloatArray, positive
+from fixel.model.fields import positive
 from fixel.model.trajectory import wrapped
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 
 

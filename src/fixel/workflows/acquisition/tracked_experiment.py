@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fixel.datasets.base import remark, scene_or_flag
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import (
     Channel,
     Experiment,
@@ -23,14 +22,15 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
+from fixel.typing import FloatArray
 from fixel.uncertainty.apart import Neighbour, set_apart
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.actuator import ActuatorMotion, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
 from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
-MOST_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
-MOST_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
+MAX_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
+MAX_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
 STILL: Final = 0.1e-3  # [m] that a resting object may seem to move
 STARTS: Final = 5  # frames that tell whether an object rests
 LAST: Final = 0.5  # [s] of readings that tell the contact mode
@@ -245,7 +245,7 @@ def _start(trajectory: Trajectory, begins: float) -> FloatArray:
 
 def _apart(shape: object, start: FloatArray, others: tuple[Pusher | Fixel, ...]) -> FloatArray:
     neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
-    poses, reasons = set_apart(shape, start[None], neighbours, MOST_APART)  # type: ignore[arg-type]
+    poses, reasons = set_apart(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
     if reasons[0]:
         raise InvalidInput("scene", found=reasons[0], expected="parts that do not overlap")
     return np.asarray(poses[0])
@@ -286,7 +286,7 @@ def _flags(
     motion: ActuatorMotion | None,
     remarks: tuple[str, ...],
 ) -> Iterator[Flag]:
-    if track.good.mean() < MOST_GAPS:
+    if track.good.mean() < MAX_GAPS:
         yield Flag("object-lost", f"{track.name} was seen in {track.good.mean():.0%} of the frames")
     for part in tracked.parts.values():
         if part.gaps:

@@ -15,10 +15,10 @@ from fixel.drawing.offsets import OffsetsChart, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Parameters, placed
 from fixel.model.space import Unknown
 from fixel.simulation import Simulation, simulate
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
 from fixel.workflows.calibration.result import DIRECT, Curve, ParameterSet
@@ -28,7 +28,7 @@ from fixel.workflows.figures import Picture, make_folder, write_picture
 SAMPLES: Final = 200  # of a simulation, at least
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
 GROUPED_BY: Final = ("shape", "layout")
-MOST_OTHERS: Final = 3
+MAX_OTHERS: Final = 3
 VISIBLE: Final = 0.005  # share of a range that shows on paper
 
 
@@ -297,7 +297,7 @@ def _other_sets(desk: CalibrationReportData, one: ParameterSet) -> dict[str, Flo
     found = {o.how: o.point for o in desk.outcome.together if o is not one and one.how == DIRECT}
     for k, point in enumerate(one.solutions[1:], 2):
         found[f"solution {k}, nearly as good"] = point
-    return dict(list(found.items())[:MOST_OTHERS])
+    return dict(list(found.items())[:MAX_OTHERS])
 
 
 def _profiles_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:

@@ -11,8 +11,8 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import FixelError
-from fixel.kernels.arrays import FloatArray
 from fixel.model.records import CalibrationRecord
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.result import Curve, ParameterSet

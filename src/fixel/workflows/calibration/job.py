@@ -52,8 +52,8 @@ from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
-from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.files import read_targets
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (

@@ -18,9 +18,9 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.uneven_table import TABLE_NAMES
 
-MOST_FRICTION: Final = 1.0
-SMALLEST_RADIUS: Final = 1e-3  # [m] of a tripod: with zero the loads would stand on one point
-LEAST_FRICTION: Final = 0.01  # of the plane: without any nothing holds the body
+MAX_FRICTION: Final = 1.0
+MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero the loads would stand on one point
+MIN_FRICTION: Final = 0.01  # of the plane: without any nothing holds the body
 
 # Bounds of parameters that say how far something is from where it was thought to be.
 _AROUND_ZERO: Final = {
@@ -81,14 +81,14 @@ def usual(name: str, scene: Scene) -> Unknown:
                 hint="leave it out",
             )
         mu = scene.friction(body.name, things[0].name)
-        return Unknown(name=name, low=0.0, high=MOST_FRICTION, nominal=min(mu, MOST_FRICTION))
+        return Unknown(name=name, low=0.0, high=MAX_FRICTION, nominal=min(mu, MAX_FRICTION))
     if name == "mu_support":
         mu = float(np.mean(getattr(support, "friction", 0.3)))
-        mu = min(max(mu, LEAST_FRICTION), MOST_FRICTION)
-        return Unknown(name=name, low=LEAST_FRICTION, high=MOST_FRICTION, nominal=mu)
+        mu = min(max(mu, MIN_FRICTION), MAX_FRICTION)
+        return Unknown(name=name, low=MIN_FRICTION, high=MAX_FRICTION, nominal=mu)
     reach = _reach(scene)
     if name == "tripod_radius" and isinstance(support, Tripod):
-        return Unknown(name=name, low=SMALLEST_RADIUS, high=reach, nominal=support.radius)
+        return Unknown(name=name, low=MIN_RADIUS, high=reach, nominal=support.radius)
     if name.startswith("support_") and isinstance(support, SupportPoints):
         return _corner(name, scene, support)
     if name.startswith("ellipsoid_") and isinstance(support, Ellipsoid):

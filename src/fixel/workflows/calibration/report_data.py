@@ -14,8 +14,8 @@ from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.drawing.offsets import OffsetSeries
-from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     DIRECT,

@@ -12,8 +12,8 @@ import numpy as np
 
 from fixel.calibration.study import Trace
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
+from fixel.typing import FloatArray
 
 ALONE: Final = "alone"  # how a set of one experiment was found
 NEIGHBOUR: Final = "a neighbour's"
@@ -151,7 +151,7 @@ SINGLE: Final = (ALONE, NEIGHBOUR)
 # standard deviations of its logarithm, and by this factor; both robust, of this many at least.
 STANDS_OUT: Final = 3.5
 TIMES: Final = 2.0
-LEAST_COUNT: Final = 8
+MIN_COUNT: Final = 8
 # Or it alone makes this share of the summed square, and this many times an equal share.
 RULES: Final = 0.05
 TIMES_ITS_SHARE: Final = 20.0
@@ -177,7 +177,7 @@ def outliers(errors: FloatArray, unit: str) -> list[int]:
     skewed; 3.5 is their limit.
     """
     known = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
-    if len(known) < LEAST_COUNT:
+    if len(known) < MIN_COUNT:
         return []
     logs = np.log(errors[known]) * (0.5 if unit == "mm^2" else 1.0)
     middle = float(np.median(logs))

@@ -15,7 +15,7 @@ from fixel.calibration import OPTIMISERS, Mads
 from fixel.calibration.multi_start import MultiStartSearch
 from fixel.calibration.optimiser import Best, Feasible, Search, SearchBox
 from fixel.calibration.study import Trace
-from fixel.kernels.arrays import IntArray
+from fixel.typing import IntArray
 from fixel.workflows.calibration.request import CalibrationRequest
 
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels.arrays import FloatArray
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
+from fixel.typing import FloatArray
 
 # Slip slower than this share of the body's fastest motion counts as sticking.
 STICKING = 1e-3

@@ -23,13 +23,13 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import choose
 from fixel.workflows.calibration.stored import newest
 from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import (
-    MOST_TRAINING,
+    MAX_TRAINING,
     SQUARES,
     Apart,
     CalibrationModel,
@@ -125,7 +125,7 @@ def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
     if asked.calibration is None and not asked.fit:
         kept["newest"] = latest
-    of = [VERSION, kept, list(ids), repr(SQUARES), MOST_TRAINING]
+    of = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]
     return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
 
 

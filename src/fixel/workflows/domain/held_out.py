@@ -24,10 +24,10 @@ from fixel.calibration.target import Target
 from fixel.domain.folds import folds_of
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
-from fixel.kernels.arrays import FloatArray, IntArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
+from fixel.typing import FloatArray, IntArray
 
 Progress = Callable[[int, int], None]
 
@@ -36,7 +36,7 @@ Progress = Callable[[int, int], None]
 STEPS: Final = 50
 THOUSANDS: Final = 1000  # experiments from which on a fixed step is taken
 # Experiments that one fit learns from: a handful of values needs no more, and time grows with them.
-MOST_TRAINING: Final = 120
+MAX_TRAINING: Final = 120
 # A fit starts near its end: each fold leaves out a part of what a calibration knew. Distances
 # count linearly beyond 2 mm: a push that goes the other way is tens of millimetres off, and which
 # fold has it would decide the parameters.
@@ -206,10 +206,10 @@ class _FoldFit:
     def _learnt_from(self) -> IntArray:
         """Some of them, at random, without those that cannot be simulated at the start: one that
         fails would stop the fit of all."""
-        dice = np.random.default_rng(self.seed)
+        rng = np.random.default_rng(self.seed)
         chosen = self.train
-        if len(chosen) > MOST_TRAINING:
-            chosen = np.sort(dice.choice(chosen, MOST_TRAINING, replace=False))
+        if len(chosen) > MAX_TRAINING:
+            chosen = np.sort(rng.choice(chosen, MAX_TRAINING, replace=False))
         start = np.repeat(self.comparer.space.nominal[None], len(chosen), axis=0)
         answer = self.comparer.errors(chosen, start)
         good = chosen[np.isfinite(answer.error)]
@@ -264,7 +264,7 @@ def _asked(
         [targets[k].key for k in test.tolist()],
         float(sum(targets[k].pose.sum() for k in np.concatenate((train, test)).tolist())),
         [repr(unknown) for unknown in model.space.unknowns],
-        [repr(model.motion), repr(model.error), repr(stepper), repr(SQUARES), MOST_TRAINING],
+        [repr(model.motion), repr(model.error), repr(stepper), repr(SQUARES), MAX_TRAINING],
         apart.seed,
     ]
 

@@ -15,9 +15,9 @@ from fixel.database.query import Query
 from fixel.database.store import Store
 from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
 from fixel.workflows.calibration.result import ALONE, NEIGHBOUR
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated, searched_space

@@ -18,7 +18,7 @@ from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.promised_cells import promised_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.domain.charts import pictures_of
 from fixel.workflows.domain.evidence import DomainEvidence, gather
@@ -27,7 +27,7 @@ from fixel.workflows.domain.report import headline, methods_of, numbers, tables,
 from fixel.workflows.domain.request import OFFSETS, DomainRequest
 from fixel.workflows.figures import make_folder
 
-MOST_EXAMPLES: Final = 3
+MAX_EXAMPLES: Final = 3
 SURFACE: Final = "surface_"  # of the arrays that are kept with a map
 PROMISED: Final = "promised"
 MOST_BYTES: Final = 64_000_000  # of a surface that is kept
@@ -247,7 +247,7 @@ def _refuse_empty_nominal(domain: DomainMap) -> None:
     cells = domain.cells
     if (domain.counts[:, cells.nominal] == 0).all():
         filled = np.flatnonzero(domain.counts.sum(axis=0))
-        names = "; ".join(cells.text(int(c)) for c in filled[:MOST_EXAMPLES])
+        names = "; ".join(cells.text(int(c)) for c in filled[:MAX_EXAMPLES])
         raise InvalidInput(
             "--nominal",
             found=f"no experiment at {cells.text(cells.nominal)}",

@@ -13,8 +13,8 @@ from fixel.database.project import Project
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import FilterEstimates, Progress, run_filter
 from fixel.model import Experiment, Provenance
-from fixel.model.fields import FloatArray
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
+from fixel.typing import FloatArray
 
 NAME: Final = "particle"  # of the settings, in the project
 

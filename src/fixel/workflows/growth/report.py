@@ -12,7 +12,7 @@ from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import plain, readable, written
 from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.figures import Picture
 from fixel.workflows.growth.explore import Exploration

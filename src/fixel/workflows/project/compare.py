@@ -10,7 +10,6 @@ import numpy as np
 
 from fixel.calibration.target import clock_start, scene_of, useful_poses
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import (
     Channel,
     Experiment,
@@ -22,6 +21,7 @@ from fixel.model import (
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
+from fixel.typing import FloatArray
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
 SAMPLES: Final = 200  # of a simulation of two poses

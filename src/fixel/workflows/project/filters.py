@@ -14,11 +14,11 @@ from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, ExperimentVi
 from fixel.database.query import Bound, Relation
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 
-MOST_FILTER: Final = 1000  # characters
-MOST_VALUES: Final = 40  # of a condition, to be named one by one
-MOST_PLACES: Final = 40  # on an axis of the coverage, before they are put together
+MAX_FILTER: Final = 1000  # characters
+MAX_VALUES: Final = 40  # of a condition, to be named one by one
+MAX_PLACES: Final = 40  # on an axis of the coverage, before they are put together
 
 # What people call a column, and what its unit is in metres and radians.
 DEGREE: Final = float(np.pi / 180.0)
@@ -99,9 +99,9 @@ def view_of(
 
 
 def _tokens(text: str) -> list[str]:
-    if len(text) > MOST_FILTER:
+    if len(text) > MAX_FILTER:
         raise InvalidInput(
-            "filter", found=f"{len(text)} characters", expected=f"at most {MOST_FILTER}"
+            "filter", found=f"{len(text)} characters", expected=f"at most {MAX_FILTER}"
         )
     reader = shlex.shlex(text, posix=True)
     reader.whitespace_split = True
@@ -164,7 +164,7 @@ def vocabulary(store: Store) -> Vocabulary:
     """What experiments can be told apart by."""
     found = {}
     for name, known in sorted(store.conditions().items()):
-        few = dict(sorted(known.texts.items())) if len(known.texts) <= MOST_VALUES else {}
+        few = dict(sorted(known.texts.items())) if len(known.texts) <= MAX_VALUES else {}
         found[name] = Values(few, known.low, known.high, sum(known.texts.values()) + known.numbers)
     return Vocabulary(store.datasets(), store.flags(), found)
 
@@ -250,12 +250,12 @@ def _axis(name: str, values: FloatArray) -> CoverageAxis:
     distinct = np.unique(np.round(values, 9))
     if len(distinct) == 0:
         return CoverageAxis(name, np.array([0.0, 1.0]), np.array([0.5]))
-    if len(distinct) <= MOST_PLACES:
+    if len(distinct) <= MAX_PLACES:
         between = (distinct[1:] + distinct[:-1]) / 2.0
         margin = float(np.diff(distinct).min()) / 2.0 if len(distinct) > 1 else 0.5e-3
         edges = np.concatenate(([distinct[0] - margin], between, [distinct[-1] + margin]))
         return CoverageAxis(name, edges, distinct)
-    edges = np.linspace(distinct[0], distinct[-1], MOST_PLACES + 1)
+    edges = np.linspace(distinct[0], distinct[-1], MAX_PLACES + 1)
     edges[-1] = np.nextafter(edges[-1], np.inf)
     return CoverageAxis(name, edges, (edges[1:] + edges[:-1]) / 2.0)
 
@@ -270,7 +270,7 @@ def _table(
             counted[_word(shape), _word(layout)] += n
     shapes = tuple(sorted({shape for shape, _ in counted}))
     layouts = tuple(sorted({layout for _, layout in counted}))
-    if len(shapes) > MOST_VALUES or len(layouts) > MOST_VALUES:
+    if len(shapes) > MAX_VALUES or len(layouts) > MAX_VALUES:
         return (), (), np.zeros((0, 0))
     table = np.zeros((len(shapes), len(layouts)))
     for (shape, layout), n in counted.items():

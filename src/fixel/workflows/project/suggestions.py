@@ -12,7 +12,7 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.workflows.project.filters import NAMES, view_of
 
-MOST_NAMED = 12  # values in a refusal
+MAX_NAMED = 12  # values in a refusal
 
 
 class UnknownName(NamedTuple):
@@ -30,11 +30,11 @@ class UnknownName(NamedTuple):
 
     def refusal(self) -> InvalidInput:
         """The complaint about it."""
-        more = f", ... ({len(self.known)} in all)" if len(self.known) > MOST_NAMED else ""
+        more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
         return InvalidInput(
             self.what,
             found=repr(self.typed),
-            expected="one of " + ", ".join(self.known[:MOST_NAMED]) + more
+            expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
             if self.known
             else "nothing: no experiment has one",
             hint=f"did you mean {self.meant!r}?" if self.meant else None,

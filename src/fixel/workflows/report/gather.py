@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from fixel.database.project import Project
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import Kind, StoredAnalysis, kept
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened

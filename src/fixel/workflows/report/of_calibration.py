@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.misfit import shown_ratio
-from fixel.kernels.arrays import FloatArray
 from fixel.model.records import Estimate
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.detail import misfit_of
@@ -23,7 +23,7 @@ from fixel.workflows.report.content import Figure, Section
 
 # Of experiments far worse than the others.
 FAR: Final = 3.0
-MOST_NAMED: Final = 5
+MAX_NAMED: Final = 5
 READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
 SUSPECT: Final = {
     "not identified": "is not identified: any value in its interval does as well. Do not quote it",
@@ -246,18 +246,18 @@ def _far(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> 
 
 
 def _worst(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> TextTable | None:
-    if len(errors) < 2 * MOST_NAMED:
+    if len(errors) < 2 * MAX_NAMED:
         return None
     values = rms(one, errors)
-    order = np.argsort(-np.where(np.isfinite(values), values, -1.0), kind="stable")[:MOST_NAMED]
+    order = np.argsort(-np.where(np.isfinite(values), values, -1.0), kind="stable")[:MAX_NAMED]
     members = one.record.members
     rows = tuple((keys.get(members[k].experiment_id, "?"), f"{values[k]:.3g}") for k in order)
     return TextTable(title="The worst of them", head=("experiment", "error [mm]"), rows=rows)
 
 
 def _named(names: list[str]) -> str:
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - MAX_NAMED
+    return ", ".join(names[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _row(one: CalibratedValues, estimate: Estimate) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from fixel.model.trajectory import turned
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.report.content import Section
 
-MOST_VALUES: Final = 8  # of one condition, written out
+MAX_VALUES: Final = 8  # of one condition, written out
 FEW: Final = 10  # experiments below which little can be said
 
 
@@ -153,8 +153,8 @@ def _conditions(data: ReportData) -> TextTable:
     rows = []
     for name, values in data.conditions.items():
         shown = [_plain(value) for value in values]
-        if len(shown) > MOST_VALUES:
-            shown = [*shown[: MOST_VALUES // 2], "...", *shown[-MOST_VALUES // 2 :]]
+        if len(shown) > MAX_VALUES:
+            shown = [*shown[: MAX_VALUES // 2], "...", *shown[-MAX_VALUES // 2 :]]
         rows.append((name, str(len(values)), ", ".join(shown)))
     return TextTable(
         title="Conditions that differ", head=("condition", "values", "which"), rows=tuple(rows)

@@ -9,15 +9,15 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Parameters
+from fixel.typing import FloatArray
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
 from fixel.workflows.analysis import Analysis, TextTable, rounded
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
 
-MOST_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
+MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 
 MEANING: Final[Mapping[str, str]] = {
     FLAGS[0]: "its outcomes fall apart into groups",
@@ -205,7 +205,7 @@ def _numbers(finding: Finding) -> dict[str, Any]:
 def pictures_of(found: Sequence[Finding]) -> list[Picture]:
     """Of the pushes to avoid first."""
     pictures = []
-    for k, finding in enumerate(found[:MOST_PICTURES], 1):
+    for k, finding in enumerate(found[:MAX_PICTURES], 1):
         own, fan, subject = finding.sensitivity, finding.fan, finding.subject
         stem = f"{k:02d}-" + "".join(c if c.isalnum() else "-" for c in subject.key)
         chart = FanChart(
@@ -258,7 +258,7 @@ def _index_picture(stem: str, subject: Subject, own: Indices) -> Picture:
 def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:
     """Starts and poses behind the pictures."""
     arrays: dict[str, FloatArray] = {}
-    for k, finding in enumerate(found[:MOST_PICTURES], 1):
+    for k, finding in enumerate(found[:MAX_PICTURES], 1):
         arrays[f"drawn_{k}"] = finding.fan.drawn
         arrays[f"pose_{k}"] = finding.fan.pose
         arrays[f"ended_{k}"] = finding.fan.ended.astype(np.float64)

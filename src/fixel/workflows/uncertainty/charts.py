@@ -17,17 +17,17 @@ from fixel.drawing.uncertainty import (
     FinalRegion,
     PathBand,
 )
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Disk
+from fixel.typing import FloatArray
 from fixel.uncertainty.bands import LEVELS
 from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
-MOST_PICTURED: Final = 3  # experiments
+MAX_PICTURED: Final = 3  # experiments
 # From so many held-out experiments on a curve says something.
-LEAST_FOR_CURVE: Final = 5
+MIN_FOR_CURVE: Final = 5
 
 
 def pictures_of(found: Uncertainty) -> Iterator[Picture]:
@@ -45,7 +45,7 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
                          title=f"What {what_of(found)} leaves open")  # fmt: skip
     yield Picture("corner", corner, _banner(found.predicted),
                   f"Samples of the posterior. The prior was uniform: {_priors(axes)}.")  # fmt: skip
-    chosen = [*found.predicted[:1], *found.held_out][:MOST_PICTURED]
+    chosen = [*found.predicted[:1], *found.held_out][:MAX_PICTURED]
     for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
         one = next(p for p in chosen if p.id == predicted)
         yield from _of_experiment(one, number)
@@ -131,7 +131,7 @@ def what_of(found: Uncertainty) -> str:
 def curves_of(found: Uncertainty) -> tuple[CoverageCurve, CoverageCurve] | None:
     """Of held-out final positions and angles; none for a few."""
     held = found.held_out
-    if len(held) < LEAST_FOR_CURVE:
+    if len(held) < MIN_FOR_CURVE:
         return None
     levels = np.array([one.levels for one in held])
     return coverage_curve(levels[:, 0]), coverage_curve(levels[:, 1])

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.chart import readable
-from fixel.kernels.arrays import FloatArray
+from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.analysis import Analysis, StoredAnalysis, TextTable, keep, rounded

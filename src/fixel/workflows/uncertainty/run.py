@@ -18,11 +18,11 @@ from fixel.database.project import Project
 from fixel.database.query import Query
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
-from fixel.kernels.arrays import FloatArray
 from fixel.model import Experiment
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.motion import MOTION_MODELS
+from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PushPrediction, predict
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise

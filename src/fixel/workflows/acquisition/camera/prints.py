@@ -21,7 +21,7 @@ from fixel.vision.boards import board_of
 from fixel.vision.marks import Tag
 from fixel.workflows.acquisition.camera.calibrate import board_text
 
-MOST_TAGS = 500
+MAX_TAGS = 500
 
 
 @final
@@ -80,9 +80,9 @@ def print_tags(
     first: int, last: int, size: float, family: str, output: Path, paper: str
 ) -> PrintAnswer:
     """Tags with numbers from `first` to `last`, all of one size [m]."""
-    if not 0 <= first <= last or last - first >= MOST_TAGS:
+    if not 0 <= first <= last or last - first >= MAX_TAGS:
         raise InvalidInput(
-            "ids", found=f"{first}-{last}", expected=f"a range of at most {MOST_TAGS}: 0-9"
+            "ids", found=f"{first}-{last}", expected=f"a range of at most {MAX_TAGS}: 0-9"
         )
     tags = [(Tag(id=k, size=size, height=0.0, family=family), "") for k in range(first, last + 1)]
     return _print_tags(tags, output, paper, f"{family}, {1e3 * size:g} mm")

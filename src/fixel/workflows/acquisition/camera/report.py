@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.model.fields import FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.plane_errors import PlaneErrors, plane_errors
 
