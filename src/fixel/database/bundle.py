@@ -56,8 +56,8 @@ from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import written_whole
 from fixel.model import Parameters
 from fixel.model.records import CalibrationRecord, FilterRun, SimulationRecord
+from fixel.typing import Progress
 
-Progress = Callable[[int, int], None]
 _T = TypeVar("_T")
 
 # The earliest a zip can say: bundles of the same records are the same to the last byte.

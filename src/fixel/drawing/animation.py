@@ -7,7 +7,7 @@ on its body.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ from fixel.drawing.view import (
 )
 from fixel.model import placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +47,6 @@ THICKNESS = 0.012  # of force arrows, of the larger side of the picture
 SHORTEST, LONGEST = 2.0, 30.0  # [s] of film before time is stretched or compressed
 
 Style = dict[str, Any]
-Progress = Callable[[int, int], None]
 
 
 def animate_simulation(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -16,9 +15,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, excited, touches_bound
 from fixel.filtering.running import FilterEstimate, FilterFrame
 from fixel.model import Experiment, Scene, Trajectory, pose_error
-from fixel.typing import BoolArray, FloatArray, IntArray
-
-Progress = Callable[[int, int], None]
+from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
 SAME_INSTANT: Final = 1e-6  # [s]; clocks of two sensors are the same frames, rounded differently
 DRAWS: Final = 400  # of the parameters at the end

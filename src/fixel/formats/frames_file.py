@@ -10,7 +10,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,6 @@ from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
 from fixel.typing import FloatArray
 
-Progress = Callable[[int, int], None]
 EXPERIMENTS: Final = "experiments.parquet"
 FRAMES: Final = "frames.parquet"
 BATCH: Final = 100_000  # [frames] a row group

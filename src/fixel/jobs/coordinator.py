@@ -12,7 +12,6 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -25,13 +24,14 @@ from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.functions import named_function
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
+from fixel.typing import Notify
 
 BETWEEN_WORDS_S: Final = 1.0  # [s] state.json is written at most so often
 
-Say = Callable[[str], None]
 
-
-def coordinate(folder: Path, *, progress: Show | None = None, say: Say | None = None) -> JobState:
+def coordinate(
+    folder: Path, *, progress: Show | None = None, say: Notify | None = None
+) -> JobState:
     """Run a job until it is done, or has to stop.
 
     Parameters
@@ -119,7 +119,7 @@ def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, desk: _Cler
         )
 
 
-def _engine(folder: Path, job: Job, run: RunSettings, say: Say) -> AbstractEngine:
+def _engine(folder: Path, job: Job, run: RunSettings, say: Notify) -> AbstractEngine:
     if run.workers == 0:
         return LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
@@ -151,7 +151,7 @@ def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
         )
 
 
-def _say_damage(journal: Journal, say: Say) -> None:
+def _say_damage(journal: Journal, say: Notify) -> None:
     if journal.damaged:
         say(f"the journal is damaged in {journal.damaged} places; what was there is computed again")
 
@@ -167,7 +167,7 @@ def _write_result(folder: Path, result: bytes) -> None:
 class _Clerk:
     """Writes down how far the job is."""
 
-    def __init__(self, folder: Path, progress: Show | None, say: Say | None) -> None:
+    def __init__(self, folder: Path, progress: Show | None, say: Notify | None) -> None:
         self._folder = folder
         self._progress = progress
         self._say = say

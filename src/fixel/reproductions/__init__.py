@@ -10,7 +10,8 @@ from fixel.errors import DatasetMissing, InvalidInput
 from fixel.reproductions.joint import joint_calibration
 from fixel.reproductions.mit_push import benchmark_pushes
 from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
-from fixel.reproductions.result import Benchmark, Progress, Row, write_tables
+from fixel.reproductions.result import Benchmark, Row, write_tables
+from fixel.typing import NotedProgress
 
 PARTS: Final = ("mit",)
 # Where a part's dataset is looked for inside the data folder; that folder itself is tried too.
@@ -23,7 +24,7 @@ def benchmark_real(
     *,
     part: str = "mit",
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: NotedProgress | None = None,
 ) -> Benchmark:
     """Run a benchmark on real data.
 
@@ -59,7 +60,7 @@ def benchmark_real(
     return answer
 
 
-def joint_real(data: Path, part: str = "mit", progress: Progress | None = None) -> Row:
+def joint_real(data: Path, part: str = "mit", progress: NotedProgress | None = None) -> Row:
     """Time a calibration of many pushes together; see `joint_calibration`."""
     return joint_calibration(read(folder_of(data, part)), progress or _silent)
 

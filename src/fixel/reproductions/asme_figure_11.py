@@ -21,15 +21,16 @@ from fixel.calibration.starts import feasible_points
 from fixel.calibration.study import box_of
 from fixel.drawing.convergence import BestSoFar, ConvergenceChart
 from fixel.reproductions.asme_table_1 import IDENTIFICATION, P1, made_targets, objective, space
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.testing.scenes import box
+from fixel.typing import NotedProgress
 
 SEARCHES: Final = 2  # as in the figure
 SEED: Final = 3
 
 
-def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
     """Follow two searches from random vertices until their simplex is small.
 
     Parameters

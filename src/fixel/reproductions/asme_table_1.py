@@ -31,11 +31,11 @@ from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.reproductions.charts.reproductions import ClusterPicture, TriangleCluster
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 # Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)
@@ -66,7 +66,7 @@ class Sets(NamedTuple):
     features: SupportFeatures
 
 
-def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
     """Search from random starts; cluster what is as good as p1*; vary the friction of the plane.
 
     Parameters

@@ -21,7 +21,7 @@ from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.reproductions.charts.reproductions import SupportPanel, SupportPicture
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.tripod_points import SupportFit, fitted_points
 from fixel.reproductions.tripod_pushes import (
     FORCE_NOISE,
@@ -38,10 +38,10 @@ from fixel.reproductions.tripod_pushes import (
     sliding_forces,
     support_of,
 )
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 
-def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
     """Find the machined points from pushes, the friction from forces, and predict.
 
     Parameters

@@ -21,9 +21,9 @@ from fixel.model import wrapped
 from fixel.reproductions.fitting import ARM, Belief, FittedPushes
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_beliefs, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.splits import Split
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray, NotedProgress
 from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 
@@ -46,7 +46,7 @@ class HeldOutPushes(NamedTuple):
 
 
 def run(
-    folder: Path | None, progress: Progress, *, quick: bool = False, seeds: int = 1,
+    folder: Path | None, progress: NotedProgress, *, quick: bool = False, seeds: int = 1,
     kept: Path | None = None,
 ) -> Reproduction:  # fmt: skip
     """Bounds on pushes that were held out.

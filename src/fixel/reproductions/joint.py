@@ -14,9 +14,9 @@ from fixel.calibration.target import Target
 from fixel.datasets.raw.mit_push import MitPushes
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.pushes import DURATION, STEP, PushGroup, rows_by_key, usable_rows
-from fixel.reproductions.result import Progress, Row
+from fixel.reproductions.result import Row
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray, NotedProgress
 
 PUSHES: Final = 1000
 EVALUATIONS: Final = 2000
@@ -34,7 +34,7 @@ SPACE: Final = ParameterSpace(
 
 def joint_calibration(
     data: MitPushes,
-    progress: Progress,
+    progress: NotedProgress,
     *,
     pushes: int = PUSHES,
     evaluations: int = EVALUATIONS,
@@ -74,7 +74,7 @@ def joint_calibration(
 
 
 def _searched(
-    objective: Objective, box: SearchBox, evaluations: int, progress: Progress
+    objective: Objective, box: SearchBox, evaluations: int, progress: NotedProgress
 ) -> tuple[Best, int, float]:
     rng = np.random.default_rng(0)
     best, made, first = Best(box.start, np.inf), 0, np.nan

@@ -18,14 +18,14 @@ from fixel.io.result_cache import ResultCache
 from fixel.model import pose_error
 from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from fixel.reproductions.pushes import usable_rows
-from fixel.reproductions.result import Benchmark, HeldOutScores, Progress, Row
-from fixel.typing import FloatArray
+from fixel.reproductions.result import Benchmark, HeldOutScores, Row
+from fixel.typing import FloatArray, NotedProgress
 
 PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
 
 
 def benchmark_pushes(
-    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: Progress
+    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: NotedProgress
 ) -> Benchmark:
     """Run protocols on recorded pushes.
 

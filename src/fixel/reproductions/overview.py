@@ -22,7 +22,8 @@ from fixel.reproductions import (
     repeats,
     rpi_141,
 )
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
+from fixel.typing import NotedProgress
 
 
 class Part(NamedTuple):
@@ -53,7 +54,7 @@ def reproduce(
     data: Path | None = None,
     *,
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: NotedProgress | None = None,
     quick: bool = False,
 ) -> Reproduction:
     """Run one reproduction, and leave its tables and picture in a folder.

@@ -29,9 +29,9 @@ from fixel.reproductions.fitting import (
 )
 from fixel.reproductions.leftover import inside_ninety, learned_ends
 from fixel.reproductions.pushes import Key, PushGroup, rows_by_key, usable_rows
-from fixel.reproductions.result import Progress, Row
+from fixel.reproductions.result import Row
 from fixel.reproductions.splits import Split, few_of, folds, random_split
-from fixel.typing import BoolArray, FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
 
 SHARE: Final = 0.6  # of the pushes for training, where there are no folds
 FEW: Final = 10
@@ -109,7 +109,11 @@ class BenchmarkData:
     """Data, splits and finished fits that the protocols share."""
 
     def __init__(
-        self, data: MitPushes, request: BenchmarkRequest, finished: ResultCache, progress: Progress
+        self,
+        data: MitPushes,
+        request: BenchmarkRequest,
+        finished: ResultCache,
+        progress: NotedProgress,
     ) -> None:
         self.data, self.request, self.finished = data, request, finished
         self._progress = progress

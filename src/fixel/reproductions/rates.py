@@ -25,10 +25,10 @@ from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.replay import ReplayRequest, replay_dataset
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import hypotheses
 from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION
@@ -55,7 +55,7 @@ class RateErrors(NamedTuple):
 
 
 def run(
-    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
+    folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
     """Errors of each dataset in the folder, as shares.
 

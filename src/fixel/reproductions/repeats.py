@@ -18,10 +18,10 @@ from fixel.errors import DatasetMissing
 from fixel.model.trajectory import wrapped
 from fixel.reproductions.alike_starts import HEAD_PLACE, alike_group
 from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 
@@ -62,7 +62,7 @@ class GroupPrediction(NamedTuple):
         return bool((self.end <= self.limit).all())
 
 
-def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
     """Predict the spread of every group from the others' starts, and look.
 
     Parameters

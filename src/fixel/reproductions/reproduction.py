@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
 Row = dict[str, Any]
 
 # Told after each part: how many of how many are done, and what was.
-Progress = Callable[[int, int, str], None]
 
 
 @final

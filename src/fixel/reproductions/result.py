@@ -7,7 +7,7 @@ published and what the simulator says before anything is calibrated.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
@@ -21,7 +21,6 @@ from fixel.typing import FloatArray
 
 Row = dict[str, Any]
 # Told after each part: how many of how many are done, and what they are.
-Progress = Callable[[int, int, str], None]
 
 ALL: Final = "all"
 

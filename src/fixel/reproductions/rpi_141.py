@@ -25,10 +25,10 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.charts.reproductions import PathCurve, PathPicture
-from fixel.reproductions.reproduction import Progress, Reproduction, Row
+from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import BOUNDS, CORNERS, Hypothesis, hypotheses, scene_of
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 EXPERIMENT: Final = "141"
 RATE: Final = 30.0  # video frames a second
@@ -51,7 +51,7 @@ class HypothesisFit(NamedTuple):
     pose: FloatArray  # (n_frame, 3)
 
 
-def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
     """Try every hypothesis.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -43,9 +43,7 @@ from fixel.simulation import Simulation, simulate
 from fixel.testbed.plate import planned_support, rough_plane, uneven_support
 from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
 from fixel.testbed.uneven_drive import driven_unevenly, with_stall_force
-from fixel.typing import BoolArray, FloatArray
-
-Progress = Callable[[int, int], None]
+from fixel.typing import BoolArray, FloatArray, Progress
 
 TRUTH = "truth_"  # how the names of conditions begin that no real laboratory could write down
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -17,11 +17,10 @@ from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, moves, varied_start
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray, Progress
 from fixel.uncertainty.apart import Neighbour, overlaps, set_apart
 from fixel.uncertainty.starts import StartError
 
-Progress = Callable[[int, int], None]
 Values = Mapping[str, FloatArray]
 
 INSTANTS: Final = 12

@@ -16,8 +16,8 @@ from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.typing import FloatArray
-from fixel.uncertainty.fan import START, Fan, Progress, fan_of
+from fixel.typing import FloatArray, Progress
+from fixel.uncertainty.fan import START, Fan, fan_of
 from fixel.uncertainty.starts import Kind, StartError
 
 OUTCOMES: Final = ("along", "across", "angle")

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from fixel.kernels.jit import cache_folder
 from fixel.model import Scene
 from fixel.simulation import AbstractSolver, Newton, simulate
 from fixel.simulation.simulate import is_compiled
-
-Say = Callable[[str], None]
+from fixel.typing import Notify
 
 COMPILING = "Compiling the engine, once; this takes about a minute."
 COMPILING_PARTS = "Compiling its parts for the plain loop, once; this takes about half a minute."
@@ -30,7 +28,10 @@ def cache_size() -> int:
 
 
 def get_ready(
-    scene: Scene, say: Say | None = None, solver: AbstractSolver | None = None, plain: bool = False
+    scene: Scene,
+    say: Notify | None = None,
+    solver: AbstractSolver | None = None,
+    plain: bool = False,
 ) -> None:
     """Compile or load what a simulation needs, so that its wall time is that of the simulation."""
     solver = solver or Newton()

@@ -31,9 +31,9 @@ from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import JobProgress
+from fixel.typing import Notify
 
 Show = Callable[[JobProgress], None]
-Say = Callable[[str], None]
 
 START_S: Final = 30.0  # [s] for a detached coordinator to begin
 END_S: Final = 60.0  # [s] for a coordinator to end when asked to
@@ -131,7 +131,7 @@ def arrange(
     return run
 
 
-def run_here(folder: Path, progress: Show | None = None, say: Say | None = None) -> JobStatus:
+def run_here(folder: Path, progress: Show | None = None, say: Notify | None = None) -> JobStatus:
     """Run or continue a job in this process, until it ends."""
     coordinate(folder, progress=progress, say=say)
     return status_of(folder)

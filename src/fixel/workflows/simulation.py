@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar, final
 
-from fixel.drawing.animation import FILM_ENDINGS, Progress, animate_simulation
+from fixel.drawing.animation import FILM_ENDINGS, animate_simulation
 from fixel.drawing.picture import PICTURE_ENDINGS, draw_simulation, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene
@@ -25,7 +25,8 @@ from fixel.simulation import (
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.simulate import refuse_method
 from fixel.simulation.solver import SOLVERS
-from fixel.workflows.compilation import Say, get_ready
+from fixel.typing import Notify, Progress
+from fixel.workflows.compilation import get_ready
 
 Part = TypeVar("Part", AbstractMotionModel, AbstractSolver)
 
@@ -87,7 +88,7 @@ def simulate_file(
     method: SimulationMethod | None = None,
     outputs: Outputs | None = None,
     *,
-    say: Say | None = None,
+    say: Notify | None = None,
     progress: Progress | None = None,
 ) -> Simulation:
     """Simulate a scene file and write the files asked for.

@@ -9,12 +9,13 @@ from fixel.datasets.raw import MitPushes, RpiTrials, read_dataset
 from fixel.reproductions.replay.choose import ReplayRequest, columns_and_values, names_and_numbers
 from fixel.reproductions.replay.mit_push import replay_pushes
 from fixel.reproductions.replay.mit_timeseries import replay_runs
-from fixel.reproductions.replay.report import Progress, Replay, Timing
+from fixel.reproductions.replay.report import Replay, Timing
 from fixel.reproductions.replay.rpi_2dgad import replay_trials
+from fixel.typing import NotedProgress
 
 
 def replay_dataset(
-    folder: str | Path, choice: ReplayRequest | None = None, progress: Progress | None = None
+    folder: str | Path, choice: ReplayRequest | None = None, progress: NotedProgress | None = None
 ) -> Replay:
     """Replay the pushes of a folder.
 

@@ -29,9 +29,9 @@ from fixel.reproductions.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.report import Progress, Replay, Row, Timing, mean_and_median
+from fixel.reproductions.replay.report import Replay, Row, Timing, mean_and_median
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 # Nothing here is fitted: friction at the tip as in the published simulator, even pressure. Friction
 # of the plane drops out of quasi-static motion.
@@ -48,7 +48,7 @@ FAR = 1.0  # where the template's pusher waits, clear of the object [m]
 
 
 def replay_pushes(
-    data: MitPushes, choice: ReplayRequest, progress: Progress, reading: float = 0.0
+    data: MitPushes, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
 ) -> Replay:
     """Simulate recorded pushes from their measured start along their measured stroke.
 

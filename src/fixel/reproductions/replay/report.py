@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -16,7 +15,6 @@ Row = dict[str, Any]
 ANGLE_LENGTH = 35e-3
 
 # Told after each part: how many of how many are done, and what they are.
-Progress = Callable[[int, int, str], None]
 
 
 class Timing(NamedTuple):

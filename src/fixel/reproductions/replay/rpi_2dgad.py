@@ -28,9 +28,9 @@ from fixel.reproductions.replay.choose import (
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.report import ANGLE_LENGTH, Progress, Replay, Row, Timing, rms
+from fixel.reproductions.replay.report import ANGLE_LENGTH, Replay, Row, Timing, rms
 from fixel.simulation import Simulation, StewartTrinkle, simulate
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, NotedProgress
 
 GRAVITY = 9.81  # [m/s^2]
 
@@ -52,7 +52,7 @@ class ObjectMotion(NamedTuple):
 
 
 def replay_trials(
-    data: RpiTrials, choice: ReplayRequest, progress: Progress, reading: float = 0.0
+    data: RpiTrials, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
 ) -> Replay:
     """Drive the measured actuator path of every complete trial, and set the laboratory's own
     simulation beside it.

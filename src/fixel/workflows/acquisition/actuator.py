@@ -12,8 +12,7 @@ from fixel.testbed.motion import SPEED, AbstractActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.motion_manual import ManualActuator
 from fixel.testbed.motion_simulated import SimulatedActuator
-
-Say = Callable[[str], None]
+from fixel.typing import Notify
 
 
 @final
@@ -52,7 +51,7 @@ class ActuatorAnswer:
 
 
 def chosen_actuator(
-    driver: str, port: str | None, *, say: Say = print, dead_man: float | None = None
+    driver: str, port: str | None, *, say: Notify = print, dead_man: float | None = None
 ) -> AbstractActuator:
     """The driver of a name: `grbl`, `manual`, `simulated`."""
     if driver == GrblActuator.name:
@@ -65,7 +64,7 @@ def chosen_actuator(
     raise InvalidInput("--driver", found=repr(driver), expected=f"one of {names}")
 
 
-def _asking(say: Say) -> Callable[[str], str]:
+def _asking(say: Notify) -> Callable[[str], str]:
     """`input`, but with the question where everything else is said: it may write to the answer."""
 
     def ask(sentence: str) -> str:

@@ -14,14 +14,14 @@ from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import save_scene
 from fixel.formats.video_file import VideoWriter
 from fixel.model.chance import stream
+from fixel.typing import Notify, Progress
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_times, looks_named
 from fixel.workflows.acquisition.film_shots import FilmScene, shots
 from fixel.workflows.acquisition.film_truth import Truth, tracks_of, truth_of, write_truth
-from fixel.workflows.compilation import Say, get_ready
+from fixel.workflows.compilation import get_ready
 
-Progress = Callable[[int, int], None]
 Write = Callable[[Frame, int | None, float], None]
 
 LEAD: Final = 0.5  # [s] at rest before the motion
@@ -110,7 +110,7 @@ def film(
     project: Path = Path(),
     limit: int | None = None,
     video: Path | None = None,
-    say: Say | None = None,
+    say: Notify | None = None,
     progress: Progress | None = None,
 ) -> list[FilmResult]:
     """Film scenes, plans and experiments.
@@ -170,7 +170,7 @@ def _looks(name: str, rig: Rig) -> Looks:
     return looks
 
 
-def _prepared(items: Iterator[FilmScene], say: Say | None) -> Iterator[FilmScene]:
+def _prepared(items: Iterator[FilmScene], say: Notify | None) -> Iterator[FilmScene]:
     """The shots, after a word about what the first one waits for."""
     from fixel.testing.scenes import sliding_block
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 from fixel.testbed.serial_port import PortSeen, found_ports
 from fixel.testbed.tactile import DEADLINE, TactileReader
 from fixel.testbed.tactile_reading import TactileReading
+from fixel.typing import Progress
 
 FRAME: Final = 1.0 / 30.0  # [s]
 READINGS: Final = 300
-
-Progress = Callable[[int, int], None]
 
 
 @final

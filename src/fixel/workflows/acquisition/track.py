@@ -20,14 +20,13 @@ from fixel.formats.scene_file import load_scene
 from fixel.formats.video_file import ENDINGS, open_video
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment, Provenance, Scene
+from fixel.typing import Progress
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking import AUTO, FilmTracks, track
 from fixel.vision.tracking.actuator import ActuatorMotion
 from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
 from fixel.workflows.project.importing import typed
-
-Progress = Callable[[int, int], None]
 
 RIG_FILE: Final = "rig.yaml"
 SCENE_FILE: Final = "scene.yaml"

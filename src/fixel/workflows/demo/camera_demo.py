@@ -6,7 +6,6 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple, final
@@ -24,7 +23,8 @@ from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing import emulated_mega
-from fixel.workflows.acquisition.film import Progress, Shooting, film
+from fixel.typing import Notify, Progress
+from fixel.workflows.acquisition.film import Shooting, film
 from fixel.workflows.acquisition.film_truth import ARRAYS
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, TextTable, keep
@@ -50,8 +50,6 @@ TRACKED, TRUE = "tracked", "true-poses"
 MARK: Final = "tour.json"  # in the folder: what was asked for, so that the same can go on
 RUNS: Final = "runs.json"  # in the folder: what was measured while a run was recorded
 ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
-
-Say = Callable[[str], None]
 
 
 class TrackingErrors(NamedTuple):
@@ -102,7 +100,7 @@ def run_camera_tour(
     *,
     pushes: tuple[int, ...] = PUSHES,
     frames: int | None = None,
-    say: Say | None = None,
+    say: Notify | None = None,
     progress: Progress | None = None,
 ) -> CameraTour:
     """Film simulated pushes, record the films off a camera, track, calibrate, compare.
@@ -194,7 +192,7 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
     return Project.open(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
 
 
-def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Say) -> TrackAnswer:
+def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Notify) -> TrackAnswer:
     """Record a film where that has not been done, and track it.
 
     Raises
@@ -305,7 +303,7 @@ def _filmed(
     folder: Path,
     pushes: tuple[int, ...],
     frames: int | None,
-    tell: Say,
+    tell: Notify,
     progress: Progress | None,
 ) -> list[Path]:
     planned = [thesis_plan().experiments[k] for k in pushes]
@@ -332,7 +330,7 @@ def _is_film(folder: Path) -> bool:
     return is_recording(folder) and open_recording(folder).complete and (folder / ARRAYS).is_file()
 
 
-def _firmware(folder: Path, tell: Say) -> Path | None:
+def _firmware(folder: Path, tell: Notify) -> Path | None:
     """The firmware of the fixels, built for its emulator; none where that cannot be."""
     missing = emulated_mega.why_not()
     if missing:

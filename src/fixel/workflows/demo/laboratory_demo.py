@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -18,6 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
+from fixel.typing import Notify
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration import run as calibration
@@ -45,8 +46,6 @@ ABOUT: Final = (1, 8, 19)
 FROM, PREDICTED = 19, 20
 START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
 
-Say = Callable[[str], None]
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +65,7 @@ class Tour:
     truth: TextTable
 
 
-def run_tour(folder: Path, say: Say | None = None) -> Tour:
+def run_tour(folder: Path, say: Notify | None = None) -> Tour:
     """Make a project of simulated experiments, calibrate it, and report how far to believe it.
 
     What is there already from an earlier tour is not done again.

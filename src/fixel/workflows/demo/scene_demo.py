@@ -7,11 +7,10 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import final
 
-from fixel.drawing.animation import Progress
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.simulation import Simulation
-from fixel.workflows.compilation import Say
+from fixel.typing import Notify, Progress
 from fixel.workflows.demo.events import MotionEvent, story
 from fixel.workflows.simulation import Outputs, simulate_file
 
@@ -49,7 +48,7 @@ def example_text(name: str) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def run_demo(folder: Path, *, say: Say | None = None, progress: Progress | None = None) -> Demo:
+def run_demo(folder: Path, *, say: Notify | None = None, progress: Progress | None = None) -> Demo:
     """Simulate the grasp of the examples and leave scene, picture, film and trajectory behind.
 
     Parameters

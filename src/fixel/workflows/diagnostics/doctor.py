@@ -16,7 +16,8 @@ from fixel.errors import InvalidInput
 from fixel.kernels.jit import cache_folder
 from fixel.simulation import Lemke
 from fixel.testing import scenes
-from fixel.workflows.compilation import Say, cache_size, engine_is_cold, get_ready
+from fixel.typing import Notify
+from fixel.workflows.compilation import cache_size, engine_is_cold, get_ready
 from fixel.workflows.diagnostics.self_test import SelfCheck, self_test, worst_residual
 
 PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av", "pillow")
@@ -56,7 +57,7 @@ class Diagnosis:
         return {"passed": self.passed, "max_residual": worst, **asdict(self)}
 
 
-def examine(say: Say | None = None) -> Diagnosis:
+def examine(say: Notify | None = None) -> Diagnosis:
     """Look at versions, cores, the cache of compiled kernels, and run the self-test.
 
     Parameters

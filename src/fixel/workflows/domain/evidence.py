@@ -23,7 +23,7 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Progress
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import choose
 from fixel.workflows.calibration.stored import newest
@@ -34,7 +34,6 @@ from fixel.workflows.domain.held_out import (
     Apart,
     CalibrationModel,
     HeldOut,
-    Progress,
     held_out,
     label_of,
 )

@@ -18,11 +18,10 @@ from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.promised_cells import promised_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Progress
 from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.domain.charts import pictures_of
 from fixel.workflows.domain.evidence import DomainEvidence, gather
-from fixel.workflows.domain.held_out import Progress
 from fixel.workflows.domain.report import headline, methods_of, numbers, tables, warnings_of
 from fixel.workflows.domain.request import OFFSETS, DomainRequest
 from fixel.workflows.figures import make_folder

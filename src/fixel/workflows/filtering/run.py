@@ -11,10 +11,10 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.recorded import FilterEstimates, Progress, run_filter
+from fixel.filtering.recorded import FilterEstimates, run_filter
 from fixel.model import Experiment, Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Progress
 
 NAME: Final = "particle"  # of the settings, in the project
 

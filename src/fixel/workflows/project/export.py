@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
@@ -24,8 +24,8 @@ from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
+from fixel.typing import Progress
 
-Progress = Callable[[int, int], None]
 FORMATS: Final = ("bundle", "parquet", "lerobot")
 RATES: Final = (1, 1000)  # [Hz]
 

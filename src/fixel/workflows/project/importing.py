@@ -7,7 +7,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,11 +21,10 @@ from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
+from fixel.typing import Progress
 from fixel.workflows.project.suggestions import refuse_mistyped
 
 _RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
-
-Progress = Callable[[int, int], None]
 
 
 class ImportSummary(NamedTuple):

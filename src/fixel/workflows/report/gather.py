@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import platform
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 from fixel.database.project import Project
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, kept
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
@@ -44,11 +44,9 @@ MISSING: Final[dict[Kind, str]] = {
     " fixel uncertainty.",
 }
 
-Say = Callable[[str], None]
-
 
 def gather(
-    project: Project, number: int | None, folder: Path, title: str, say: Say | None = None
+    project: Project, number: int | None, folder: Path, title: str, say: Notify | None = None
 ) -> Content:
     """The content of a report, its figures drawn into a folder.
 

@@ -11,7 +11,8 @@ from fixel.errors import InvalidInput
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.sampling import Plan, PlanProblem, eight_push_plan, rehearse, thesis_plan
-from fixel.workflows.compilation import Say, get_ready
+from fixel.typing import Notify
+from fixel.workflows.compilation import get_ready
 
 PLAN_ENDINGS = (".yaml", ".yml")
 
@@ -66,7 +67,7 @@ def sample(
     plot: Path | None = None,
     simulate: bool = False,
     eight_push: bool = False,
-    say: Say | None = None,
+    say: Notify | None = None,
 ) -> SampleAnswer:
     """Read a plan, check it, and write and draw it where asked.
 

@@ -16,6 +16,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
 from fixel.simulation import Dynamic
+from fixel.typing import Progress
 from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
@@ -25,8 +26,6 @@ from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
 from fixel.workflows.simulation import SimulationMethod, parts
-
-Told = Callable[[int, int], None]
 
 SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
 
@@ -60,7 +59,7 @@ def analyse_sensitivity(
     project: Callable[[], Project],
     *,
     command: str = "",
-    progress: Callable[[str], Told | None] | None = None,
+    progress: Callable[[str], Progress | None] | None = None,
     ready: Callable[[Scene], None] | None = None,
 ) -> SensitivityAnswer:
     """Look at stored experiments or scene files, and keep the answer where there is a project.
@@ -131,7 +130,7 @@ def _badness(finding: Finding) -> tuple[int, float, str]:
     return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
 
 
-def _look(subject: Subject, request: SensitivityRequest, told: Told | None) -> Finding:
+def _look(subject: Subject, request: SensitivityRequest, told: Progress | None) -> Finding:
     method: dict[str, Any] = {
         "values": subject.values,
         "motion": subject.motion,

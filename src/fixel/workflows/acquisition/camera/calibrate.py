@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -18,6 +18,7 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
+from fixel.typing import NotedProgress
 from fixel.vision.boards import Board, Picture, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
 from fixel.vision.measured_camera import MeasuredCamera
@@ -27,7 +28,6 @@ from fixel.workflows.acquisition.camera.report import PlaceAccuracy, empty_corne
 
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
-Tell = Callable[[int, int, str], None]
 
 
 @final
@@ -107,7 +107,7 @@ def calibrate(
     *,
     coefficients: int | None = None,
     fisheye: bool = False,
-    tell: Tell | None = None,
+    tell: NotedProgress | None = None,
 ) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and write the camera.
 
