@@ -245,11 +245,16 @@ _MACHINE: Final = frozenset(
 )
 
 
+def os_reason(problem: OSError) -> str:
+    """Return the reason that the operating system gives, such as "permission denied"."""
+    return (problem.strerror or str(problem)).lower()
+
+
 def machine_failure(problem: OSError) -> FixelError | None:
     """Return what the machine refuses as a sentence; None where the fault is the program's."""
     if problem.errno not in _MACHINE:
         return None
-    reason = (problem.strerror or str(problem)).lower()
+    reason = os_reason(problem)
     name = str(problem.filename) if problem.filename is not None else ""
     place = f"{name[:80]}...: " if len(name) > 200 else f"{name}: " if name else ""
     full = problem.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))

@@ -13,7 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database.tables import MEDIA_BYTES, series
-from fixel.errors import StoreRefused
+from fixel.errors import StoreRefused, os_reason
 from fixel.typing import FloatArray
 
 
@@ -87,7 +87,7 @@ def keep(data: bytes, media: Path) -> str:
     except OSError as problem:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise StoreRefused(
             f"{media} cannot be written to: {reason}", hint="make the folder writable, or make room"
         ) from None

@@ -17,7 +17,7 @@ from fixel.database.browsing import Conditions, ExperimentView, Leaf
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
-from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.errors import InvalidInput, NotStored, StoreRefused, os_reason
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
@@ -438,7 +438,7 @@ class Store:
         try:
             return arrays.keep(file.read_bytes(), self._media)
         except OSError as problem:
-            reason = (problem.strerror or str(problem)).lower()
+            reason = os_reason(problem)
             raise InvalidInput(str(file), found=reason, expected="a file to read") from None
 
     def video(self, number: int) -> Path | None:

@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.formats.camera_matlab import matlab_camera
 from fixel.formats.camera_matrix import lens_of
 from fixel.formats.camera_opencv import opencv_camera
@@ -132,7 +132,7 @@ def _head(path: Path) -> bytes:
             )
         return path.read_bytes()
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(path), found=reason, expected="a file that can be read") from None
 
 

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.formats.recording_header import (
     CODECS,
     END,
@@ -192,7 +192,7 @@ def repair_recording(folder: str | Path) -> Recording:
         os.truncate(folder / VIDEO, last.video_end)
         (folder / RESERVE).unlink(missing_ok=True)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(
             str(folder), found=reason, expected="a folder that can be written to"
         ) from None

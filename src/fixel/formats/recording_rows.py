@@ -10,7 +10,7 @@ import zlib
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 
 HEAD: Final = "frame,time_s,reading,reading_time_s,bytes,video_bytes,picture_crc32,row_crc32\n"
 MICRO: Final = 1_000_000
@@ -85,7 +85,7 @@ def read_rows(path: Path) -> RecordingRows:
     try:
         lines = path.read_bytes().splitlines(keepends=True)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(path), found=reason, expected="the rows of a recording") from None
     if not lines or lines[0] != HEAD.encode("ascii"):
         found = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.formats.recording_header import (
     HEADER,
     ROWS,
@@ -220,7 +220,7 @@ def _make(folder: Path) -> None:
 
 
 def _refusal(folder: Path, problem: OSError) -> InvalidInput:
-    reason = (problem.strerror or str(problem)).lower()
+    reason = os_reason(problem)
     return InvalidInput(
         str(folder), found=reason, expected="a folder that can be made and written to"
     )

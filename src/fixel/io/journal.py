@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import InvalidInput, JobRefused, os_reason
 from fixel.io.lock import FileLock, Owner, holder
 
 MAGIC: Final = b"fixel journal 1\n"
@@ -294,5 +294,5 @@ def _other(path: Path) -> InvalidInput:
 
 
 def _unwritable(path: Path, problem: OSError) -> JobRefused:
-    reason = (problem.strerror or str(problem)).lower()
+    reason = os_reason(problem)
     return JobRefused(f"{path} cannot be written: {reason}", hint="make room, then resume the job")

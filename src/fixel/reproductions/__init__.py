@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from fixel.datasets.raw.mit_push import read, recognised
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput, os_reason
 from fixel.reproductions.joint import joint_calibration
 from fixel.reproductions.mit_push import benchmark_pushes
 from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
@@ -90,7 +90,7 @@ def _make(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(out), found=reason, expected="a folder to write to") from None
 
 

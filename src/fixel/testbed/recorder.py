@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol, final
 
-from fixel.errors import FixelError, InvalidInput
+from fixel.errors import FixelError, InvalidInput, os_reason
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
@@ -232,7 +232,7 @@ class Recorder:
             try:
                 self._write(writer, arrived, at, zero)
             except OSError as problem:
-                return f"the disk took no more: {(problem.strerror or str(problem)).lower()}"
+                return f"the disk took no more: {os_reason(problem)}"
             self._pace.tick(at)
             if now - looked >= LOOKS_AT_DISK:
                 looked, self._free = now, free_space(self.folder)

@@ -11,7 +11,7 @@ from typing import Final, final
 import uvicorn
 from fastapi import FastAPI
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.web.app import Page, create_app
 from fixel.web.security import LOOPBACK, Gate
 
@@ -185,7 +185,7 @@ def _listening(host: str, port: int | None) -> socket.socket:
         listening.close()
         raise InvalidInput(
             "--port",
-            found=f"{port} of {host}: {(problem.strerror or str(problem)).lower()}",
+            found=f"{port} of {host}: {os_reason(problem)}",
             expected="a free port from 1024 to 65535",
             hint="leave --port out and any free one is taken",
         ) from None

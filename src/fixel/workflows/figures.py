@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from fixel.drawing.chart import AbstractChart, ChartTable, draw_chart
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
@@ -38,7 +38,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(folder), found=reason, expected="a folder for pictures") from None
 
 

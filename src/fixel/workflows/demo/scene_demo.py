@@ -7,7 +7,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 from fixel.simulation import Simulation
 from fixel.typing import Notify, Progress
@@ -66,7 +66,7 @@ def run_demo(folder: Path, *, say: Notify | None = None, progress: Progress | No
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(folder), found=reason, expected="a folder to write to") from None
     scene = folder / f"{EXAMPLE}.yaml"
     outputs = Outputs(

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.kernels.jit import cache_folder
 from fixel.simulation import Lemke
 from fixel.testing import scenes
@@ -103,7 +103,7 @@ def _cache_check() -> SelfCheck:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         hint = "set FIXEL_CACHE_DIR to a folder one may write to"
         return SelfCheck(name, False, f"{folder}: {reason}; {hint}")
     return SelfCheck(name, True, "the cache folder can be written to")

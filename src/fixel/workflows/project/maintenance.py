@@ -19,7 +19,7 @@ from fixel.database import arrays, schema, tables
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, StoreRefused, os_reason
 from fixel.io.atomic import written_whole
 from fixel.workflows.project.stored_content import (
     RESTORE,
@@ -358,7 +358,7 @@ def _file_trouble(path: Path) -> str | None:
         with open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as problem:
-        return f"cannot be read: {(problem.strerror or str(problem)).lower()}"
+        return f"cannot be read: {os_reason(problem)}"
     return None if digest == path.name else "has changed: its checksum is not its name"
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, os_reason
 from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
 from fixel.formats.video_file import open_video
 from fixel.vision.boards import Picture
@@ -73,7 +73,7 @@ def read_picture(path: Path) -> Picture:
             raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     except OSError as problem:
-        reason = (problem.strerror or str(problem)).lower()
+        reason = os_reason(problem)
         raise InvalidInput(str(path), found=reason, expected="a picture") from None
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
