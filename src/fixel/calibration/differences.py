@@ -17,7 +17,7 @@ PLAIN: Final = 1000.0
 TRIES: Final = 4
 GROWTH: Final = 10.0
 # Steps this share of the first one that still fail are at an edge of what can be evaluated.
-SMALLEST: Final = 1e-3
+MIN_STEP_SHARE: Final = 1e-3
 
 
 @final
@@ -99,7 +99,7 @@ class Differences:
         self._tries[j] += 1
         last = self._tries[j] >= TRIES
         if not len(moved):
-            self.step[j] = max(self.step[j] / GROWTH, SMALLEST * self._first)
+            self.step[j] = max(self.step[j] / GROWTH, MIN_STEP_SHARE * self._first)
             self._side[j] = -self._side[j]
             return j not in self._columns and not last
         self._columns[j] = _slope(change, moved)

@@ -27,13 +27,13 @@ STRIDE: Final = 0.4
 # Where a value beyond the crossing is aimed at.
 AIM: Final = 1.1
 # Longest step, as a share of the way to the bound, and over the step before.
-LONGEST: Final = 0.5
+MAX_STEP: Final = 0.5
 GROWTH: Final = 2.0
 # Shortest step [scales].
-SHORTEST: Final = 1e-6
+MIN_STEP: Final = 1e-6
 # A bracket is narrow enough when an end is this close to the threshold, or its width is this share
 # of the distance: a 3 per cent error of an interval's half-width changes no conclusion.
-CLOSE: Final = 0.06
+CLOSE_RISE: Final = 0.06
 NARROW: Final = 0.03
 # Values fixed on a side, at most.
 MAX_NODES: Final = 30
@@ -112,14 +112,14 @@ class Side:
             self.columns[:, free] = fit.columns[:, free]
         move = (fit.point - self._at) / self._scales
         length = float(move @ move)
-        if length > SHORTEST**2:
+        if length > MIN_STEP**2:
             missed = fit.residual - self._residual - self.columns @ move
             self.columns += np.outer(missed, move / length)
             self._at, self._residual = fit.point, fit.residual
 
     def next_value(self, threshold: float) -> float | None:
         """The next value to fix; None when the crossing is known, or there is none."""
-        if self._room <= SHORTEST * self._scale or len(self.nodes) > MAX_NODES:
+        if self._room <= MIN_STEP * self._scale or len(self.nodes) > MAX_NODES:
             return None
         above = self.first_above(threshold)
         if above is None:
@@ -178,7 +178,7 @@ class Side:
         last = self._distance(self.nodes[-1].value)
         if last >= self._room:
             return None
-        longest = LONGEST * self._room
+        longest = MAX_STEP * self._room
         if len(self.nodes) == 1:
             step = self._first if self._first < self._room else longest
         else:
@@ -187,17 +187,17 @@ class Side:
             wanted = min(max(AIM - b, 0.05), STRIDE)
             step = wanted * gap / (b - a) if b > a else math.inf
             step = min(max(step, gap / GROWTH), GROWTH * gap, longest)
-        return self._placed(last + max(step, SHORTEST * self._scale))
+        return self._placed(last + max(step, MIN_STEP * self._scale))
 
     def _between(self, inner: Node, outer: Node, threshold: float) -> float | None:
         a, b = (self._length(node, threshold) for node in (inner, outer))
         from_, to = self._distance(inner.value), self._distance(outer.value)
-        narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
+        narrow = to - from_ <= max(NARROW * to, MIN_STEP * self._scale)
         # From the best alone one cannot tell a parabola from a line: one more value in between.
         predicted = a == 0.0 and abs(to - FIRST_SHARE * self._reach) <= 1e-6 * to
         if narrow or (predicted and b - 1.0 <= CONFIRMED):
             return None
-        if a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE:
+        if a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE_RISE:
             return None
         # Interpolation halves a bracket slowly where the deviance jumps, so every third is halved.
         share = (

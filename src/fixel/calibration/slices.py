@@ -20,7 +20,7 @@ LOOKS: Final = 3
 AIM: Final = 1.05
 # A look this close to the threshold is the crossing, as is one in a bracket this narrow: share of
 # the rise's root, and of the distance.
-CLOSE: Final = 0.1
+CLOSE_RISE: Final = 0.1
 CONFIRMED: Final = 0.05
 NARROW: Final = 0.2
 # Rounds of points between the two that bracket the crossing, at most.
@@ -114,7 +114,7 @@ class Slicer:
                 placed = abs(distance - AIM * self._reach) <= 1e-6 * distance
                 if not (placed and abs(b - AIM) <= CONFIRMED):
                     found.append(pair[0] + 0.5 / b * (pair[1] - pair[0]))
-            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE:
+            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE_RISE:
                 # Where the deviance bends, this comes slowly closer: half of the way in turn.
                 share = 0.5 if self._round % 2 == 0 else self._share(*pair)
                 found.append(pair[0] + share * (pair[1] - pair[0]))

@@ -18,7 +18,7 @@ from fixel.model.fields import non_negative, positive
 from fixel.typing import FloatArray
 
 # Points compared with each other, at most, the best ones: their distances take 8 bytes a pair.
-MOST: Final = 2000
+MAX_SOLUTIONS: Final = 2000
 
 
 class Solution(NamedTuple):
@@ -81,7 +81,7 @@ def find_solutions(
     order = order[np.isfinite(told[order])]
     if not len(order):
         return ()
-    order = order[told[order] <= told[order[0]] + limit][:MOST]
+    order = order[told[order] <= told[order[0]] + limit][:MAX_SOLUTIONS]
     labels = _clusters(table[order] / widths, gap)
     return tuple(
         _solution(table, told, order[labels == label]) for label in dict.fromkeys(labels.tolist())

@@ -35,7 +35,7 @@ OFTEN: Final = 0.1
 # a quarter of that under the other: the other is meant.
 INSIDE: Final = 0.03
 
-FAR: Final = 1e3  # [m] from everything
+FAR_AWAY: Final = 1e3  # [m] from everything
 
 NOMINAL_FRICTION: Final = 0.25
 
@@ -167,7 +167,10 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
         for pusher in record.pushers:
             pusher.pose = None
             pusher.drive.direction = pusher.drive.speed = pusher.drive.travel = None
-            pusher.drive.waypoints = [[0.0, FAR, FAR, 0.0], [1.0, FAR, FAR, 0.0]]
+            pusher.drive.waypoints = [
+                [0.0, FAR_AWAY, FAR_AWAY, 0.0],
+                [1.0, FAR_AWAY, FAR_AWAY, 0.0],
+            ]
     return scene_of(record)
 
 

@@ -14,10 +14,10 @@ from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 
-FEW: Final = 25  # distinct values that get a cell each
+FEW_VALUES: Final = 25  # distinct values that get a cell each
 BINS: Final = 8  # ranges of equal share, of more than that
 MAX_CELLS: Final = 2500
-SAME: Final = 1e-9  # share of the extent by which equal values may differ
+SAME_VALUE: Final = 1e-9  # share of the extent by which equal values may differ
 
 _READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 
@@ -92,7 +92,7 @@ class CellAxis:
         near = np.abs(np.array(self.centres) - value)
         k = int(near.argmin())
         extent = self.centres[-1] - self.centres[0]
-        return k if near[k] <= max(SAME * extent, 1e-12) * 10.0 else -1
+        return k if near[k] <= max(SAME_VALUE * extent, 1e-12) * 10.0 else -1
 
     @property
     def places(self) -> FloatArray:
@@ -123,9 +123,9 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
     numbers = np.unique(np.array(known, np.float64))
     if step is not None:
         return _regular(name, numbers, step)
-    gap = max(SAME * float(np.ptp(numbers)), 1e-12)
+    gap = max(SAME_VALUE * float(np.ptp(numbers)), 1e-12)
     distinct = numbers[np.concatenate(([True], np.diff(numbers) > gap))]
-    if len(distinct) <= FEW:
+    if len(distinct) <= FEW_VALUES:
         return CellAxis(name=name, centres=tuple(distinct.tolist()))
     shares = np.linspace(0.0, 1.0, BINS + 1)
     edges = np.unique(np.quantile(np.array(known, np.float64), shares))

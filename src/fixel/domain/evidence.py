@@ -20,7 +20,7 @@ MEASURES: Final[tuple[Measure, ...]] = get_args(Measure)
 # Endings of names that say a unit; what ends otherwise has none.
 _UNITS: Final = {"_m_s": "m/s", "_rad_s": "rad/s", "_rad": "rad", "_m": "m", "_s": "s", "_n": "N"}
 # An error of nothing has no logarithm [mm^2]; simulations are not more exact than a micrometre.
-LEAST: Final = 1e-6
+MIN_ERROR: Final = 1e-6
 
 
 def unit_in(name: str) -> str:
@@ -132,10 +132,10 @@ class HeldOutErrors(Comparable):
         Absolute: log of the root of E, in millimetres. Relative: log of E over the experiment's own
         best, nan where that is not known. inf where the simulation failed.
         """
-        error = np.maximum(self.error_mm2, LEAST)
+        error = np.maximum(self.error_mm2, MIN_ERROR)
         if measure == "absolute":
             return np.asarray(0.5 * np.log(error))
-        own = np.maximum(self.own_mm2, LEAST)
+        own = np.maximum(self.own_mm2, MIN_ERROR)
         # The best found is an upper bound of the best there is: nothing can be better than itself.
         return np.asarray(np.log(np.maximum(error / own, 1.0)))
 

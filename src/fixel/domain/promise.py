@@ -33,7 +33,7 @@ FOLDS: Final = 5
 # groups that are unlike the others down; chosen on inner splits of real pushes.
 BORROWED: Final = 40.0
 # Nothing is promised farther from all evidence than this times what is far among the evidence.
-FAR: Final = 2.0
+FAR_RATIO: Final = 2.0
 FAR_SHARE: Final = 0.99
 FAR_AWAY: Final = "far from all experiments in its features"
 
@@ -397,7 +397,7 @@ class _Near(NamedTuple):
         if table.shape[1] == 0 or len(table) < 2:
             return cls(features, scale, 0.0)
         apart = KDTree(table).query(table, k=2)[0][:, 1]
-        return cls(features, scale, FAR * float(np.quantile(apart, FAR_SHARE)))
+        return cls(features, scale, FAR_RATIO * float(np.quantile(apart, FAR_SHARE)))
 
     @property
     def n_column(self) -> int:

@@ -33,7 +33,7 @@ LETTER = 0.046  # mean width of a letter of a fixel's name
 MARGIN = 0.05  # of the larger side, around everything drawn
 MIN_SIDE = 5e-3  # [m] of a view: noise alone is no path
 MAX_OUTLINES = 60  # that the extent is measured by
-FEW = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
+FEW_POSES = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
 DOTTED: Final = (0, (1, 1))
 MAX_NAMES = 12  # fixels with names beside them
 STEPS = 2  # outlines between start and end in a comparison
@@ -283,7 +283,7 @@ def _ends(axes: Axes, track: Trajectory, who: str) -> list[Artist]:
 
 def _draw_ghosts(axes: Axes, track: Trajectory, shape: Shape) -> None:
     # Of an experiment with two poses nobody knows what lies between.
-    if len(track.time) > FEW:
+    if len(track.time) > FEW_POSES:
         unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
         between = ghosts(unwound, shape, 4)
         outlines = [placed(shape.outline, pose) for pose in between]
@@ -299,7 +299,7 @@ def _overlay(axes: Axes, experiment: Experiment, simulated: Trajectory) -> list[
     start = max(track.time[0], simulated.time[0])
     handles: list[Artist] = []
     if shape is not None:
-        steps = STEPS if len(track.time) > FEW else 0
+        steps = STEPS if len(track.time) > FEW_POSES else 0
         between = np.linspace(start, end, steps + 2)[1:-1]
         for source, colour, what in _both(experiment, simulated):
             outlines = [placed(shape.outline, pose) for pose in source.at(between)]
@@ -330,13 +330,13 @@ def _rgb(colour: str) -> tuple[float, float, float]:
 
 def _joined(track: Trajectory) -> dict[str, Any]:
     """Style of a line; of start and end alone, dots: nothing was measured between them."""
-    if len(track.time) > FEW:
+    if len(track.time) > FEW_POSES:
         return {"linestyle": "-"}
     return {"linestyle": "none", "marker": "o", "markersize": 3.0}
 
 
 def _path(axes: Axes, track: Trajectory, label: str, **style: Any) -> Artist:
-    if len(track.time) <= FEW:
+    if len(track.time) <= FEW_POSES:
         label = label.replace(", path", ", poses")
     (line,) = axes.plot(*(track.pose[:, :2].T * MM.per_metre), label=label, **style)
     return line

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 MM: Final = UNITS[1]
 DASHED: Final = (0, (4, 1.6))
-FEW: Final = 3  # poses up to which each gets a dot
+FEW_POSES: Final = 3  # poses up to which each gets a dot
 MAX_OUTLINES: Final = 40  # that the extent is measured by
 
 # [inch] of the page.
@@ -41,7 +41,7 @@ TALL: Final = 3 * PANEL + 2 * GAP
 VIEW: Final = 2.75  # width of the top view
 LEGEND: Final = 0.62  # below it, with four rows
 LOWEST: Final = 1.0
-LEAST: Final = 0.02  # range of a panel [mm or deg]
+MIN_RANGE: Final = 0.02  # range of a panel [mm or deg]
 
 
 class Track(NamedTuple):
@@ -163,7 +163,7 @@ def _draw_view(axes: Axes, chart: OverlayChart) -> None:
         last = placed(chart.outline, track.pose[-1])
         label = f"{name}, end{_error(track, chart.unit)}"
         axes.plot(*_closed(last), label=label, zorder=4, **style)
-        if len(track.time) > FEW:
+        if len(track.time) > FEW_POSES:
             thin = style | {"linewidth": 0.6 * style["linewidth"]}
             axes.plot(*(track.pose[:, :2].T * MM.per_metre), zorder=3, **thin)
     for k, outline in enumerate(chart.fixels):
@@ -233,7 +233,7 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
 
 def _dots(track: Track) -> Style:
     """Of a few poses nobody knows what lies between."""
-    few = len(track.time) <= FEW
+    few = len(track.time) <= FEW_POSES
     return {"linestyle": "none", "marker": "o", "markersize": 3.5} if few else {}
 
 
@@ -244,8 +244,8 @@ def _time_axes(panels: Sequence[Axes], measured: Track) -> None:
         axes.set_xlim(-0.02 * end, 1.02 * end)
         axes.margins(y=0.10)
         low, high = axes.get_ylim()
-        if high - low < LEAST:  # rounding errors are no motion
-            axes.set_ylim(0.5 * (low + high - LEAST), 0.5 * (low + high + LEAST))
+        if high - low < MIN_RANGE:  # rounding errors are no motion
+            axes.set_ylim(0.5 * (low + high - MIN_RANGE), 0.5 * (low + high + MIN_RANGE))
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.tick_params(labelbottom=axes is panels[-1])
         axes.yaxis.set_label_coords(-0.25, 0.5)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BAND: Final = (0.88, 0.92)
-LEAST: Final = 0.85
+MIN_LEVEL: Final = 0.85
 NAMES: Final = {
     "position": ("position", palette.BODY, "o"),
     "angle": ("angle", palette.PUSHER, "s"),
@@ -123,7 +123,7 @@ class PromiseChart(AbstractChart):
     def _groups(self, axes: Axes) -> None:
         place = np.arange(len(self.groups))[::-1]
         axes.axvspan(*BAND, color=palette.FAINT, alpha=0.6, linewidth=0.0)
-        axes.axvline(LEAST, color=palette.FORCE, linewidth=0.8, linestyle=(0, (4, 2)))
+        axes.axvline(MIN_LEVEL, color=palette.FORCE, linewidth=0.8, linestyle=(0, (4, 2)))
         share = [row["coverage"] for row in self.groups]
         spread = [row["coverage_sd_of_counts"] for row in self.groups]
         constant = [row["coverage_constant"] for row in self.groups]

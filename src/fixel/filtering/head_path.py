@@ -24,7 +24,7 @@ from fixel.typing import FloatArray
 RATIOS: Final = 10.0 ** np.arange(-8.0, 5.0, 2.0)
 EXACT: Final = 1e-8  # [m], [rad]: deviations of noise below it are rounding
 AS_GOOD: Final = 2.0  # [-] logarithms of likelihoods
-FEWEST: Final = 5  # samples, below which the noise cannot be told from the motion
+MIN_SAMPLES: Final = 5  # samples, below which the noise cannot be told from the motion
 
 
 def smoothed(time: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -45,7 +45,7 @@ def smoothed(time: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatA
         zero where there are too few samples to tell.
     """
     n = len(time)
-    if n < FEWEST:
+    if n < MIN_SAMPLES:
         return measured.copy(), np.zeros(measured.shape[1])
     interval = np.diff(time) / np.mean(np.diff(time))
     rows = np.stack(

@@ -12,7 +12,7 @@ from fixel.simulation.geometry import pack_shapes
 from fixel.typing import FloatArray
 
 CLEAR: Final = 1e-3  # probability from which a contact is clear
-FAR: Final = 5e-3  # [m] gaps beyond it are bounded, not measured
+FAR_GAP: Final = 5e-3  # [m] gaps beyond it are bounded, not measured
 
 
 def contact_probability(gap: FloatArray, touch_gap: float, spread: FloatArray) -> FloatArray:
@@ -110,7 +110,7 @@ class FixelGaps:
         """(n, n_fixel) gaps [m] at poses (n, 3); negative in overlap, lower bounds from 5 mm on."""
         away = pose[:, None, :2] - self._fixel[:, :2]
         gap = np.asarray(np.hypot(away[:, :, 0], away[:, :, 1]) - self._reach)
-        row, fixel = np.nonzero(gap < FAR)
+        row, fixel = np.nonzero(gap < FAR_GAP)
         if len(row) == 0:
             return gap
         first = np.column_stack((away[row, fixel] / self._size, pose[row, 2]))

@@ -40,7 +40,9 @@ MIN_SHARE: Final = 0.5
 MAX_WIDENED: Final = 8.0  # times the spread at the start
 ISLAND: Final = 125  # particles at most that are weighed, resampled and moved among themselves
 BLOCK: Final = 40  # frames of the past through which proposals are simulated in one frame
-LONGEST: Final = 600  # frames of the pusher's path that are smoothed again with every new one
+MAX_PATH_FRAMES: Final = (
+    600  # frames of the pusher's path that are smoothed again with every new one
+)
 POSE: Final = "x [m], y [m], angle [rad]"
 
 
@@ -262,7 +264,7 @@ class RunningFilter:
 
     def _smooth(self) -> None:
         """Of the latest frames; what is older stays as it was."""
-        recent = slice(-LONGEST, None)
+        recent = slice(-MAX_PATH_FRAMES, None)
         time = np.array([sight.time for sight in self._sights[recent]])
         path, rate = smoothed(time, np.array(self._measured[recent]))
         self._shake = np.array([0.5 * (rate[0] + rate[1]), rate[2]])

@@ -38,7 +38,9 @@ INSIST = 3  # one of so many unsolved trials of a step is not given up early, ja
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
-FAR = 1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
+MAX_MOTION = (
+    1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
+)
 SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for; see step._margin
 SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end belong to it
 
@@ -498,7 +500,7 @@ def is_thrown(model: Model, state: State, time: float, step: float, problem: Pro
     by turning about a lever of no length: a million times as fast as it was asked to.
     """
     fastest = largest_speed(problem)
-    return step * fastest > FAR and fastest > SUDDEN * fastest_in_sight(
+    return step * fastest > MAX_MOTION and fastest > SUDDEN * fastest_in_sight(
         model, state, time, step, problem
     )
 

@@ -29,7 +29,7 @@ TOLERANCE = (
 NEWTON_TOLERANCE = (
     1e-11  # Newton's own map; two digits tighter so that the judge need not be asked twice
 )
-STILL = 1e-9  # velocity below which the answer of the step before is tried as it is
+STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is tried as it is
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 ITERATIONS = 12  # Newton from where the recovery got to
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
@@ -37,7 +37,7 @@ PATIENT = 98
 HASTY = 8
 TURNS = 6  # of pivoting; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
-CLOSE = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
+CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
 SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
 
@@ -180,7 +180,7 @@ def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float)
         worst = residual(problem, work.right)
         if worst <= TOLERANCE:
             return worst
-        if not worst <= CLOSE:
+        if not worst <= CLOSE_RESIDUAL:
             break
         stiffness = STIFF
         tolerance = 0.0  # small as a force on the light body may still be large as its velocity
@@ -194,7 +194,7 @@ def at_rest(problem: Problem) -> bool:
     fastest = 0.0
     for i in range(problem.size[0]):
         fastest = max(fastest, abs(problem.velocity[i]))
-    return fastest <= STILL
+    return fastest <= STILL_VELOCITY
 
 
 @kernel

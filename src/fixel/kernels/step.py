@@ -16,8 +16,8 @@ from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
 from fixel.typing import FloatArray
 
-REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
-CLOSE = 1e-9  # of the characteristic length: an overlap that is none
+LIST_REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
+NO_OVERLAP = 1e-9  # of the characteristic length: an overlap that is none
 ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a normal is an impact
 RUBBED = 1.0  # marks of a body: friction may stop it
 BLOCKED = 2.0  # and: it jumped
@@ -107,7 +107,7 @@ def prepare_contacts(
     margin = _margin(model, state, time, step, guess)
     travelled = moved(model, pose, work.anchor, n_moving)
     if work.near_count[0] < 0 or margin + 2.0 * travelled > work.reach[0]:
-        work.reach[0] = max(REACH, 2.0 * margin)
+        work.reach[0] = max(LIST_REACH, 2.0 * margin)
         work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
@@ -273,7 +273,7 @@ def _prepare_contact(
         # A pusher may have to give way, at a velocity of its own. A short step must not turn the
         # error of a long one into a blow.
         room = max(step, GENTLY)
-    elif motion == codes.DYNAMIC and gap < -CLOSE:
+    elif motion == codes.DYNAMIC and gap < -NO_OVERLAP:
         # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies.
         overlap = min(-gap, RECOVERY * step)
         gap = 0.0
@@ -395,7 +395,7 @@ def _part(model: Model, state: State, step: float, problem: Problem) -> None:
                     for k in range(3):
                         inertia = model.inertia[b] if k == 2 else model.mass[b]
                         shift[dof + k] += more * problem.normal[i, 3 * side + k] / inertia
-        if largest <= 0.1 * CLOSE:
+        if largest <= 0.1 * NO_OVERLAP:
             break
     for o in range(n_dof):
         state.pose[o // 3, o % 3] += shift[o]

@@ -32,7 +32,7 @@ FRICTION: Final = {
 
 MOVED: Final = 0.5e-3  # [m], from where on the object counts as moving
 AFTER: Final = 1.0  # [s] of motion, in which no trial has met a peg
-STILL: Final = 30  # frames before, that give the start
+START_FRAMES: Final = 30  # frames before, that give the start
 
 
 class AlikeGroup(NamedTuple):
@@ -74,7 +74,7 @@ def alike_group(folder: Path) -> AlikeGroup:
 
 def _start_and_end(experiment: Experiment) -> tuple[FloatArray, FloatArray]:
     time, pose = experiment.trajectory.time, experiment.trajectory.pose
-    still = pose[:STILL].mean(axis=0)
+    still = pose[:START_FRAMES].mean(axis=0)
     first = int(np.argmax(np.hypot(*(pose - still)[:, :2].T) > MOVED))
     last = int(np.searchsorted(time, time[first] + AFTER))
     return still, pose[last - 1 : last + 2].mean(axis=0)

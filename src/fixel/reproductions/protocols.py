@@ -34,7 +34,7 @@ from fixel.reproductions.splits import Split, few_of, folds, random_split
 from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
 
 SHARE: Final = 0.6  # of the pushes for training, where there are no folds
-FEW: Final = 10
+FEW_PUSHES: Final = 10
 # Standard deviations of loads on the net.
 FREE: Final = 1.0
 FREEDOMS: Final = (1.5, 0.3, 3.0)
@@ -46,7 +46,7 @@ ITERATIONS: Final = 10
 PROTOCOLS: Final[dict[str, str]] = {
     "calibrated": "physics calibrated on other pushes of the same plate and surface",
     "learned": "the same, and a Gaussian process on what it leaves over",
-    "few": f"physics calibrated on {FEW} pushes of the plate and surface",
+    "few": f"physics calibrated on {FEW_PUSHES} pushes of the plate and surface",
     "unregistered": "physics calibrated without any registration of tracker to robot",
     "new-shape": "a plate never seen: what other plates on the surface have in common",
 }
@@ -221,7 +221,9 @@ def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
     """
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
-        few = {own: few_of(bench.splits(own)[k], FEW, k).train for own in bench.on_surface(key)}
+        few = {
+            own: few_of(bench.splits(own)[k], FEW_PUSHES, k).train for own in bench.on_surface(key)
+        }
         shift, common = _in_common(bench, f"few_{k}", key[0], few, quarter=0.3)
         shift = gap_registration(group, few[key], shift, 0.7e-3).shift
         known = [

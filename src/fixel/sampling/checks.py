@@ -16,7 +16,7 @@ from fixel.model import LineDrive, Scene, Shape, placed
 from fixel.typing import FloatArray
 
 # [m] Beyond everything on a plate.
-FAR: Final = 1e6
+FAR_AWAY: Final = 1e6
 
 
 class PlanProblem(NamedTuple):
@@ -62,7 +62,7 @@ def _clearance(scene: Scene) -> float | None:
     head, body = scene.pushers[0], scene.bodies[0]
     (_, low), (front, high) = _extent(placed(head.shape.outline, head.pose))
     outline = shapely.Polygon(placed(body.shape.outline, body.pose))
-    ahead = shapely.intersection(outline, shapely.box(front, low, FAR, high))
+    ahead = shapely.intersection(outline, shapely.box(front, low, FAR_AWAY, high))
     return None if ahead.is_empty else max(float(ahead.bounds[0]) - front, 0.0)
 
 

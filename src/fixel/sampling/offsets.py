@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 Bounds = tuple[float, float]
 
 # Configurations of one scheme, and steps of one axis. A plan of more could not be run in a year.
-MOST: Final = 100_000
+MAX_OFFSETS: Final = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,11 +90,11 @@ class OffsetAxis:
                 "axis.name", found=repr(self.name), expected="one of " + ", ".join(AXES)
             )
         settle(self, step=positive(self.step, "axis.step", "rad" if self.name == "theta" else "m"))
-        if not self.first <= self.last or max(-self.first, self.last) > MOST:
+        if not self.first <= self.last or max(-self.first, self.last) > MAX_OFFSETS:
             raise InvalidInput(
                 "axis.last",
                 found=f"steps {self.first} to {self.last}",
-                expected=f"the first not after the last, and at most {MOST} steps",
+                expected=f"the first not after the last, and at most {MAX_OFFSETS} steps",
             )
 
     def __len__(self) -> int:
@@ -249,5 +249,7 @@ def _unit_points(method: Method, count: int, seed: int) -> FloatArray:
 
 
 def _refuse_crowd(count: int, where: str) -> None:
-    if count > MOST:
-        raise InvalidInput(where, found=f"{count} configurations", expected=f"at most {MOST}")
+    if count > MAX_OFFSETS:
+        raise InvalidInput(
+            where, found=f"{count} configurations", expected=f"at most {MAX_OFFSETS}"
+        )

@@ -8,7 +8,7 @@ from typing import ClassVar, Final, Self
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import finite, positive
 
-REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
+DRIVE_REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
 SPEED: Final = 0.0135  # [m/s] in all its experiments
 NEAR: Final = 2e-5  # [m] closer than that, the drive is there
 

@@ -15,7 +15,7 @@ from fixel.testbed.emergency import StopGuard
 from fixel.testbed.grbl_handshake import greet
 from fixel.testbed.grbl_lines import AxisSettings
 from fixel.testbed.grbl_link import ASKING, GrblLink
-from fixel.testbed.motion import NEAR, REACH, AbstractActuator, checked_reach
+from fixel.testbed.motion import DRIVE_REACH, NEAR, AbstractActuator, checked_reach
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 
 DEAD_MAN: Final = 0.5  # [s]
@@ -59,7 +59,7 @@ class GrblActuator(AbstractActuator):
         port: str | None = None,
         *,
         axis: str = "X",
-        reach: tuple[float, float] = REACH,
+        reach: tuple[float, float] = DRIVE_REACH,
         dead_man: float | None = None,
         keys: bool = False,
         guard: bool = True,

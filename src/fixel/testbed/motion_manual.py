@@ -7,7 +7,7 @@ from typing import ClassVar, Self, final
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import finite
-from fixel.testbed.motion import REACH, AbstractActuator, checked_reach
+from fixel.testbed.motion import DRIVE_REACH, AbstractActuator, checked_reach
 
 
 @final
@@ -31,7 +31,7 @@ class ManualActuator(AbstractActuator):
     def __init__(
         self,
         *,
-        reach: tuple[float, float] = REACH,
+        reach: tuple[float, float] = DRIVE_REACH,
         ask: Callable[[str], str] = input,
         say: Callable[[str], None] = print,
     ) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fixel.errors import DeviceFailed
 from fixel.model.fields import fraction, non_negative, positive
-from fixel.testbed.motion import REACH, AbstractActuator, checked_reach
+from fixel.testbed.motion import DRIVE_REACH, AbstractActuator, checked_reach
 from fixel.testbed.uneven_drive import uneven_time
 
 
@@ -43,7 +43,7 @@ class SimulatedActuator(AbstractActuator):
     def __init__(
         self,
         *,
-        reach: tuple[float, float] = REACH,
+        reach: tuple[float, float] = DRIVE_REACH,
         start: float = 0.0,
         speed_ratio: float = 1.0,
         ripple: float = 0.0,

@@ -9,7 +9,7 @@ import numpy as np
 from fixel.vision.frame import Gray
 
 STEADY: Final = 0.5  # [s] for which the fixels must say the same
-STILL: Final = 1.0  # [s] without motion, once something has moved
+REST_SECONDS: Final = 1.0  # [s] without motion, once something has moved
 LOOK: Final = 0.2  # [s] between two looks at the picture
 CHANGE: Final = 6  # steps of brightness of a cell of 8 x 8 pixels: noise leaves less than one
 CELLS: Final = 3  # that must change: a part of a centimetre is about two cells wide
@@ -54,9 +54,9 @@ class Seating:
             return ""
         if _moved(before, small):
             self._moved_at = time
-        if self._moved_at is None or time - self._moved_at < STILL:
+        if self._moved_at is None or time - self._moved_at < REST_SECONDS:
             return ""
-        return f"seated: nothing has moved for {STILL:g} s"
+        return f"seated: nothing has moved for {REST_SECONDS:g} s"
 
 
 def _moved(before: Gray, now: Gray) -> bool:

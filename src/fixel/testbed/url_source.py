@@ -20,7 +20,7 @@ from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 MAX_LINE: Final = 4096  # [bytes] of a header
-LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
+MAX_PICTURE_BYTES: Final = 32 * 1024 * 1024  # [bytes] of a picture
 GARBAGE: Final = 10  # pictures in a row that are none
 OPENS_WITHIN: Final = 10.0  # [s] the first picture, however slowly it comes
 
@@ -181,7 +181,7 @@ class UrlSource(FrameSource):
                 length = _length(text)
             elif begun and not text:
                 return length
-            if read > LARGEST:
+            if read > MAX_PICTURE_BYTES:
                 self.ended = "no picture in the stream"
                 return None
         return None
@@ -194,7 +194,7 @@ class UrlSource(FrameSource):
                 self._inside = True
                 return bytes(data[: data.rfind(END) + 2])
             data += line
-            if len(data) > LARGEST:
+            if len(data) > MAX_PICTURE_BYTES:
                 return None
         return None
 
@@ -219,7 +219,7 @@ def _refusal(found: str, hint: str | None = None) -> InvalidInput:
 
 def _length(header: bytes) -> int:
     value = header.partition(b":")[2].strip()
-    return int(value) if value.isdigit() and int(value) <= LARGEST else -1
+    return int(value) if value.isdigit() and int(value) <= MAX_PICTURE_BYTES else -1
 
 
 def _stamp(header: bytes) -> float | None:

@@ -31,8 +31,8 @@ LABEL: Final = "model_error"
 MEANING: Final = "standard deviation of the model's own error at the end of the way"
 
 # Range of its standard deviation: from what a camera cannot see to what nobody would call a model.
-SMALLEST: Final = 5e-5  # [m]
-LARGEST: Final = 2e-2  # [m]
+MIN_DISCREPANCY: Final = 5e-5  # [m]
+MAX_DISCREPANCY: Final = 2e-2  # [m]
 
 
 @final
@@ -50,8 +50,8 @@ class ModelError:
         A radian counts as this [m/rad]: the angle's standard deviation is tau over it.
     """
 
-    low: float = SMALLEST
-    high: float = LARGEST
+    low: float = MIN_DISCREPANCY
+    high: float = MAX_DISCREPANCY
     angle_scale: float = ANGLE_SCALE
 
     def __post_init__(self) -> None:

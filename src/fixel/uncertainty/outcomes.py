@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.fan import Fan
 
-FEWEST: Final = 50  # outcomes below which a fan has no shape
+MIN_OUTCOMES: Final = 50  # outcomes below which a fan has no shape
 
 # Outcomes of less than this share do not make a push bifurcate.
 RARE: Final = 0.01
@@ -145,12 +145,12 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
         Fewer than 50 starts with an outcome.
     """
     end, arm = fan.end, fan.arm
-    if len(end) < FEWEST:
+    if len(end) < MIN_OUTCOMES:
         why = next((reason for reason in fan.reasons if reason), "")
         raise InvalidInput(
             "samples",
             found=f"{len(end)} starts with an outcome" + (f" ({why})" if why else ""),
-            expected=f"{FEWEST} at least",
+            expected=f"{MIN_OUTCOMES} at least",
         )
     weight = np.array([1.0, 1.0, arm])
     start, after = fan.drawn[fan.ended] * weight, (end - end.mean(axis=0)) * weight
@@ -250,7 +250,7 @@ def _gain(start: FloatArray, end: FloatArray) -> tuple[float, FloatArray]:
     """Largest singular value of the linear map near the nominal start, and its direction."""
     scale = np.maximum(start.std(axis=0), 1e-30)
     distance = np.linalg.norm(start / scale, axis=1)
-    n = max(FEWEST, math.ceil(LOCAL * len(start)))
+    n = max(MIN_OUTCOMES, math.ceil(LOCAL * len(start)))
     near = np.argsort(distance, kind="stable")[:n]
     free = start.std(axis=0) > 0.0
     table = np.column_stack((start[near][:, free], np.ones(len(near))))

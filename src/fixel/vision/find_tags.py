@@ -15,7 +15,7 @@ from fixel.vision.tracking.edges import EdgeLine, find_edges
 from fixel.vision.tracking.tag_reader import read_tags
 
 ALONG: Final = np.linspace(0.12, 0.88, 16)  # of a side, where its edge is looked for
-REACH: Final = 4.0  # [px] from where it was roughly found
+TAG_REACH: Final = 4.0  # [px] from where it was roughly found
 MIN_ON_A_SIDE: Final = 6
 
 
@@ -69,7 +69,7 @@ def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
         along = (end - start) / np.linalg.norm(end - start)
         outwards = np.array([along[1], -along[0]])  # clockwise in the picture, black inside
         pixels = start + ALONG[:, None] * (end - start)
-        edge = find_edges(gray, EdgeLine(pixels, np.tile(outwards, (len(ALONG), 1))), REACH)
+        edge = find_edges(gray, EdgeLine(pixels, np.tile(outwards, (len(ALONG), 1))), TAG_REACH)
         if edge.clear.sum() < MIN_ON_A_SIDE:
             return None
         on_it = (pixels + edge.offset[:, None] * outwards)[edge.clear]

@@ -15,7 +15,7 @@ from fixel.typing import FloatArray
 # From a start without distortion Newton's method needs four or five steps in any picture a lens
 # can make; where light comes from nowhere it wanders.
 MAX_ITERATIONS = 50
-CLOSE = 1e-13  # [-] of directions; times a focal length of 1000 px still 1e-10 px
+CONVERGED_DIRECTION = 1e-13  # [-] of directions; times a focal length of 1000 px still 1e-10 px
 LOST = 1e-11  # [-] from here on no direction was found
 FARTHEST_STEP = 0.5  # [-] of Newton's method, for lenses that fold the picture not far away
 
@@ -200,7 +200,7 @@ class Lens(Comparable):
                 step = np.stack([d * off_x - b * off_y, a * off_y - b * off_x], axis=-1)
                 step /= np.where(np.abs(det) > 1e-12, det, np.inf)[..., None]
                 off = np.maximum(np.abs(off_x), np.abs(off_y))
-                if not off.size or off.max() < CLOSE:
+                if not off.size or off.max() < CONVERGED_DIRECTION:
                     break
                 length = np.hypot(step[..., 0], step[..., 1])[..., None]
                 xy = xy - step * np.minimum(1.0, FARTHEST_STEP / np.maximum(length, 1e-300))
@@ -232,7 +232,7 @@ class Lens(Comparable):
             for _ in range(MAX_ITERATIONS):
                 there, slope = self._seen_angle(angle)
                 off = there - seen
-                if not off.size or np.abs(off).max() < CLOSE:
+                if not off.size or np.abs(off).max() < CONVERGED_DIRECTION:
                     break
                 angle = angle - np.clip(off / slope, -FARTHEST_STEP, FARTHEST_STEP)
             found = (np.abs(off) < LOST) & (slope > 0.0) & (angle >= 0.0) & (angle < 0.5 * np.pi)

@@ -12,7 +12,7 @@ from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import Sighting
 from fixel.vision.tracking.checks import UNWATCHED, refuse_flipped, refuse_moved, refuse_size
-from fixel.vision.tracking.fixels import LEAST, FixelFinder
+from fixel.vision.tracking.fixels import MIN_FRAMES, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
 # What stays where it is, is looked at in so few frames: camera, plate and fixels.
@@ -96,7 +96,7 @@ class Locator:
                 problems=(_told(problem),),
             )
         seen = any(sight.pose is not None for sight in parts.values())
-        if self._looks % NOW_AND_THEN == 0 or self._finds < LEAST:
+        if self._looks % NOW_AND_THEN == 0 or self._finds < MIN_FRAMES:
             self._standing = self._what_stands(frame, seen)
         self._looks += 1
         return replace(self._standing, parts=parts)
@@ -116,7 +116,7 @@ class Locator:
         """Places out of the last few frames; a fixel may be moved to another hole meanwhile."""
         self._finder.see(frame)
         self._finds += 1
-        if self._finds % LEAST:
+        if self._finds % MIN_FRAMES:
             return self._standing.fixels
         found = {fixel.name: fixel.place for fixel in self._finder.found()}
         self._finder = FixelFinder(self.rig, self._scene.fixels)

@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
-LONGEST: Final = 80  # characters of a banner that fit across the picture of one column
+MAX_BANNER: Final = 80  # characters of a banner that fit across the picture of one column
 
 
 class Picture(NamedTuple):
@@ -29,7 +29,7 @@ def banner_of(banners: Sequence[str]) -> str:
     some = [banner for banner in banners if banner]
     if len(some) in (0, len(banners)):
         joined = " and ".join(dict.fromkeys(some))
-        return joined if len(joined) <= LONGEST else f"SIMULATED: all {len(some)} experiments"
+        return joined if len(joined) <= MAX_BANNER else f"SIMULATED: all {len(some)} experiments"
     return f"{len(some)} of {len(banners)} experiments SIMULATED"
 
 

@@ -46,7 +46,7 @@ def test_nobody_waits_for_ever(monkeypatch):
 
 def test_so_many_and_no_more():
     sleeps = Fits(time.sleep)
-    keys = range(background_fits.MOST)
+    keys = range(background_fits.MAX_FITS)
     for key in keys:
         sleeps.begun(key, 1000.0, print)
     with pytest.raises(JobRefused, match="being fitted"):

@@ -9,7 +9,7 @@ from fixel.database.project import Project
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.testing.scenes import grasp
-from fixel.web.views.video_outlines import MOST, rig_named, seen_in_video
+from fixel.web.views.video_outlines import MAX_OUTLINES, rig_named, seen_in_video
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_the_middle_of_the_outline_is_that_of_the_part(project):
 
 def test_long_ones_are_thinned(project):
     seen = seen_in_video(project, experiment(n=2000))
-    assert len(seen.time) == len(seen.outline) == MOST
+    assert len(seen.time) == len(seen.outline) == MAX_OUTLINES
     assert (seen.time[0], seen.time[-1]) == (0.0, 1999.0)
 
 

@@ -44,7 +44,7 @@ MAX_STROKE_ERROR = 1e-3
 # Shares of the pushes that are nearer than those drawn as examples.
 EXAMPLES_AT = (0.25, 0.5, 0.75, 0.9)
 
-FAR = 1.0  # where the template's pusher waits, clear of the object [m]
+CLEAR_DISTANCE = 1.0  # where the template's pusher waits, clear of the object [m]
 
 
 def replay_pushes(
@@ -120,7 +120,7 @@ def scene_of(data: MitPushes, key: tuple[str, str, float], settings: dict[str, f
             Pusher(
                 name="pusher",
                 shape=Disk(PUSHER_RADIUS),
-                pose=(FAR, 0.0, 0.0),  # type: ignore[arg-type]
+                pose=(CLEAR_DISTANCE, 0.0, 0.0),  # type: ignore[arg-type]
                 drive=LineDrive(direction=(1.0, 0.0), speed=speed * 1e-3),  # type: ignore[arg-type]
                 friction=settings["mu_pusher"],
             ),

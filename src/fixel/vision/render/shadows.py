@@ -21,7 +21,7 @@ _LAMP = [(0.42 + 0.16 * np.cos(a), -0.37 + 0.16 * np.sin(a)) for a in np.arange(
 _ROOM = [(0.75 * np.cos(a), 0.75 * np.sin(a)) for a in 0.3 + np.arange(5) * 0.4 * np.pi]
 RAYS: Final = np.array(_LAMP + _ROOM)
 SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
-REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
+SHADOW_REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
 
 
 def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
@@ -30,7 +30,10 @@ def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
     for thing in things:
         high = thing.solid.high
         for piece in thing.footprint:
-            low, top = piece.min(axis=0) - REACH * high, piece.max(axis=0) + REACH * high
+            low, top = (
+                piece.min(axis=0) - SHADOW_REACH * high,
+                piece.max(axis=0) + SHADOW_REACH * high,
+            )
             corners = np.array([low, [top[0], low[1]], top, [low[0], top[1]]])
             window = window.joined(window_of(eye.project_at(corners, 0.0), eye.size))
     return window.grown(2 * COARSE, eye.size)

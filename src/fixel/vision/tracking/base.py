@@ -19,7 +19,9 @@ Thing = Body | Pusher
 
 FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
 COUNTED: Final = 3  # frames likewise, where they are counted
-SAME: Final = 0.05  # of the way since the last sight: predictions that differ by less are one
+SAME_PREDICTION: Final = (
+    0.05  # of the way since the last sight: predictions that differ by less are one
+)
 
 SEARCH_EVERY: Final = 2  # frames between two searches for what has been lost for a while
 MARGIN: Final = 40  # [px] around the last place, in which a part is searched for at first
@@ -136,7 +138,7 @@ class PartPrediction:
             return None
         moved = self._step * self._unseen
         pose = self._last[1] + moved
-        alike = (np.abs(pose - expected) <= SAME * np.abs(moved)).all()
+        alike = (np.abs(pose - expected) <= SAME_PREDICTION * np.abs(moved)).all()
         return None if alike else pose
 
     def fresh(self, time: float) -> bool:

@@ -15,17 +15,17 @@ from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, f
 from fixel.vision.tracking.tracked import FoundFixel
 
 REACH_FIRST: Final = 10.0  # [px] from where the scene has it
-REACH: Final = 4.0
+FIXEL_REACH: Final = 4.0
 # Radii of what one sees of a top, as shares of the fixel's: a turned end has rings, all about one
 # middle. How wide the one is that shows best is measured with its place: where the side of the
 # cylinder hides some of it, a wrong radius would push the middle away from there.
 RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
 WIDEST, NARROWEST = 1.1, 0.5
 LOOKS: Final = 4  # at a ring, each with the radius of the one before
-SAME: Final = 0.02  # [px] of a radius, below which another look adds nothing
+SAME_RADIUS: Final = 0.02  # [px] of a radius, below which another look adds nothing
 MIN_SHARE: Final = 0.45  # of a ring
 MAX_RESIDUAL: Final = 0.5  # [px]
-LEAST: Final = 3  # frames that a place is worth something from
+MIN_FRAMES: Final = 3  # frames that a place is worth something from
 
 Ring = tuple[float, bool]  # share of the radius, whether it is dark inside
 
@@ -51,7 +51,7 @@ class FixelFinder:
         for fixel in self._fixels:
             places = self._found[fixel.name]
             if places:
-                rings, start, reach = [self._rings[fixel.name]], places[-1], REACH
+                rings, start, reach = [self._rings[fixel.name]], places[-1], FIXEL_REACH
             else:
                 rings = [(share, dark) for share in RINGS for dark in (True, False)]
                 start, reach = fixel.pose[:2], REACH_FIRST
@@ -83,8 +83,8 @@ class FixelFinder:
             share += wider * self._scale / fixel.shape.radius
             if not NARROWEST < share < WIDEST:
                 return None
-            pose, reach = fit.pose, REACH
-            if abs(wider) < SAME:
+            pose, reach = fit.pose, FIXEL_REACH
+            if abs(wider) < SAME_RADIUS:
                 break
         if fit is None or fit.share < MIN_SHARE or fit.residual > MAX_RESIDUAL:
             return None
@@ -94,7 +94,7 @@ class FixelFinder:
         """Fixels that were measured often enough."""
         result = []
         for name, places in self._found.items():
-            if len(places) < LEAST:
+            if len(places) < MIN_FRAMES:
                 continue
             place = np.median(places, axis=0)
             scatter = float(np.sqrt(np.mean(np.sum((np.array(places) - place) ** 2, axis=1))))

@@ -15,7 +15,10 @@ from fixel.vision.tracking.tracked import PartTrack
 
 NEIGHBOURS: Final = 5  # frames to either side that a pose must agree with, on one side at least
 SCATTERS: Final = 8.0  # of the usual disagreement, beyond which a pose is an outlier
-LEAST: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm a pixel, [rad]: smaller disagreements are none
+MIN_DISAGREEMENT: Final = (
+    0.3e-3,
+    0.008,
+)  # [m] at 0.55 mm a pixel, [rad]: smaller disagreements are none
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm a pixel, [rad]: nothing on the plate moves so at once
 USUAL_PIXEL: Final = 0.55e-3  # [m]
 ELSEWHERE: Final = "the camera or the plate was moved"
@@ -163,7 +166,7 @@ def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> Bo
     )  # (3 or 6, n, 2)
     least = apart.min(axis=0)
     usual = 1.4826 * np.median(least, axis=0)
-    limit = np.maximum(SCATTERS * usual, np.array(LEAST) * (scale, 1.0))
+    limit = np.maximum(SCATTERS * usual, np.array(MIN_DISAGREEMENT) * (scale, 1.0))
     return np.asarray((least > limit).any(axis=1))
 
 

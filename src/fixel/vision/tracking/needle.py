@@ -19,11 +19,11 @@ from fixel.vision.tracking.edges import EdgeLine, find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are looked for
 NEAREST, FARTHEST = 5.0, 75.0  # [px] of these from the tip
-REACH: Final = 5.0  # [px] from where a side is expected
+SIDE_REACH: Final = 5.0  # [px] from where a side is expected
 REACH_TIP: Final = 12.0  # [px] from where the tip is expected
 ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] beside the axis, where the end is looked for
 TOUCHING: Final = 1.0  # [px] below which a gap cannot be told from none: blur fills it
-LEAST: Final = 8  # stations that must show
+MIN_STATIONS: Final = 8  # stations that must show
 MAX_RESIDUAL: Final = 0.6  # [px]
 BRIGHT: Final = 0.6  # of the contrast at the sides, that the end must have to be one
 
@@ -198,23 +198,23 @@ def _sides(
     middle = tip - behind[:, None] * needle.axis
     inside = ((middle > 2.0) & (middle < (width - 3.0, height - 3.0))).all(1)
     behind, middle = behind[inside], middle[inside]
-    if len(behind) < LEAST:
+    if len(behind) < MIN_STATIONS:
         return None
     across = np.array([-needle.axis[1], needle.axis[0]])
     half = (needle.half + needle.taper * behind)[:, None]
     pixel = np.concatenate((middle + half * across, middle - half * across))
     normal = np.concatenate((np.tile(across, (len(middle), 1)), np.tile(-across, (len(middle), 1))))
-    found = find_edges(picture, EdgeLine(pixel, normal), REACH)
+    found = find_edges(picture, EdgeLine(pixel, normal), SIDE_REACH)
     n = len(middle)
     both = found.clear[:n] & found.clear[n:]
-    if both.sum() < LEAST:
+    if both.sum() < MIN_STATIONS:
         return None
     centre = 0.5 * (found.offset[:n] - found.offset[n:])
     for _ in range(3):
         slope, shift = np.polyfit(behind[both], centre[both], 1)
         rest = centre - (shift + slope * behind)
         kept = both & (np.abs(rest) < 3.0 * max(1.48 * np.median(np.abs(rest[both])), 0.05))
-        if kept.sum() < LEAST:
+        if kept.sum() < MIN_STATIONS:
             return None
         both = kept
     residual = float(np.sqrt(np.mean(rest[both] ** 2)))

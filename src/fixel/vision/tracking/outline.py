@@ -24,7 +24,7 @@ ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
 MIN_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
 MIN_SHARE: Final = 0.25  # of all points that must show an edge
 BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to it
-SMALLEST: Final = 4  # [px] of a window
+MIN_WINDOW: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
 MAX_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
@@ -199,7 +199,7 @@ def window_of(
     left, top = (max(int(low - beyond), 0) for low in box[0])
     right = min(int(box[1, 0] + beyond) + 1, width)
     bottom = min(int(box[1, 1] + beyond) + 1, height)
-    if right - left < SMALLEST or bottom - top < SMALLEST:
+    if right - left < MIN_WINDOW or bottom - top < MIN_WINDOW:
         return None
     # Always a copy: of each kind of array the loops would be compiled anew.
     return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)

@@ -32,7 +32,7 @@ from fixel.vision.tracking.outline import OutlineEdges, fit_spread
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
-REACH: Final = 8.0  # [px] from where an outline is expected
+OUTLINE_REACH: Final = 8.0  # [px] from where an outline is expected
 REACH_FIRST: Final = 20.0  # [px] from where moments put it
 MAX_RESIDUAL: Final = 0.7  # [px]
 MIN_SHARE: Final = 0.3
@@ -132,10 +132,10 @@ class _OutlineTrack:
         expected = self._prediction.at(frame.time)
         if expected is None:
             return Sighting(reason="not found yet")
-        sight = self._fitted(frame, expected, REACH)
+        sight = self._fitted(frame, expected, OUTLINE_REACH)
         counted = None if sight.pose is not None else self._prediction.by_count(expected)
         if counted is not None:
-            sight = self._fitted(frame, counted, REACH)
+            sight = self._fitted(frame, counted, OUTLINE_REACH)
         if sight.pose is not None:
             self._prediction.seen(frame.time, sight.pose)
         return sight

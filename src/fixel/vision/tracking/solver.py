@@ -15,7 +15,7 @@ LEVEL = 0.35  # how far from the usual, as a share of the contrast, brightness m
 MIN_LEVELS = 4  # edges of a group below which nothing is usual
 
 ROUNDS = 12  # of weighting, at most
-SAME = 0.005  # [px] of change between them that ends it
+CONVERGED_PX = 0.005  # [px] of change between them that ends it
 OPEN = 1e-3  # least over largest pivot, below which the edges tell no pose
 
 
@@ -193,7 +193,7 @@ def solve_robustly(
                 sizes[count] = abs(rest[i])
                 count += 1
         scatter = max(1.4826 * np.median(sizes[:count]), least)
-        if change < SAME:
+        if change < CONVERGED_PX:
             break
         for i in range(n):
             weight[i] = 1.0 / (1.0 + (rest[i] / scatter) ** 2)

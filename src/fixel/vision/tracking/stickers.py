@@ -27,7 +27,7 @@ from fixel.vision.tracking.base import (
 from fixel.vision.tracking.colour import find_patches, fit_sticker
 from fixel.vision.tracking.tags import rigid
 
-REACH: Final = 6.0  # [px] from where a sticker is expected
+STICKER_REACH: Final = 6.0  # [px] from where a sticker is expected
 APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
 MAX_RESIDUAL: Final = 0.7  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
@@ -115,7 +115,7 @@ class _StickeredPart:
     def _fitted(self, frame: Frame, places: FloatArray) -> Sighting:
         """The pose, from stickers near places (n, 2) [m]."""
         fits = [
-            fit_sticker(frame, self._camera, sticker, place, REACH)
+            fit_sticker(frame, self._camera, sticker, place, STICKER_REACH)
             for sticker, place in zip(self._own, places, strict=True)
         ]
         missing = [fit for fit in fits if isinstance(fit, str)]

@@ -33,7 +33,7 @@ from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, re
 
 POINTS: Final = 12  # on each side of a tag
 FROM_CORNERS: Final = 0.08  # of a side, at either end, that is left out: corners are rounded
-REACH: Final = 7.0  # [px] from where a tag is expected
+TAG_REACH: Final = 7.0  # [px] from where a tag is expected
 REACH_READ: Final = 5.0  # [px] from where it was read
 AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
 # Of a tag that is half covered, and was seen a moment ago:
@@ -114,10 +114,10 @@ class _TaggedPart:
         expected = self._prediction.at(frame.time)
         sight = Sighting(reason=self._why_not)
         if expected is not None:
-            sight = self._followed(frame, expected, REACH)
+            sight = self._followed(frame, expected, TAG_REACH)
             counted = None if sight.pose is not None else self._prediction.by_count(expected)
             if counted is not None:
-                sight = self._followed(frame, counted, REACH)
+                sight = self._followed(frame, counted, TAG_REACH)
         if sight.pose is None and worth_a_search(self._lost):
             read, reason = self._read(frame)
             if read is not None:

@@ -10,12 +10,12 @@ from fastapi import Path
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-LARGEST = 2**31 - 1  # what a database counts with
+MAX_ID = 2**31 - 1  # what a database counts with
 MOST_KEYS = 100  # of a request's body; those that are known are about ten
 
 # Ids, as they stand in addresses and in bodies.
-Number = Annotated[int, Path(ge=1, le=LARGEST)]
-Id = Annotated[int, Field(ge=1, le=LARGEST)]
+Number = Annotated[int, Path(ge=1, le=MAX_ID)]
+Id = Annotated[int, Field(ge=1, le=MAX_ID)]
 
 
 def plain_text(text: str) -> str:

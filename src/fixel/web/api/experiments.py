@@ -36,7 +36,7 @@ from fixel.web.api._experiments import (
     ValuesOut,
     VocabularyOut,
 )
-from fixel.web.api._values import LARGEST, Array, Number
+from fixel.web.api._values import MAX_ID, Array, Number
 from fixel.web.views.browser_video import watchable
 from fixel.web.views.video_outlines import seen_in_video
 from fixel.workflows.project.compare import summary
@@ -74,7 +74,7 @@ def _add_table(router: APIRouter, desk: ProjectContext) -> None:
         sort: Annotated[str, Query(max_length=100, description="a column or a condition")] = "id",
         descending: bool = False,
         limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
-        offset: Annotated[int, Query(ge=0, le=LARGEST)] = 0,
+        offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
     ) -> ExperimentPageOut:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
         leaf = desk.store.browse(view)

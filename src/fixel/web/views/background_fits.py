@@ -14,7 +14,7 @@ from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
 
-MOST: Final = 3  # at a time
+MAX_FITS: Final = 3  # at a time
 LIMIT: Final = 3600.0  # [s]
 FORGOTTEN: Final = 120.0  # [s] after which nobody asks any more; browsers let hidden pages sleep
 ENDS_WITHIN: Final = 2.0  # [s]
@@ -85,9 +85,10 @@ class Fits(Generic[K, A]):
             fit = self._fits.get(key)
             if fit is not None:
                 return fit
-            if sum(not one.ended.is_set() for one in self._fits.values()) >= MOST:
+            if sum(not one.ended.is_set() for one in self._fits.values()) >= MAX_FITS:
                 raise JobRefused(
-                    f"{MOST} maps are being fitted to other axes", hint="wait for one, or stop one"
+                    f"{MAX_FITS} maps are being fitted to other axes",
+                    hint="wait for one, or stop one",
                 )
             fit = self._fits[key] = BackgroundFit()
         threading.Thread(target=self._run, args=(key, fit, argument, put), daemon=True).start()

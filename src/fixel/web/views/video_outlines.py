@@ -16,7 +16,7 @@ from fixel.vision.outlines import outline_pixels
 from fixel.workflows.acquisition.tracked_experiment import CAMERA
 
 RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
-MOST: Final = 600  # outlines; between them the part is drawn at the nearest
+MAX_OUTLINES: Final = 600  # outlines; between them the part is drawn at the nearest
 
 
 class VideoOutlines(NamedTuple):
@@ -60,6 +60,6 @@ def seen_in_video(project: Project, experiment: Experiment) -> VideoOutlines | N
     shape = next(b.shape for b in scene.bodies if b.name == experiment.object_name)
     track = experiment.trajectory
     n = len(track.time)
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MAX_OUTLINES)).round().astype(np.int64))
     lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
     return VideoOutlines(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))

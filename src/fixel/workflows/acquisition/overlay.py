@@ -21,7 +21,7 @@ from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.locate import FramePoses, Locator
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.fixels import LEAST
+from fixel.vision.tracking.fixels import MIN_FRAMES
 from fixel.workflows.acquisition.overlay_charts import draw_look
 from fixel.workflows.acquisition.overlay_check import Look, PartLook, Tolerance
 
@@ -207,7 +207,7 @@ def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]
     for number, frame in enumerate(islice(frames, TRIES), 1):
         look = overlay.look(frame)
         answer = frame.picture, look
-        if number >= LEAST and all(part.measured is not None for part in look.checked):
+        if number >= MIN_FRAMES and all(part.measured is not None for part in look.checked):
             break
     if answer is None:
         raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")

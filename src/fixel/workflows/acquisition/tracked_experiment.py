@@ -31,7 +31,7 @@ from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 MAX_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
 MAX_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
-STILL: Final = 0.1e-3  # [m] that a resting object may seem to move
+REST_DISTANCE: Final = 0.1e-3  # [m] that a resting object may seem to move
 STARTS: Final = 5  # frames that tell whether an object rests
 LAST: Final = 0.5  # [s] of readings that tell the contact mode
 CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig has it
@@ -227,7 +227,7 @@ def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
     """Refuse an object whose start nobody saw: after the push has begun, and moving already."""
     first = float(trajectory.time[0])
     early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
-    if first > begins and np.hypot(*early.T).max() > STILL:
+    if first > begins and np.hypot(*early.T).max() > REST_DISTANCE:
         raise InvalidInput(
             name,
             found=f"it first seen at {first:.2f} s, when it moved already",
@@ -238,7 +238,7 @@ def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
 def _start(trajectory: Trajectory, begins: float) -> FloatArray:
     """(3,) the pose before anything moved: a mean, where it rested."""
     early = trajectory.pose[trajectory.time < begins]
-    still = np.hypot(*(early[:, :2] - trajectory.pose[0, :2]).T) < STILL
+    still = np.hypot(*(early[:, :2] - trajectory.pose[0, :2]).T) < REST_DISTANCE
     n = int(np.argmin(still)) if not still.all() else len(still)
     return trajectory.pose[0] if n < 3 else np.asarray(np.mean(early[:n], axis=0))
 

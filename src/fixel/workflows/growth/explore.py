@@ -30,7 +30,7 @@ THRESHOLD: Final = 5.0
 
 # A stored error that simulating again misses by more than this share tells of other data or of
 # another simulator.
-SAME: Final = 0.01
+SAME_ERROR: Final = 0.01
 
 # Of an experiment's own best error: what another set does better than this, its search missed.
 STUCK: Final = 0.5
@@ -266,7 +266,7 @@ def _changed(growth: Growth, singles: Singles) -> list[str]:
         first, errors = row[0], row[0].errors
         if not first.reason:
             stored = float(singles.errors[first.used.members[0]])
-            if not math.isclose(float(errors[0]), stored, rel_tol=SAME, abs_tol=1e-9):
+            if not math.isclose(float(errors[0]), stored, rel_tol=SAME_ERROR, abs_tol=1e-9):
                 changed.append(f"{first.group.name} ({stored:.4g}, now {errors[0]:.4g})")
     if not changed:
         return []

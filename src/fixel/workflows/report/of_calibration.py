@@ -22,7 +22,7 @@ from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
 # Of experiments far worse than the others.
-FAR: Final = 3.0
+FAR_RATIO: Final = 3.0
 MAX_NAMED: Final = 5
 READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
 SUSPECT: Final = {
@@ -136,7 +136,7 @@ def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> list
     far = _far(one, errors, keys)
     if far:
         found.append(
-            f"More than {FAR:g} times as far off as the median: {_named(far)}. Look at them"
+            f"More than {FAR_RATIO:g} times as far off as the median: {_named(far)}. Look at them"
             " before believing the mean."
         )
     return found
@@ -235,7 +235,7 @@ def _far(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> 
     good = _finite(values)
     if len(good) < 4:
         return []
-    limit = FAR * float(np.median(good))
+    limit = FAR_RATIO * float(np.median(good))
     return [
         f"{keys.get(member.experiment_id, '?')} ({value:.3g} mm)"
         for member, value in sorted(

@@ -17,7 +17,7 @@ from fixel.workflows.analysis import TextTable
 from fixel.workflows.report.content import Section
 
 MAX_VALUES: Final = 8  # of one condition, written out
-FEW: Final = 10  # experiments below which little can be said
+FEW_EXPERIMENTS: Final = 10  # experiments below which little can be said
 
 
 @final
@@ -120,7 +120,7 @@ def data_warnings(data: ReportData) -> list[str]:
             f"{'All' if data.simulated == n else data.simulated} of the experiments are simulated."
             " They say that the method works, nothing about a real table."
         )
-    if n < FEW:
+    if n < FEW_EXPERIMENTS:
         found.append(
             f"Only {n} experiment{'s' * (n != 1)}: expect other configurations to differ by more"
             " than is seen here."

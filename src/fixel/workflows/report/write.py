@@ -26,7 +26,7 @@ _WORD: Final = re.compile(r"[^\W\d_]{2,}")
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
 BIBLIOGRAPHY: Final = "cite.bib"
-LARGEST: Final = 10_000_000  # of the page [byte]
+MAX_PAGE_BYTES: Final = 10_000_000  # of the page [byte]
 PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
 WIDEST: Final = 1500  # of a picture on the page [pixel]; its PDF is beside it
 
@@ -106,11 +106,11 @@ def write_report(
         pdf=FIGURES,
     )
     data = html.encode()
-    if len(data) > LARGEST:
+    if len(data) > MAX_PAGE_BYTES:
         raise InvalidInput(
             str(folder / PAGE),
             found=f"{len(data) / 1e6:.1f} MB",
-            expected=f"at most {LARGEST / 1e6:.0f} MB",
+            expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
             hint="report fewer analyses: remove some from the project's folder analyses",
         )
     with written_whole(folder / BIBLIOGRAPHY) as path:
