@@ -1,1 +1,1 @@
-"""The bench: instruments, and a simulated laboratory that stands in for one."""
+"""Instruments of the testbed, and a simulated testbed to work without them."""

@@ -7,17 +7,17 @@ from collections import deque
 from typing import Final, final
 
 HELD: Final = 300  # frames over which the shortest delay is taken: clocks drift meanwhile
-DELAY: Final = 1.0  # [s] a stamp of this computer's clock is at most that old
+DELAY: Final = 1.0  # [s] largest age of a stamp of this computer's clock
 RESET: Final = 5.0  # [s] of change in the delay: the camera's clock was set
 
 
 @final
 class CaptureClock:
-    """Converts a camera's time stamps to `time.monotonic`.
+    """Conversion of a camera's time stamps to `time.monotonic`.
 
     Cameras under Linux stamp their frames on the clock of `time.monotonic`; these stamps are used
     as they are. Other clocks are tied to it by the shortest delay between stamp and arrival of the
-    last `HELD` frames, as the Network Time Protocol does (Mills 1991): what comes late was held up.
+    last `HELD` frames, as the Network Time Protocol does (Mills 1991): excess delay is latency.
     Stamps that do not increase are ignored.
     """
 
@@ -27,7 +27,7 @@ class CaptureClock:
         self._shared: bool | None = None
 
     def place(self, stamp: float | None, arrival: float) -> float | None:
-        """Return when a frame was taken, by its stamp and its arrival [s]; None without a stamp."""
+        """Return the capture time of a frame from stamp and arrival [s]; None without a stamp."""
         if stamp is None or not math.isfinite(stamp) or not stamp > 0.0:
             return None
         delay = arrival - stamp

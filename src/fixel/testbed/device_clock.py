@@ -1,4 +1,4 @@
-"""When was that, on the clock of this computer?"""
+"""Conversion of a device's time stamps to the clock of this computer."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 WRAP: Final = 2**32  # the device counts microseconds in 32 bits: 71.6 minutes
-BIN: Final = 0.5  # [s] one exchange of each such span is kept, the one that took least
+BIN: Final = 0.5  # [s] the shortest exchange of each such interval is stored
 BINS: Final = 60
-FLOOR: Final = 50e-6  # [s] an exchange is not believed more exactly than that
+FLOOR: Final = 50e-6  # [s] smallest uncertainty that an exchange is given
 STRANGE: Final = 0.05  # [s] a device this far from where its clock should be has restarted
 
 
 class _Exchange(NamedTuple):
     device: float  # [s]
     middle: float  # [s] on the host
-    half: float  # [s] the instant lies no further from the middle than that
+    half: float  # [s] largest distance of the instant from the middle
 
 
 @final
 @dataclass(slots=True)
 class DeviceClock:
-    """The clock of a device on the clock of the host.
+    """Offset and drift between the clock of a device and that of the host.
 
-    Between sending a request and receiving its answer the device takes its time stamp; what the
-    bytes need on the wire narrows that down. Of every half second the exchange that left least
-    room is kept, as the Network Time Protocol does (Mills 1991), and a line through the kept ones,
-    weighted by their room, is offset and drift. The result never leaves the room of the exchange
-    itself, so a bad line cannot hurt.
+    The device takes its time stamp between the request and its answer; the transmission time of
+    the bytes narrows this interval. The exchange with the narrowest interval of every half second
+    is stored, as the Network Time Protocol does (Mills 1991). A line through the stored exchanges,
+    weighted by the width of their intervals, gives offset and drift. Results are clipped to the
+    interval of their own exchange, which bounds the error of a bad line.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class DeviceClock:
         Rate of the host's clock over that of the device, less 1 [-]; 0 until known. A Mega's
         ceramic resonator may be off by 0.005.
     room : float
-        Half the smallest room of the kept exchanges [s]: how well the clocks are tied, at worst.
+        Half the narrowest interval of the stored exchanges [s]: largest error of the offset.
     restarts : int
-        How often the device began to count anew.
+        Number of times that the device restarted its count.
     """
 
     drift: float = 0.0
@@ -51,14 +51,14 @@ class DeviceClock:
     _centre: tuple[float, float] = (0.0, 0.0)
 
     def place(self, ticks: int, earliest: float, latest: float) -> tuple[float, float]:
-        """The device's time, counted on beyond its wrap, and the host's, of one exchange.
+        """Return the device's time, with its wraps counted, and the host's, of one exchange.
 
         Parameters
         ----------
         ticks : int
-            The device's count [us], of 32 bits.
+            Count of the device [us], 32 bits.
         earliest, latest : float
-            Between which the device must have taken it, on the host [s].
+            Interval in which the device must have taken the count, on the host's clock [s].
 
         Returns
         -------
@@ -83,7 +83,7 @@ class DeviceClock:
 
     def _plausible(self, device: float, earliest: float, latest: float) -> bool:
         last = self._kept[-1]
-        # 0.5 % of a long silence is more than a restart would show.
+        # After a long silence, a drift of 0.5 % exceeds the change that a restart causes.
         allowed = STRANGE + last.half + 0.01 * abs(latest - last.middle)
         expected = last.middle + (device - last.device)
         return earliest - allowed <= expected <= latest + allowed

@@ -1,4 +1,4 @@
-"""A camera at this computer, through OpenCV."""
+"""Frame source for a camera of this computer, through OpenCV."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stre
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
-TRIES: Final = 10  # pictures in a row that may fail before a camera is believed to give none
+TRIES: Final = 10  # failed pictures in a row after which a camera counts as sending none
 
 Capture = Callable[[int | str], Any]
 
 
 @final
 class DeviceSource(FrameSource):
-    """A camera by number or by device file.
+    """Camera selected by number or by device file.
 
     Parameters
     ----------
     device : str
         `"0"` or `"/dev/video0"`.
     size : (int, int), optional
-        Asked of the camera [px]; it may answer with another.
+        Size requested from the camera [px]; the camera may choose another.
     rate : float
-        Likewise [frames/s].
+        Frame rate requested from the camera [frames/s].
     capture : callable, optional
-        Opens a device as `cv2.VideoCapture` does.
+        Function that opens a device as `cv2.VideoCapture` does.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class DeviceSource(FrameSource):
         self._clock = CaptureClock()
 
     def open(self) -> Stream:
-        """Ask for JPEG at the size and rate wanted; take what the camera then gives."""
+        """Request JPEG at the wanted size and rate, and accept what the camera delivers."""
         if self._capture is None:
             _refuse_missing(self._device)
         cv2 = opencv()
@@ -78,7 +78,7 @@ class DeviceSource(FrameSource):
             camera.set(cv2.CAP_PROP_FRAME_WIDTH, self._asked[0])
             camera.set(cv2.CAP_PROP_FRAME_HEIGHT, self._asked[1])
         camera.set(cv2.CAP_PROP_FPS, self._rate)
-        camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # JPEG as it comes, where the system gives it
+        camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # JPEG unchanged, where the system delivers it
         first = self._read()
         if first is None or first.jpeg is None:
             camera.set(cv2.CAP_PROP_CONVERT_RGB, 1)
@@ -90,13 +90,13 @@ class DeviceSource(FrameSource):
                 self.name, found="no pictures", expected="a camera that sends them", hint=_hint()
             )
         self._first = first
-        self.torn = 0  # a camera that wakes up may begin with half a picture
+        self.torn = 0  # a camera may start with half a picture
         promised = float(camera.get(cv2.CAP_PROP_FPS))
         rate = promised if 1.0 <= promised <= 1000.0 else 0.0
         return Stream(size=size, rate=rate, jpeg=first.jpeg is not None, live=True)
 
     def frames(self) -> Iterator[CameraPicture]:
-        """Pictures until the camera is pulled or closed."""
+        """Yield pictures until the camera is unplugged or closed."""
         self._reading = True
         arrived, self._first = self._first, None
         try:
@@ -108,14 +108,14 @@ class DeviceSource(FrameSource):
             self._let_go()
 
     def close(self) -> None:
-        """Let go of the camera, after the picture that is being read."""
+        """Release the camera, after the picture that is being read."""
         self._stop.set()
         if not self._reading:
             self._let_go()
 
     def _read(self) -> CameraPicture | None:
-        """The next whole picture, stamped as it arrives and before it is decoded; None where too
-        many in a row are none."""
+        """Return the next whole picture, stamped on arrival, before it is decoded; None after
+        `TRIES` failures in a row."""
         now = time.monotonic()
         for _ in range(TRIES):
             before = now
@@ -128,7 +128,7 @@ class DeviceSource(FrameSource):
             given, raw = self._camera.retrieve()
             arrived = _arrived(now, raw) if given and raw is not None else None
             if arrived is not None:
-                # Video4Linux: the stamp of the buffer; elsewhere the time of the stream.
+                # Time stamp of the buffer under Video4Linux, time within the stream elsewhere.
                 stamp = 1e-3 * float(self._camera.get(opencv().CAP_PROP_POS_MSEC))
                 arrived.captured = self._clock.place(stamp, now)
                 return arrived
@@ -142,8 +142,8 @@ class DeviceSource(FrameSource):
 
 
 def _arrived(now: float, raw: Picture) -> CameraPicture | None:
-    """JPEG data come as one row of bytes, with whatever stood behind them in the buffer; None where
-    they are torn."""
+    """Return a camera's data as a picture: pixels, or one row of JPEG bytes without the remains of
+    the buffer behind them; None where the JPEG is truncated."""
     if raw.ndim == 3:
         return CameraPicture(now, pixels=raw)
     data = np.ascontiguousarray(raw).tobytes()
@@ -152,7 +152,7 @@ def _arrived(now: float, raw: Picture) -> CameraPicture | None:
 
 
 def _refuse_missing(device: int | str) -> None:
-    """On Linux, say at once what is not there: OpenCV only says that it did not open."""
+    """Raise for a missing or unreadable device on Linux; OpenCV reports no reason."""
     if not sys.platform.startswith("linux"):
         return
     path = f"/dev/video{device}" if isinstance(device, int) else device

@@ -1,4 +1,4 @@
-"""Stopping a drive from wherever one is: the guard beside its program, and any other process."""
+"""Emergency stop of a drive by a guard process, or from any other process."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from fixel.errors import DeviceFailed
 
 GUARD: Final = Path(__file__).with_name("stop_guard.py")
 STOP: Final = b"!\x18"
-START_TIME: Final = 5.0  # [s] the guard has for starting, on a loaded computer
-END_TIME: Final = 5.0  # [s] likewise for ending
+START_TIME: Final = 5.0  # [s] in which the guard must start, on a loaded computer
+END_TIME: Final = 5.0  # [s] in which the guard must end
 
 
 class Running(NamedTuple):
-    """A program that drives an actuator.
+    """Program that drives an actuator.
 
     Attributes
     ----------
     port : str
     pid : int
-        Of the program.
+        Process id of the program.
     guard : int
-        Of its guard; 0 for none.
+        Process id of its guard; 0 without a guard.
     """
 
     port: str
@@ -44,16 +44,16 @@ class Running(NamedTuple):
 
 @final
 class StopGuard:
-    """The process that stops the drive when this one cannot.
+    """Separate process that stops the drive when this one cannot.
 
     Parameters
     ----------
     port : str
-        As other processes can open it.
+        Name under which other processes can open the port.
     descriptor : int
-        Of the open port.
+        File descriptor of the open port.
     keys : bool
-        Whether any key on this terminal is to stop the drive.
+        Whether any key on this terminal stops the drive.
     """
 
     def __init__(self, port: str, descriptor: int, *, keys: bool = False) -> None:
@@ -85,7 +85,7 @@ class StopGuard:
 
     @property
     def pid(self) -> int:
-        """Of the guard's process."""
+        """Process id of the guard."""
         return self._process.pid
 
     def release(self) -> None:
@@ -100,13 +100,13 @@ class StopGuard:
         self._let_go()
 
     def _starts(self) -> bool:
-        """Whether the guard says in time that it is there."""
+        """Whether the guard reports in time that it is ready."""
         assert self._from_guard is not None
         said = select.select([self._from_guard], [], [], START_TIME)[0]
         return bool(said) and self._from_guard.readline() == b"ready\n"
 
     def _let_go(self) -> None:
-        """Close the pipes and see the guard off; one that hangs is killed."""
+        """Close the pipes and wait for the guard to end; kill it if it hangs."""
         for pipe in (self._to_guard, self._from_guard):
             assert pipe is not None
             with contextlib.suppress(OSError):
@@ -118,13 +118,13 @@ class StopGuard:
             self._process.wait()
 
     def _hear_signals(self) -> None:
-        # The interpreter writes a signal's number here at once, also while the main thread is deep
-        # in a computation and no Python code runs.
+        # The interpreter writes a signal's number here at once, even while the main thread computes
+        # outside Python.
         if threading.current_thread() is not threading.main_thread():
             return
         previous = signal.set_wakeup_fd(self._pipe, warn_on_full_buffer=False)
         if previous != -1:
-            signal.set_wakeup_fd(previous)  # an event loop needs it more
+            signal.set_wakeup_fd(previous)  # it belongs to an event loop
             return
         self._previous_wakeup = previous
 
@@ -146,10 +146,10 @@ class StopGuard:
 
 
 def announcements() -> list[Path]:
-    """The folders in which programs that drive something say so, of this user.
+    """Folders in which this user's programs that drive an actuator register.
 
-    A program takes the first it may write to. Who looks for programs looks into all: what a
-    terminal knows of its session is not the same in every terminal.
+    A program uses the first writable one. A search must read all of them, since terminals of one
+    user may differ in the environment variable of their session.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
     session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
@@ -158,7 +158,7 @@ def announcements() -> list[Path]:
 
 
 def running() -> list[Running]:
-    """The programs of this user that drive an actuator now."""
+    """Programs of this user that drive an actuator now."""
     found = []
     for path in sorted(path for folder in announcements() for path in folder.glob("*.json")):
         try:
@@ -166,7 +166,7 @@ def running() -> list[Running]:
             program = Running(str(entry["port"]), int(entry["pid"]), int(entry["guard"]))
         except (OSError, ValueError, KeyError, TypeError):
             continue
-        # The guard outlives its program until the drive has been told to stop.
+        # The guard outlives its program until it has sent the stop to the drive.
         if _alive(program.pid) or _alive(program.guard):
             found.append(program)
         else:
@@ -175,12 +175,12 @@ def running() -> list[Running]:
 
 
 def stop_drive(port: str) -> float:
-    """Write the stop to a port that another program may have open.
+    """Write the stop command to a port that another program may have open.
 
     Returns
     -------
     float
-        When it was written, on `time.monotonic` [s].
+        Time of writing, on `time.monotonic` [s].
 
     Raises
     ------
@@ -192,7 +192,7 @@ def stop_drive(port: str) -> float:
             "another program's port cannot be written to here", hint="switch the drive's power off"
         )
     try:
-        # Neither the lock that keeps other programs out nor whatever they do stands in the way.
+        # Opening for writing ignores the lock of the program that uses the port.
         descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             if not os.isatty(descriptor):

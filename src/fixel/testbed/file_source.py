@@ -1,4 +1,4 @@
-"""A video or a recording played as if it came from a camera."""
+"""Frame source that plays a video or a recording as if it came from a camera."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 
 @final
 class FileSource(FrameSource):
-    """Plays a file at the pace it was filmed with, or as fast as it is read.
+    """File played at the rate of its recording, or as fast as it is read.
 
     Parameters
     ----------
     path : str or Path
-        A video, or the folder of a recording; JPEG pictures of one are handed on as they are.
+        A video, or the folder of a recording; JPEG pictures of a recording are passed unchanged.
     as_fast_as_possible : bool
-        Then frames keep the times of the file, and the reader is waited for.
+        Whether to wait for the reader only; frames then have the times of the file.
     loop : bool
-        Whether it begins anew at its end.
+        Whether to restart at the end.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class FileSource(FrameSource):
         self._video: VideoFile | None = None
 
     def open(self) -> Stream:
-        """Read what it is."""
+        """Open the recording or video and return its properties."""
         if is_recording(self.path):
             self._recording = recording = open_recording(self.path)
             jpeg = recording.header.codec != "exact"
@@ -53,11 +53,11 @@ class FileSource(FrameSource):
         return Stream(video.size, 0.0, jpeg=False, live=not self._fast)
 
     def frames(self) -> Iterator[CameraPicture]:
-        """Every picture, when it is due."""
+        """Yield every picture when it is due."""
         zero, last, step = math.nan, 0.0, 0.0
         while not self._stop.is_set():
             for at, arrived in self._played():
-                if math.isnan(zero):  # opening it took a moment
+                if math.isnan(zero):  # opening takes time
                     zero, self.began = at, time.monotonic()
                 due = self.began + at - zero
                 if not self._wait(due):
@@ -76,7 +76,7 @@ class FileSource(FrameSource):
         self._stop.set()
 
     def _at_its_end(self) -> str:
-        """With what is missing from the file, which is known by now."""
+        """Return why the pictures ended, with what the file turned out to lack."""
         wrong = tuple(self._video.remarks) if self._video else ()
         if self._recording is not None and not self._recording.complete:
             wrong = self._recording.problems
@@ -84,7 +84,7 @@ class FileSource(FrameSource):
         return "; ".join(("the file is at its end", *wrong))
 
     def _wait(self, due: float) -> bool:
-        """Wait for an instant of `time.monotonic` [s]; whether to go on."""
+        """Wait for an instant of `time.monotonic` [s]; return whether to continue."""
         if not self._fast:
             self._stop.wait(max(0.0, due - time.monotonic()))
         return not self._stop.is_set()
@@ -106,13 +106,13 @@ class FileSource(FrameSource):
 
 
 class PlayedReading(NamedTuple):
-    """A reading of a recording that is played.
+    """Reading of a recording that is played.
 
     Attributes
     ----------
     bits : int or None
     time : float
-        On `time.monotonic` [s].
+        Time of the reading, on `time.monotonic` [s].
     problem : str
     """
 
@@ -123,14 +123,14 @@ class PlayedReading(NamedTuple):
 
 @final
 class PlayedTactile:
-    """The readings of a recording, as if its fixels were read while it is played.
+    """Readings of a recording, as if its fixels were read while it is played.
 
     Parameters
     ----------
     recording : str, Path or Recording
     in_turn : bool
-        A reading a frame, for a source that is played as fast as possible; else the reading that
-        is due, counted from the first `read`.
+        Whether each `read` returns the next reading, for a source that is played as fast as
+        possible; else `read` returns the one that is due, counted from the first call.
     """
 
     trouble = ""
@@ -144,7 +144,7 @@ class PlayedTactile:
         self._began = math.nan
 
     def read(self) -> PlayedReading:
-        """The reading of this moment."""
+        """Return the current reading."""
         now = time.monotonic()
         times = self._recording.time
         if self._in_turn:

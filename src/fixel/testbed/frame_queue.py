@@ -1,4 +1,4 @@
-"""Reads a source in a thread of its own: no picture waits for what is done with the last."""
+"""Queue that reads a frame source in its own thread, so that slow processing blocks no frame."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from typing import Final, final
 from fixel.errors import FixelError
 from fixel.testbed.frame_source import CameraPicture, FrameSource
 
-HELD: Final = 30  # pictures: a second of them
-OLD: Final = 0.15  # [s] a picture that waited longer is late
-CATCHING_UP: Final = 0.15  # [s] for which pictures may be late, after something held them up
+HELD: Final = 30  # pictures, one second at 30 frames/s
+OLD: Final = 0.15  # [s] of waiting after which a picture is late
+CATCHING_UP: Final = 0.15  # [s] for which pictures may be late after a delay
 ENDS_WITHIN: Final = 5.0  # [s]
 
 
 @final
 class FrameQueue:
-    """Pictures of a source, in order; those too many are counted, never silently gone.
+    """Pictures of a source, in order; those that are dropped are counted.
 
-    What is held up for a moment is caught up with. Where pictures stay late, because writing them
-    takes longer than they last, the oldest are given up: what is written is never long ago.
+    A short delay is caught up with. Where pictures stay late, because they arrive faster than they
+    are written, the oldest are dropped, so that what is written is always recent.
 
     Parameters
     ----------
     source : FrameSource
-        Opened already.
+        Open source.
     live : bool
-        Whether pictures come when they come. Of another source none is lost: it has to wait.
+        Whether the source does not wait for its reader; another source waits and loses no picture.
     held : int
-        How many may wait.
+        Largest number of waiting pictures.
     """
 
     def __init__(self, source: FrameSource, *, live: bool, held: int = HELD) -> None:
-        self._refused = self._given_up = 0  # by the thread that reads, and by the one that writes
+        self._refused = self._given_up = 0  # by the reading thread, and by the writing one
         self._source = source
         self._live = live
         self._waiting: queue.Queue[CameraPicture] = queue.Queue(held)
@@ -45,11 +45,11 @@ class FrameQueue:
         self._thread = threading.Thread(target=self._read, name="frames", daemon=True)
 
     def start(self) -> None:
-        """Read from now on."""
+        """Start reading."""
         self._thread.start()
 
     def get(self, patience: float) -> CameraPicture | None:
-        """The next picture; None where none came within `patience` [s], or none will come."""
+        """Return the next picture; None if none came within `patience` [s], or none will come."""
         while True:
             try:
                 arrived = self._waiting.get(timeout=0.0 if self._ended.is_set() else patience)
@@ -60,7 +60,7 @@ class FrameQueue:
             self._given_up += 1
 
     def _too_old(self, arrived: CameraPicture) -> bool:
-        """Whether to give a picture up: it is late, and so were those before it for a while."""
+        """Whether to drop a picture: it is late, and so were all for `CATCHING_UP` seconds."""
         now = time.monotonic()
         if now - arrived.time <= OLD:
             self._late_since = None
@@ -71,7 +71,7 @@ class FrameQueue:
 
     @property
     def lost(self) -> int:
-        """Pictures that were lost so far."""
+        """Number of pictures lost so far."""
         return self._refused + self._given_up
 
     @property
@@ -81,18 +81,18 @@ class FrameQueue:
 
     @property
     def reason(self) -> str:
-        """Why no more will come."""
+        """Reason why no more pictures will come."""
         if self._error is not None:
             return f"the camera failed: {self._error}"
         return self._source.ended or "the camera sends no more pictures"
 
     @property
     def waiting(self) -> int:
-        """How many pictures wait."""
+        """Number of waiting pictures."""
         return self._waiting.qsize()
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Stop the thread and close the source."""
         self._stop.set()
         self._source.close()
         if self._thread.ident is not None:

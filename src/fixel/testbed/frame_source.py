@@ -1,4 +1,4 @@
-"""Where pictures come from: cameras, network cameras, files, behind one interface."""
+"""Common interface of frame sources: cameras, network cameras and files."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Final, NamedTuple, final
 from fixel.formats.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
-STALLED: Final = 3.0  # [s] a camera that sends nothing for so long was unplugged
+STALLED: Final = 3.0  # [s] without data after which a camera counts as unplugged
 
 
 class Stream(NamedTuple):
-    """What a source says of itself once it is open.
+    """Properties of an open source.
 
     Attributes
     ----------
     size : (int, int)
         Width and height [px].
     rate : float
-        Frames a second it promises, 0 for unknown.
+        Nominal frame rate [frames/s], 0 where unknown.
     jpeg : bool
-        Whether pictures come as JPEG.
+        Whether pictures are JPEG data.
     live : bool
-        Whether they come when they come; a source that waits for its reader loses none.
+        Whether the source does not wait for its reader; one that waits loses no picture.
     simulated_by : str
-        What made the pictures, where no camera did.
+        Program that rendered the pictures; empty for a camera.
     """
 
     size: tuple[int, int]
@@ -40,18 +40,18 @@ class Stream(NamedTuple):
 @final
 @dataclass(slots=True)
 class CameraPicture:
-    """A picture as it arrived.
+    """Picture as it arrived.
 
     Parameters
     ----------
     time : float
-        Of its arrival, on `time.monotonic` [s].
+        Time of arrival, on `time.monotonic` [s].
     jpeg : bytes, optional
-        As it came.
+        JPEG data as they arrived.
     pixels : (height, width, 3) uint8, optional
-        Where it came as pixels: blue, green, red.
+        Pixels, in the order blue, green, red, where it arrived as such.
     captured : float, optional
-        When it was taken, on the same clock, where the camera says so [s].
+        Time of capture on the same clock [s], where the camera reports it.
     """
 
     time: float
@@ -61,12 +61,12 @@ class CameraPicture:
 
     @property
     def taken(self) -> float:
-        """Time of capture, or of arrival where the camera does not say it [s]."""
+        """Time of capture, or of arrival where the camera does not report it [s]."""
         return self.time if self.captured is None else self.captured
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Width and height [px]; None where it is no whole picture."""
+        """Width and height [px]; None for an incomplete picture."""
         if self.jpeg is not None:
             return jpeg_size(self.jpeg)
         if self.pixels is None or self.pixels.ndim != 3:
@@ -74,7 +74,7 @@ class CameraPicture:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     def picture(self) -> Picture:
-        """(height, width, 3) uint8; decoded when first asked for.
+        """Return the pixels (height, width, 3) uint8, decoded at the first call.
 
         Raises
         ------
@@ -86,25 +86,25 @@ class CameraPicture:
         return self.pixels
 
     def small(self) -> Gray:
-        """(height / 8, width / 8) uint8 of brightness; cheap."""
+        """Return the brightness (height / 8, width / 8) uint8, without full decoding of a JPEG."""
         if self.jpeg is None:
             return shrunk(self.picture())
         return brightness(self.jpeg, REDUCED)
 
 
 class FrameSource(abc.ABC):
-    """A camera, or something that stands in for one.
+    """Abstract camera, or a substitute for one.
 
     Attributes
     ----------
     name : str
-        For people, and for the record: without passwords.
+        Name for messages and records, without passwords.
     ended : str
-        Why the pictures ended, once they have.
+        Reason why the pictures ended; empty before.
     complete : bool
-        Whether they ended where they should: a file at its end.
+        Whether a file was read to its end, without damage.
     torn : int
-        How many came that were no whole pictures, and were left out.
+        Number of incomplete pictures, which are skipped.
     """
 
     name: str
@@ -114,21 +114,21 @@ class FrameSource(abc.ABC):
 
     @abc.abstractmethod
     def open(self) -> Stream:
-        """Get ready, and look at the first picture.
+        """Open the source and read the first picture.
 
         Raises
         ------
         InvalidInput
-            Nothing there, no permission, no pictures.
+            No such source, no permission, or no pictures.
         """
 
     @abc.abstractmethod
     def frames(self) -> Iterator[CameraPicture]:
-        """Every whole picture once, the first included; then says why there are no more."""
+        """Yield every whole picture once, the first included; then set `ended`."""
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Let go of it; from another thread too, which ends `frames`."""
+        """Close the source, which ends `frames`; may be called from another thread."""
 
     def __enter__(self) -> FrameSource:
         return self

@@ -1,4 +1,4 @@
-"""Who is behind this port? A GRBL controller, or something else."""
+"""Test whether the device at a serial port is a GRBL controller."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fixel.testbed.serial_port import quoted, resets_on_opening
 if TYPE_CHECKING:
     from serial import Serial
 
-BOOT_TIME: Final = 3.0  # [s] an Arduino that carries a controller restarts when it is opened
-PATIENCE: Final = 0.25  # [s] a question, until it is asked again
+BOOT_TIME: Final = 3.0  # [s] in which an Arduino restarts after its port was opened
+PATIENCE: Final = 0.25  # [s] between two attempts
 QUESTIONS: Final = 4
 
 
 def greet(link: Serial, port: str) -> None:
-    """See that a controller is there.
+    """Check that a GRBL controller answers.
 
-    A question for the status, `?`, is all that is sent: it moves no controller, and is a harmless
-    byte to most other things.
+    Only the status request `?` is sent: it moves no controller, and is harmless to most other
+    devices.
 
     Raises
     ------
@@ -34,12 +34,12 @@ def greet(link: Serial, port: str) -> None:
         answer = _until(link, b">", PATIENCE)
         heard += answer
         if any(_is_status(line) for line in answer.splitlines()):
-            # Half a line of whoever was here before would spoil our first one.
+            # Half a line of a previous program would corrupt our first one.
             link.write(b"\n")
             _until(link, b"\n", PATIENCE)
             return
         if answer and b"Grbl" not in heard and b"<" not in answer:
-            break  # somebody else speaks
+            break  # another device answers
     raise _refusal(port, heard)
 
 

@@ -1,4 +1,4 @@
-"""What a GRBL controller says, and how it is told where to go. Versions 0.9 and 1.1."""
+"""Status reports, settings and move commands of GRBL controllers, versions 0.9 and 1.1."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 from fixel.errors import InvalidInput
 
 BAUD: Final = 115200
-BUFFER: Final = 127  # bytes of lines that may be on their way, of its 128
+BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 128
 STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
 AXES: Final = "XYZ"
 INCH: Final = 25.4  # [mm]
@@ -44,16 +44,16 @@ _FIELD = re.compile(r"(MPos|WPos|WCO):([-\d.,]+)")
 
 
 class GrblStatus(NamedTuple):
-    """A status report.
+    """Status report of a controller.
 
     Attributes
     ----------
     state : str
         `Idle`, `Run`, `Hold`, `Alarm`, ...
     part : int, optional
-        `Hold:0` has come to rest, `Hold:1` not yet; version 0.9 does not tell.
+        `Hold:0` has come to rest, `Hold:1` not yet; missing in version 0.9.
     machine, work, offset : tuple of float, optional
-        Coordinates as reported; which of them are there depends on its settings.
+        Coordinates as reported; which are present depends on the controller's settings.
     """
 
     state: str
@@ -64,12 +64,12 @@ class GrblStatus(NamedTuple):
 
     @property
     def placed(self) -> bool:
-        """Whether it says where the drive is."""
+        """Whether the report contains the position of the drive."""
         return self.machine is not None or self.work is not None
 
 
 def status_of(line: str) -> GrblStatus | None:
-    """The report in a line; None if there is none, or it is damaged."""
+    """Parse the status report in a line; None if there is none, or it is damaged."""
     found = _STATUS.fullmatch(line)
     if found is None:
         return None
@@ -86,7 +86,7 @@ def status_of(line: str) -> GrblStatus | None:
 
 
 def number_after(line: str, word: str) -> int | None:
-    """The number of `error:9` or `ALARM:3`; None if the line is no such thing, 0 without one."""
+    """Return the number after `word`, as in `error:9`; 0 without a number, None for other lines."""
     if not line.startswith(word):
         return None
     digits = line[len(word) :].strip()
@@ -96,18 +96,18 @@ def number_after(line: str, word: str) -> int | None:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisSettings:
-    """What the controller says about one of its axes; millimetres and seconds.
+    """Settings of one axis of the controller, in millimetres and seconds.
 
     Attributes
     ----------
     fastest : float
-        [mm/s].
+        Largest speed [mm/s].
     acceleration : float
-        [mm/s^2].
+        Acceleration [mm/s^2].
     travel : float
-        [mm].
+        Length of the travel [mm].
     homing : bool
-        Whether it has end switches, and asks for them.
+        Whether it has end switches and must be homed.
     soft_limits : bool
         Whether it refuses to leave its travel.
     inches : bool
@@ -128,20 +128,20 @@ class AxisSettings:
     direction: int
 
     def coordinate(self, position: float) -> float:
-        """The machine coordinate [mm] of a position [m]."""
+        """Convert a position [m] to a machine coordinate [mm]."""
         return self.zero + self.direction * 1e3 * position
 
     def position(self, coordinate: float) -> float:
-        """The position [m] at a machine coordinate [mm]."""
+        """Convert a machine coordinate [mm] to a position [m]."""
         return self.direction * (coordinate - self.zero) * 1e-3
 
 
 def settings_of(lines: list[str], axis: str) -> AxisSettings:
-    """From the answers to `$$` and `$I`.
+    """Parse the answers to `$$` and `$I`.
 
-    Machine coordinates are from `-travel` to 0 where it homes (unless built to count from the
-    switch), and the switch is taken to be at the withdrawn end; without homing, they count from
-    where the drive stood when the controller was switched on.
+    With homing, machine coordinates range from `-travel` to 0 (unless the controller was built to
+    count from the switch), and the switch is assumed at the withdrawn end. Without homing, they
+    count from the place of the drive when the controller was switched on.
     """
     values: dict[int, float] = {}
     for line in lines:
@@ -174,5 +174,5 @@ def settings_of(lines: list[str], axis: str) -> AxisSettings:
 
 
 def move_line(axis: str, coordinate: float, speed: float) -> str:
-    """To a machine coordinate [mm] at a speed [mm/s], whatever was said before."""
+    """Return the line for a move to a machine coordinate [mm] at a speed [mm/s], in any mode."""
     return f"G21G90G94G53G1{axis}{coordinate:.3f}F{60.0 * speed:.2f}"

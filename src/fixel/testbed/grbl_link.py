@@ -1,4 +1,4 @@
-"""The conversation with a GRBL controller: one thread that reads, asks and sends."""
+"""Connection to a GRBL controller: one thread reads, polls the status and sends lines."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from fixel.testbed.grbl_lines import GrblStatus
 if TYPE_CHECKING:
     from serial import Serial
 
-ASKING: Final = 0.04  # [s] between two questions for the status
-TURN: Final = 0.01  # [s] the thread looks at what is to be sent at least that often
-SILENCE: Final = 1.0  # [s] without a status report, the controller counts as gone
-ANSWER: Final = 2.0  # [s] for a command that takes no time
+ASKING: Final = 0.04  # [s] between two status requests
+TURN: Final = 0.01  # [s] longest time between two checks of the thread for lines to send
+SILENCE: Final = 1.0  # [s] without a status report after which the controller counts as gone
+ANSWER: Final = 2.0  # [s] timeout of a command that takes no time
 
 
 @final
 class GrblLink:
-    """Lines to a controller and what comes back; every method may be called from any thread.
+    """Lines to a controller and its answers; every method may be called from any thread.
 
-    Lines are counted (the controller's buffer holds 128 bytes), so that none is ever lost.
+    Unanswered bytes are counted, so that the controller's buffer of 128 bytes never overflows.
 
     Parameters
     ----------
     port : serial.Serial
-        Open, and found to be a GRBL controller's.
+        Open port of a GRBL controller, as `greet` found.
     next_line : callable
-        Asked for the next line of a move, again and again; None for no more at present. Called in
-        the link's own thread, with its `changed` held.
+        Called repeatedly; returns the next line of a move, or None for no more at present. Runs in
+        the link's own thread, which holds `changed`.
 
     Attributes
     ----------
     changed : threading.Condition
         Notified when anything below changes; hold it to read more than one of them.
     status : GrblStatus, optional
-        The last report.
+        Last report.
     reported : float
-        When it came, on `time.monotonic` [s].
+        Arrival of the last report, on `time.monotonic` [s].
     current : bool
-        Whether the question for it was asked after the last line was accepted.
+        Whether the last report was requested after the last line was accepted.
     trouble : str
-        Why a move cannot go on: an alarm, a reset, a refused line, a lost connection.
+        Why a move cannot continue: an alarm, a reset, a refused line, a lost connection.
     lost : bool
         Whether the controller is no longer there.
     """
@@ -65,7 +65,7 @@ class GrblLink:
         self._next_line = next_line
         self._partial = b""
         self._unanswered: deque[int] = deque()  # lengths of lines
-        self._answers: list[str] | None = None  # of the command that is waited for
+        self._answers: list[str] | None = None  # to the pending command
         self._verdict = ""
         self._asked = self._accepted = self._sent = 0.0
         self._ended = False
@@ -78,12 +78,12 @@ class GrblLink:
             self._port.write(realtime)
 
     def command(self, line: str, patience: float = ANSWER) -> list[str]:
-        """Send one line and wait until it is done; what was said in between.
+        """Send one line, wait until it is done, and return the lines received in between.
 
         Raises
         ------
         DeviceFailed
-            It was refused, an alarm came instead, or nothing.
+            The line was refused, an alarm came instead, or no answer.
         """
         with self.changed:
             self._answers, self._verdict, self.trouble = [], "", ""
@@ -98,12 +98,12 @@ class GrblLink:
             raise DeviceFailed(why)
 
     def fresh_status(self, patience: float = SILENCE) -> GrblStatus:
-        """A report that was asked for after the call.
+        """Wait for a report that was requested after the call.
 
         Raises
         ------
         DeviceFailed
-            None came.
+            No report came.
         """
         with self.changed:
             called = time.monotonic()
@@ -115,7 +115,7 @@ class GrblLink:
             return self.status
 
     def idle(self) -> bool:
-        """Whether everything that was sent was accepted and done."""
+        """Whether all lines sent were accepted and carried out."""
         return (
             not self._unanswered
             and self.current
@@ -124,7 +124,7 @@ class GrblLink:
         )
 
     def reset(self, patience: float = 1.0) -> None:
-        """Let the controller forget what it was told, and return when it has."""
+        """Clear the controller's queue by a reset, and return when it has restarted."""
         with self.changed:
             before, until = self.resets, time.monotonic() + patience
             self.at_once(grbl.RESET)
@@ -135,7 +135,7 @@ class GrblLink:
                 self.trouble = ""
 
     def close(self) -> None:
-        """End the conversation; the port is closed."""
+        """End the thread and close the port."""
         self._ended = True
         if self._thread is not threading.current_thread():
             self._thread.join()
@@ -146,7 +146,7 @@ class GrblLink:
     def _run(self) -> None:
         try:
             self._converse()
-        except Exception as problem:  # whoever waits for a move would wait for ever
+        except Exception as problem:  # otherwise the caller would wait for a move without end
             self._lose(f"the conversation with the controller broke off: {problem}")
 
     def _converse(self) -> None:
@@ -160,7 +160,7 @@ class GrblLink:
                     for line in self._lines(arrived):
                         self._hear(line)
                     self._feed()
-            except (OSError, TypeError) as problem:  # TypeError: closed under pyserial's hands
+            except (OSError, TypeError) as problem:  # TypeError: closed while pyserial reads
                 self._lose(f"the controller went away: {problem}")
 
     def _ask(self) -> None:
@@ -168,8 +168,8 @@ class GrblLink:
         if now - self._asked > ASKING:
             self._asked = now
             self._port.write(grbl.STATUS)
-        # A command such as homing may keep the controller busy, and has a patience of its own; a
-        # line of a move that waits for its answer does not.
+        # A command such as homing may occupy the controller, and has its own timeout; an unanswered
+        # line of a move has none.
         heard = max(self.reported, self._accepted)
         if now - heard > SILENCE and self._answers is None:
             with self.changed:
@@ -208,12 +208,12 @@ class GrblLink:
         self.changed.notify_all()
 
     def _damaged(self, status: GrblStatus) -> bool:
-        """Whether a report lacks the place that those before it had."""
+        """Whether a report lacks the position that the previous one had."""
         before = self.status
         return before is not None and before.placed and not status.placed
 
     def _miss_answers(self) -> None:
-        """A controller at rest has answered every line long ago, or the answer was damaged."""
+        """Report a lost answer: a controller at rest answered every line unless one was damaged."""
         owes = self._unanswered and self._answers is None
         at_rest = self.status is not None and self.status.state == "Idle"
         if owes and at_rest and self.reported - self._sent > SILENCE:
@@ -231,7 +231,7 @@ class GrblLink:
     def _feed(self) -> None:
         while not self.trouble and self._answers is None:
             room = grbl.BUFFER - sum(self._unanswered)
-            # No line of ours is longer; asking first would make one that cannot be sent.
+            # All our lines are shorter; `next_line` must not make one that cannot be sent.
             line = self._next_line() if room > 60 else None
             if line is None:
                 return

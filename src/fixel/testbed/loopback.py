@@ -1,4 +1,4 @@
-"""A network camera without a camera: serves a film over HTTP on this machine."""
+"""Simulated network camera: serves a film over HTTP on this machine."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from fixel.testbed.frame_source import Stream
 
 HERE_ONLY: Final = "127.0.0.1"
 BOUNDARY: Final = "fixel-frame"
-STAMP: Final = "X-Timestamp"  # of a part: when its picture was taken [s], as mjpg-streamer sends it
-SIMULATED: Final = "X-Fixel-Simulated-By"  # so that a film of no camera stays one for ever
+STAMP: Final = "X-Timestamp"  # capture time of a part [s], as mjpg-streamer sends it
+SIMULATED: Final = "X-Fixel-Simulated-By"  # marks rendered films as simulated
 
 
 @final
 class LoopbackCamera:
-    """Plays a film to everybody who asks, from its beginning, at its own pace.
+    """Server that plays a film to every client from its beginning, at its own rate.
 
     Parameters
     ----------
     path : str or Path
         A video, or the folder of a recording.
     port : int
-        0 for any that is free.
+        Port of the server; 0 for any free one.
     loop : bool
-        Whether the film begins anew at its end.
+        Whether the film restarts at its end.
 
     Raises
     ------
@@ -61,11 +61,11 @@ class LoopbackCamera:
 
     @property
     def url(self) -> str:
-        """Where the film is."""
+        """Address of the film."""
         return f"http://{HERE_ONLY}:{self._server.server_port}/video.mjpg"
 
     def start(self) -> LoopbackCamera:
-        """Serve from now on, in a thread."""
+        """Start to serve, in a thread."""
         self._thread.start()
         return self
 
@@ -75,8 +75,8 @@ class LoopbackCamera:
             self._thread.join(0.2)
 
     def stop(self) -> None:
-        """End, as when the plug is pulled."""
-        # Shutting down what does not serve would wait for ever.
+        """Stop the server and drop its connections, as when a plug is pulled."""
+        # Shutting down a server that was not started would wait without end.
         if self._thread.ident is not None:
             self._server.shutdown()
             for source in tuple(self._playing):

@@ -1,4 +1,4 @@
-"""Moving the pusher: what every actuator does, whatever drives it."""
+"""Abstract actuator: the common interface of all drives of the pusher."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from fixel.model.fields import finite, positive
 
 DRIVE_REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
 SPEED: Final = 0.0135  # [m/s] in all its experiments
-NEAR: Final = 2e-5  # [m] closer than that, the drive is there
+NEAR: Final = 2e-5  # [m] largest distance at which the drive has arrived
 
 
 class AbstractActuator(abc.ABC):
-    """A drive on a straight line.
+    """Abstract drive on a straight line.
 
     Positions are distances along its stroke [m]: 0 where it is fully withdrawn, growing as it
-    extends. Use it as a context manager; leaving that stops a drive that still moves.
+    extends. Use it as a context manager; leaving the block stops a drive that still moves.
 
     Attributes
     ----------
     name : str
-        On the command line.
+        Name on the command line.
     reach : (float, float)
-        Positions it may be sent to [m].
+        Smallest and largest position that it may be sent to [m].
     """
 
     name: ClassVar[str]
@@ -32,24 +32,24 @@ class AbstractActuator(abc.ABC):
 
     @abc.abstractmethod
     def connect(self) -> Self:
-        """Get hold of the drive; it does not move."""
+        """Connect to the drive, without moving it."""
 
     @abc.abstractmethod
     def disconnect(self) -> None:
-        """Let go of it, having stopped it if it moved. Without a connection, nothing happens."""
+        """Stop the drive if it moves, and disconnect. Do nothing without a connection."""
 
     @property
     @abc.abstractmethod
     def connected(self) -> bool:
-        """Whether it can be asked to move."""
+        """Whether the drive can be moved."""
 
     @abc.abstractmethod
     def home(self) -> None:
-        """Find out where it is: go to the end switch, or ask. Returns when done."""
+        """Determine the position: go to the end switch, or ask the operator. Returns when done."""
 
     @abc.abstractmethod
     def position(self) -> float:
-        """Where it is now [m]."""
+        """Return the current position [m]."""
 
     @property
     @abc.abstractmethod
@@ -63,13 +63,13 @@ class AbstractActuator(abc.ABC):
         Raises
         ------
         DeviceFailed
-            It ended early, and why.
+            The move ended early; with the reason.
         """
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the move, slowing down as the drive can without losing its place, and return when at
-        rest. May be called from any thread, and when nothing moves."""
+        """End the move, decelerating so that the position is not lost, and return when at rest.
+        May be called from any thread, and when nothing moves."""
 
     @abc.abstractmethod
     def _begin(self, target: float, speed: float) -> None:
@@ -83,24 +83,24 @@ class AbstractActuator(abc.ABC):
         speed: float = SPEED,
         wait: bool = True,
     ) -> None:
-        """Go somewhere.
+        """Move to a position, or by a distance; give one of the two.
 
         Parameters
         ----------
         to : float, optional
-            The position to go to [m].
+            Target position [m].
         by : float, optional
-            How much further than now [m]; one of the two.
+            Distance from the current position [m].
         speed : float
-            [m/s].
+            Speed of the move [m/s].
         wait : bool
-            Whether to return when there, or at once; then see `wait`. Whatever interrupts the
-            waiting, Ctrl-C too, stops the drive.
+            Whether to return on arrival, or at once; see the method `wait`. Any interruption of
+            the waiting, such as Ctrl-C, stops the drive.
 
         Raises
         ------
         InvalidInput
-            The place is out of reach, or the speed cannot be.
+            The target is out of reach, or the speed is not positive.
         DeviceFailed
             The drive is not ready, or ended the move early.
         """
@@ -140,7 +140,7 @@ class AbstractActuator(abc.ABC):
 
 
 def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
-    """Two positions in ascending order [m]."""
+    """Return two positions [m], checked to be finite and in ascending order."""
     low, high = (finite(end, "reach", "m") for end in reach)
     if low >= high:
         raise InvalidInput("reach", found=reach, expected="two positions in ascending order [m]")

@@ -1,4 +1,4 @@
-"""A drive behind a GRBL-style controller on a serial port."""
+"""Actuator with a GRBL controller on a serial port."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 
 DEAD_MAN: Final = 0.5  # [s]
 MAX_DEAD_MAN: Final = 3.0  # [s]
-CHUNKS: Final = 6  # pieces a queue is made of
+CHUNKS: Final = 6  # pieces in a full queue
 HOMING_TIME: Final = 90.0  # [s]
 UNLOCK: Final = "see where the drive stands, then: fixel actuator move --unlock"
-SHORT: Final = 0.5  # [s] at rest for so long short of the target, it will not get there
+SHORT: Final = 0.5  # [s] at rest before the target after which the move has failed
 
 
 @final
 class GrblActuator(AbstractActuator):
-    """One axis of a GRBL controller, versions 0.9 and 1.1, and those that speak like it.
+    """One axis of a GRBL controller, version 0.9 or 1.1, or of a compatible one.
 
-    A move is sent in pieces, never more of them than the drive needs for `dead_man` seconds: when
-    this program dies or hangs, the drive runs out of pieces and comes to rest. Beside it runs a
-    guard (`stop_guard.py`), a process that stops the drive at once when this one dies, on Ctrl-C,
-    and when asked to by `fixel actuator stop`.
+    A move is sent in pieces, at most as many as the drive needs for `dead_man` seconds: if this
+    program dies or hangs, the drive runs out of pieces and comes to rest. A guard
+    (`stop_guard.py`) is a separate process that stops the drive at once when this process dies,
+    on Ctrl-C, and on `fixel actuator stop`.
 
     Parameters
     ----------
     port : str, optional
-        `/dev/ttyUSB0`, `COM5`. None is refused with a list of the ports there are.
+        Serial port: `/dev/ttyUSB0`, `COM5`. None raises, with a list of the ports found.
     axis : str
-        `"X"`, `"Y"` or `"Z"`.
+        Axis of the controller: `"X"`, `"Y"` or `"Z"`.
     reach : (float, float)
-        Positions it may be sent to [m]; cut to the controller's travel where it knows that.
+        Smallest and largest position [m]; limited to the controller's travel where it is known.
     dead_man : float, optional
-        For how long the drive may go on without this program [s]; none: 0.5 s, or as much more as
-        the controller's acceleration needs so that it need not slow down between pieces.
+        Longest motion without this program [s]. Default: 0.5 s, or longer if a low acceleration
+        would otherwise slow the drive down between pieces.
     keys : bool
         Whether any key on the terminal stops the drive.
     guard : bool
-        Whether the guard runs; on Windows it cannot.
+        Whether the guard runs; never on Windows.
     """
 
     name: ClassVar[str] = "grbl"
@@ -84,12 +84,12 @@ class GrblActuator(AbstractActuator):
     # --- connection ---------------------------------------------------------------------------
 
     def connect(self) -> Self:
-        """Open the port, see that a controller is there, and read its settings.
+        """Open the port, check that a controller answers, and read its settings.
 
         Raises
         ------
         InvalidInput
-            The port cannot be had, or something else is behind it: with what that said.
+            The port cannot be opened, or another device answers; with its answer.
         DeviceFailed
             The controller does not answer as it should.
         """
@@ -100,7 +100,7 @@ class GrblActuator(AbstractActuator):
             self._link = GrblLink(serial, self._next_piece)
         try:
             self._read_settings()
-            # It shares the port and hears signals as only POSIX systems let it.
+            # Sharing the port and hearing signals need a POSIX system.
             if self._wants_guard and sys.platform != "win32":
                 self._guard = StopGuard(self.port, serial.fileno(), keys=self._keys)
         except BaseException:
@@ -127,7 +127,7 @@ class GrblActuator(AbstractActuator):
     def _read_settings(self) -> None:
         link = self._open
         if link.fresh_status().state not in ("Idle", "Alarm"):
-            # Whoever set it going is gone: the port was free.
+            # The program that started the move is gone: the port was free.
             self.stop()
         lines = link.command("$I") + link.command("$$")
         self._settings = settings = grbl.settings_of(lines, self.axis)
@@ -140,12 +140,12 @@ class GrblActuator(AbstractActuator):
 
     @property
     def state(self) -> str:
-        """As the controller names it: `Idle`, `Run`, `Hold`, `Alarm`."""
+        """State as the controller names it: `Idle`, `Run`, `Hold`, `Alarm`."""
         return self._open.fresh_status().state
 
     @property
     def settings(self) -> AxisSettings:
-        """What the controller says about the axis."""
+        """Settings of the axis, as read from the controller."""
         if self._settings is None:
             raise DeviceFailed("the actuator is not connected", hint="call connect first")
         return self._settings
@@ -173,12 +173,12 @@ class GrblActuator(AbstractActuator):
             hint = again if self.settings.homing else UNLOCK
             raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
-            # Nothing but a reset ends homing.
+            # Only a reset ends homing.
             self._open.at_once(grbl.RESET)
             raise
 
     def unlock(self) -> None:
-        """End an alarm without homing; only who has seen where the drive stands should do that."""
+        """End an alarm without homing. Look at the position of the drive before."""
         self._open.command("$X")
 
     def _coordinate(self, status: grbl.GrblStatus) -> float:
@@ -216,8 +216,8 @@ class GrblActuator(AbstractActuator):
             self._target = round(settings.coordinate(target), 3)
 
     def _queue_for(self, speed: float) -> float:
-        """How much may be queued [s]: enough that the planner, which slows down for the end of
-        what it knows, need not."""
+        """Return the motion to queue [s]: enough that the planner, which decelerates towards the
+        end of its queue, does not slow down."""
         settings = self.settings
         if speed > settings.fastest * (1.0 + 1e-6):
             raise InvalidInput(
@@ -240,7 +240,7 @@ class GrblActuator(AbstractActuator):
         return queue
 
     def _next_piece(self) -> str | None:
-        """The next line of the move, if the drive may have it yet; called by the link."""
+        """Return the next line of the move, None if it is too early; called by the link."""
         link = self._link
         if link is None or link.status is None or link.status.state not in ("Idle", "Run"):
             return None
@@ -250,7 +250,7 @@ class GrblActuator(AbstractActuator):
         step = self._speed * self._queue / CHUNKS
         last = abs(left) <= 1.5 * step
         end = self._target if last else self._sent_to + math.copysign(step, left)
-        # The place last reported is behind the true one, so that what is queued is overestimated.
+        # The last reported position lags, so that the queued motion is overestimated.
         if abs(end - self._coordinate(link.status)) > self._speed * self._queue:
             return None
         self._sent_to = end
@@ -261,7 +261,7 @@ class GrblActuator(AbstractActuator):
         link = self._open
         with link.changed:
             while self.moving:
-                # Wakes now and then, so that Ctrl-C is heard on every system.
+                # Wakes regularly, so that Ctrl-C is handled on every system.
                 link.changed.wait(0.1)
             failure, self._failure = self._failure, ""
         if failure:
@@ -269,7 +269,7 @@ class GrblActuator(AbstractActuator):
             raise DeviceFailed(f"the drive was stopped: {failure}", hint=hint)
 
     def _look(self) -> None:
-        """Is the move done, or over? Called with `changed` held."""
+        """Update the move: done, failed or under way. The caller holds `changed`."""
         link = self._open
         status = link.status
         if link.trouble:
@@ -308,7 +308,7 @@ class GrblActuator(AbstractActuator):
         link.reset()  # empties its queue
 
     def _wait_for_rest(self, link: GrblLink) -> None:
-        """Until the drive has slowed down: a reset before that would lose its place."""
+        """Wait until the drive has slowed down: an earlier reset would lose its position."""
         until = time.monotonic() + 0.3 + 1.5 * self._speed / self._slowing()
         with contextlib.suppress(DeviceFailed):
             while time.monotonic() < until:

@@ -1,4 +1,4 @@
-"""A drive with a program of its own, which a person operates, as in the thesis."""
+"""Actuator that a person operates with the drive's own program, as in the thesis."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from fixel.testbed.motion import DRIVE_REACH, AbstractActuator, checked_reach
 
 @final
 class ManualActuator(AbstractActuator):
-    """Tells a person what to set and when to start, and believes what it is told.
+    """Actuator that prompts a person to set and start the drive, and relies on the answers.
 
-    It cannot stop the drive: it can only ask for that.
+    It cannot stop the drive itself, only request it from the person.
 
     Parameters
     ----------
     reach : (float, float)
-        Positions it may be sent to [m].
+        Smallest and largest position [m].
     ask : callable
-        Shows a sentence, returns the line the person types; `input` by default.
+        Function that prints a sentence and returns the line typed; `input` by default.
     say : callable
-        Shows a sentence.
+        Function that prints a sentence.
     """
 
     name: ClassVar[str] = "manual"
@@ -39,7 +39,7 @@ class ManualActuator(AbstractActuator):
         self._ask, self._say = ask, say
         self._connected = False
         self._at: float | None = None
-        self._heading: float | None = None  # [m] where it is going, if it is
+        self._heading: float | None = None  # [m] target of the move under way
         self._stopped = ""
 
     def connect(self) -> Self:
@@ -90,7 +90,7 @@ class ManualActuator(AbstractActuator):
             f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * target:.2f} mm"
             f" (by {1e3 * (target - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
         )
-        self._heading = target  # who is interrupted may have clicked already
+        self._heading = target  # an interrupted person may have clicked already
         self._answered("Click its start button and press Enter at the same moment: ")
 
     def _asked_for_position(self) -> float:

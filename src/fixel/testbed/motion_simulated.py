@@ -1,4 +1,4 @@
-"""A drive that is not there, with a clock of its own."""
+"""Simulated actuator, with its own clock."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from fixel.testbed.uneven_drive import uneven_time
 
 @final
 class SimulatedActuator(AbstractActuator):
-    """Moves as the drive of the simulated testbed does: at its own speed, and with a ripple.
+    """Actuator that moves as in the simulated testbed: at its own speed, with a ripple.
 
     Parameters
     ----------
     reach : (float, float)
-        Positions it may be sent to [m].
+        Smallest and largest position [m].
     start : float
-        Where it stands at first [m].
+        Initial position [m].
     speed_ratio : float
-        Its speed over the speed asked for [-].
+        True speed over the requested speed [-].
     ripple : float
-        Amplitude of its speed about the mean, as a share of it, less than 1 [-].
+        Amplitude of the speed about its mean, as a share of it, less than 1 [-].
     frequency : float
-        Of the ripple [Hz].
+        Frequency of the ripple [Hz].
     phase : float
-        Of the ripple when a move begins [rad].
+        Phase of the ripple when a move begins [rad].
     clock : callable
-        Seconds; another one lets it run faster than real time.
+        Function that returns seconds; replace it to run faster than real time.
     """
 
     name: ClassVar[str] = "simulated"
@@ -53,7 +53,7 @@ class SimulatedActuator(AbstractActuator):
     ) -> None:
         self.reach = checked_reach(reach)
         self._speed_ratio = positive(speed_ratio, "speed_ratio")
-        # At more than 1 it would go back at times; no stepper motor does.
+        # Above 1 it would move backwards at times; no stepper motor does.
         self._ripple = min(fraction(ripple, "ripple"), 1.0 - 1e-9)
         self._frequency = positive(frequency, "frequency", "Hz")
         self._phase = phase

@@ -1,4 +1,4 @@
-"""The frame source that an argument of a command names."""
+"""Frame source from an argument of a command."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def source_of(
         `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video file or
         the folder of a recording.
     size : (int, int), optional
-        What a camera is asked for [px].
+        Size requested from a camera [px].
     rate : float
-        Likewise [frames/s].
+        Frame rate requested from a camera [frames/s].
     as_fast_as_possible : bool
-        Whether a file is played faster than it was filmed; its own times are kept then.
+        Whether a file is played faster than it was recorded; frames then have the file's times.
     """
     if text.isdecimal() or text.startswith("/dev/"):
         return DeviceSource(text, size=size, rate=rate)

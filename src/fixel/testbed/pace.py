@@ -1,26 +1,26 @@
-"""How regularly frames come."""
+"""Measured frame rate, and gaps between frames."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Final, final
 
-LATE: Final = 2.5  # a step this many times the usual one is a gap
-WINDOW: Final = 61  # frames over which a rate is formed
+LATE: Final = 2.5  # intervals this many times the mean one are gaps
+WINDOW: Final = 61  # frames over which the rate is computed
 
 
 @final
 class FrameRate:
-    """Rate of the frames, and gaps between them.
+    """Running measurement of the rate of frames and of gaps between them.
 
     Attributes
     ----------
     gaps : int
-        Steps much longer than usual: the camera, or the way from it, left frames out.
+        Number of intervals much longer than usual, in which frames were lost before arrival.
     longest : float
-        The longest of them [s].
+        Longest gap [s].
     longest_at : float
-        When that was [s].
+        Beginning of the longest gap [s].
     """
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class FrameRate:
         self._times: deque[float] = deque(maxlen=WINDOW)
 
     def tick(self, time: float) -> None:
-        """A frame came, at a time [s]."""
+        """Record the time of a frame [s]."""
         times = self._times
         if len(times) > WINDOW // 4:
             step, usual = time - times[-1], (times[-1] - times[0]) / (len(times) - 1)
@@ -42,13 +42,13 @@ class FrameRate:
 
     @property
     def rate(self) -> float:
-        """Over the last frames [frames/s], 0 before the second."""
+        """Mean rate of the last frames [frames/s]; 0 before the second frame."""
         times = self._times
         span = times[-1] - times[0] if len(times) > 1 else 0.0
         return (len(times) - 1) / span if span > 0.0 else 0.0
 
     def sentence(self) -> str:
-        """About the gaps; empty where there are none."""
+        """Return a sentence about the gaps; empty without gaps."""
         if not self.gaps:
             return ""
         plural = "" if self.gaps == 1 else "s"

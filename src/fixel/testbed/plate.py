@@ -19,23 +19,23 @@ from fixel.model.shape import Shape
 from fixel.model.support import support_points
 from fixel.typing import FloatArray
 
-# The part of the world that has a map; the thesis's plate with room to spare.
+# Area with a friction map: the thesis's plate with a margin.
 PLATE_ORIGIN = (-0.2, -0.4)  # [m]
 PLATE_SIZE = (0.8, 0.8)  # [m]
 NODES_PER_GRAIN = 3
-# Plane waves that make up the field: enough that its values are close to normal.
+# Number of plane waves in the field: enough that its values are close to normal.
 N_WAVES = 64
 
 
 def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plane:
-    """The plane with a smooth random multiplier of friction, fixed to the place.
+    """Return the plane with a smooth random multiplier of friction, fixed in space.
 
     Parameters
     ----------
     plane : Plane
-        As planned; a map of its own is kept, as a factor.
+        Planned plane; its own friction map, if any, remains as a factor.
     seed : int
-        Of the plate.
+        Seed of the plate.
     roughness : float
         Standard deviation of the logarithm of the multiplier [-].
     grain : float
@@ -54,9 +54,9 @@ def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plan
 
 @functools.lru_cache(maxsize=8)  # every run has the same plate
 def _smooth_field(seed: int, grain: float) -> tuple[FloatArray, FloatArray]:
-    """Nodes (n_y, n_x, 2) on the plate [m], and values (n_y, n_x) of mean 0 and variance 1 [-].
+    """Return nodes (n_y, n_x, 2) [m] and values (n_y, n_x) of mean 0 and variance 1 [-].
 
-    Many waves in any direction: normal wave vectors of deviation 1/grain give values at a distance
+    The field is a sum of waves. Normal wave vectors of deviation 1/grain give values at a distance
     d the correlation exp(-(d/grain)^2 / 2).
     """
     spans = zip(PLATE_ORIGIN, PLATE_SIZE, strict=True)
@@ -79,20 +79,20 @@ def uneven_support(
     unevenness: float,
     centre: ArrayLike,
 ) -> SupportPoints | NoSupport:
-    """What the body really stands on: many points that press unequally.
+    """Return the true support of a body: many points that press unequally.
 
     Parameters
     ----------
     body : Body
-        With the support that was planned, from which comes the nominal friction.
+        Body with its planned support, from which the nominal friction is computed.
     gravity : float
-        [m/s^2].
+        Acceleration of gravity [m/s^2].
     seed : int
-        Of the underside; bodies of one shape have the same.
+        Seed of the underside; bodies of equal shape have the same underside.
     friction_ratio : float
         True friction over nominal [-].
     n_cells : int
-        About how many points.
+        Approximate number of points.
     unevenness : float
         Standard deviation of the logarithm of the pressure [-].
     centre : (2,) array_like
@@ -101,7 +101,7 @@ def uneven_support(
     Raises
     ------
     InvalidInput
-        A centre of pressure so far out that a point would pull.
+        The centre of pressure is so far out that a point would pull.
     """
     friction = nominal_friction(body, gravity)
     if friction is None:
@@ -116,18 +116,18 @@ def uneven_support(
 
 
 def planned_support(support: Support, friction_ratio: float) -> Support:
-    """The support as planned, but for its friction: this many times the nominal [-]."""
+    """Return the planned support with its friction multiplied by `friction_ratio` [-]."""
     if isinstance(support, NoSupport):
         return support
     if isinstance(support, Ellipsoid):
         force, torque = friction_ratio * support.force, friction_ratio * support.torque
         return replace(support, force=force, torque=torque)
-    friction: Any = friction_ratio * support.friction  # one number, or one a point
+    friction: Any = friction_ratio * support.friction  # one number, or one per point
     return replace(support, friction=friction)
 
 
 def nominal_friction(body: Body, gravity: float) -> float | None:
-    """Friction of a body against the plane, whichever way it is modelled [-]; None for none."""
+    """Friction of a body against the plane, for any kind of support [-]; None without support."""
     support = body.support
     if isinstance(support, NoSupport):
         return None
@@ -138,7 +138,7 @@ def nominal_friction(body: Body, gravity: float) -> float | None:
 
 
 def _centred(share: FloatArray, points: FloatArray, centre: FloatArray) -> FloatArray:
-    """Shares with a linear tilt on top, such that their centre is where it should be."""
+    """Multiply shares by a linear tilt that moves their centre to `centre`."""
     found = share @ points
     r = points - found
     tilt = np.linalg.solve((share[:, None] * r).T @ r, centre - found)
@@ -155,5 +155,5 @@ def _centred(share: FloatArray, points: FloatArray, centre: FloatArray) -> Float
 
 
 def _fingerprint(shape: Shape) -> str:
-    """The same for equal shapes, in any process."""
+    """Return a string that is the same for equal shapes, in any process."""
     return type(shape).__name__ + shape.outline.tobytes().hex()

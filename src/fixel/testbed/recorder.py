@@ -1,4 +1,4 @@
-"""Records: for every picture one reading of the fixels, on one clock."""
+"""Recorder of camera frames, each with one reading of the fixels, on one clock."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from fixel.testbed.seating import Seating
 from fixel.vision.frame import Frame
 
 LOOKS_AT_DISK: Final = 0.5  # [s]
-POLL: Final = 0.1  # [s] between two looks at the stop key while no picture comes
-WATCH: Final = 0.1  # [s] between two reports to whoever watches
-BEHIND: Final = 0.1  # [s] a reading later than that does not belong to its frame
-BREATH: Final = 2e-6  # [s] at least, between two frames that came together
+POLL: Final = 0.1  # [s] between two checks of the stop key while no picture comes
+WATCH: Final = 0.1  # [s] between two calls of `watch`
+BEHIND: Final = 0.1  # [s] after which a reading does not belong to its frame
+BREATH: Final = 2e-6  # [s] smallest difference between the times of two frames
 
 
 class TouchReading(Protocol):
-    """What the fixels said, once: bits or None, when on `time.monotonic`, what was wrong."""
+    """One reading of the fixels: bits or None, time on `time.monotonic` [s], and its problem."""
 
     @property
     def bits(self) -> int | None: ...
@@ -39,7 +39,7 @@ class TouchReading(Protocol):
 
 
 class TouchReader(Protocol):
-    """Asks the fixels; `trouble` says why that is no longer possible."""
+    """Reader of the fixels; `trouble` is the reason why it no longer works."""
 
     @property
     def trouble(self) -> str: ...
@@ -47,19 +47,19 @@ class TouchReader(Protocol):
 
 
 class RecordingStatus(NamedTuple):
-    """How the recording stands.
+    """Status of a recording under way.
 
     Attributes
     ----------
     seconds : float
-        Since the first frame [s].
+        Time since the first frame [s].
     frames, lost : int
     rate : float
-        Over the last second or so [frames/s].
+        Frame rate over about the last second [frames/s].
     bits : int or None
-        The newest reading.
+        Bits of the newest reading.
     free : int
-        Space on the disk [bytes].
+        Free space on the disk [bytes].
     problems : tuple of str
     """
 
@@ -79,23 +79,23 @@ Stop = Callable[[], str]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSummary:
-    """What came of it.
+    """Result of a recording.
 
     Attributes
     ----------
     folder : Path
     frames, lost : int
-        Written; come, but the recorder was too slow for them.
+        Frames written, and frames lost because the recorder was too slow.
     seconds : float
-        From the first frame to the last [s].
+        Duration from the first frame to the last [s].
     bytes : int
-        Of the video.
+        Size of the video.
     reason : str
-        Why it ended.
+        Why the recording ended.
     early : bool
-        Whether it ended before what was asked for: no key, no limit, no seated part.
+        Whether it ended otherwise than by key, limit, seated part or the end of a file.
     without_reading : int
-        Frames for which the fixels gave no answer; 0 where nobody asked them.
+        Number of frames for which the fixels gave no answer; 0 without fixels.
     problems : tuple of str
     """
 
@@ -111,41 +111,41 @@ class RecordingSummary:
 
     @property
     def rate(self) -> float:
-        """Of the frames written [frames/s]."""
+        """Mean rate of the frames written [frames/s]."""
         return (self.frames - 1) / self.seconds if self.seconds > 0.0 else 0.0
 
 
 @final
 @dataclass(slots=True, kw_only=True)
 class Recorder:
-    """Records one experiment.
+    """Recorder of one experiment.
 
     Parameters
     ----------
     source : FrameSource
-        Opened just now: what its camera sends meanwhile waits, and looks younger than it is.
+        Source, opened just before: what its camera sends meanwhile is stamped too late.
     stream : Stream
-        What it said of itself.
+        Properties of the source.
     folder : Path
-        To be made.
+        Folder to create.
     codec : str
         `as-it-comes`, `near` or `exact`.
     tactile : TouchReader, optional
-        Asked once a frame.
+        Reader of the fixels, called once per frame.
     rig : str
         Name of the rig.
     limit : float, optional
-        Longest duration [s].
+        Longest duration of the recording [s].
     seating : Seating, optional
-        Whether to end once the part is seated.
+        Detector that ends the recording once the part is seated.
     stop : callable, optional
-        Asked again and again; a reason, once somebody wants to end it.
+        Called repeatedly; returns a reason to end the recording, or an empty string.
     watch : callable, optional
-        Told of pictures and status, ten times a second at most; must not take long.
+        Called with picture and status, at most ten times a second; must be fast.
     prepare : callable, optional
-        Told of the folder once it is there: to put files into it.
+        Called with the folder once it exists, to add files to it.
     patience : float
-        For how long no picture may come [s].
+        Longest time without a picture [s].
     """
 
     source: FrameSource
@@ -169,12 +169,12 @@ class Recorder:
     _pace: FrameRate = field(default_factory=FrameRate, init=False)
 
     def run(self) -> RecordingSummary:
-        """Record until something ends it, and say what came of it.
+        """Record until the end, and return a summary.
 
         Raises
         ------
         InvalidInput
-            A folder that cannot be had, no space for a minute, or no picture at all.
+            The folder cannot be created, there is no space for a minute, or no picture came.
         """
         refuse_full_disk(self.folder, self.stream, self.codec, self.limit)
         queue = FrameQueue(self.source, live=self.stream.live)
@@ -204,19 +204,19 @@ class Recorder:
             queue.close()
 
     def _first(self, queue: FrameQueue) -> CameraPicture:
-        """The first picture; nothing is written before it."""
+        """Wait for the first picture; nothing is written before it."""
         since = time.monotonic()
         while (arrived := queue.get(POLL)) is None:
             if queue.over or time.monotonic() - since > self.patience:
                 found = queue.reason if queue.over else f"no picture within {self.patience:g} s"
                 raise InvalidInput(self.source.name, found=found, expected="pictures to record")
-        # What was taken to look at it may be old by now.
+        # The picture that was read to open the source may be old.
         while self.stream.live and queue.waiting and time.monotonic() - arrived.time > BEHIND:
             arrived = queue.get(0.0) or arrived
         return arrived
 
     def _record(self, queue: FrameQueue, writer: RecordingWriter, first: CameraPicture) -> str:
-        """Write pictures until there is a reason not to."""
+        """Write pictures until there is a reason to end, and return it."""
         zero, looked, watched = first.taken, -LOOKS_AT_DISK, -WATCH
         arrived: CameraPicture | None = first
         while not (self.stop is not None and (why := self.stop())):
@@ -248,7 +248,7 @@ class Recorder:
         return why
 
     def _silent(self, queue: FrameQueue) -> str:
-        """Why no more pictures will come; empty while they may."""
+        """Return why no more pictures will come; empty while they may."""
         if queue.over:
             return queue.reason
         if time.monotonic() - self._came > self.patience:
@@ -256,7 +256,7 @@ class Recorder:
         return ""
 
     def _unfit(self, arrived: CameraPicture, at: float) -> str:
-        """Why a picture is not written, and none after it."""
+        """Return why to end the recording before a picture; empty to write it."""
         if self.limit is not None and at >= self.limit - BREATH:
             self._wanted = True
             return f"the limit of {self.limit:g} s"
@@ -267,13 +267,13 @@ class Recorder:
     def _write(
         self, writer: RecordingWriter, arrived: CameraPicture, at: float, zero: float
     ) -> None:
-        """A picture, and the reading of its moment."""
+        """Write a picture with a reading taken now."""
         when = None
         self._bits = None
         if self.tactile is not None:
             reading = self.tactile.read()
             self._bits = reading.bits
-            # A source that waits for its reader has a clock of its own.
+            # A source that waits for its reader has its own clock.
             when = max(reading.time - zero, 0.0) if self.stream.live else at
             if reading.bits is None:
                 when = None
@@ -295,20 +295,20 @@ class Recorder:
         writer.write(Frame(at, picture), self._bits, when)
 
     def _over(self, arrived: CameraPicture, at: float) -> str:
-        """Why this was the last frame; empty where it was not."""
+        """Return why to end the recording after a frame; empty to continue."""
         if self.tactile is not None and self.tactile.trouble:
             return f"the fixels no longer answer: {self.tactile.trouble}"
         if self.seating is None:
             return ""
         why = self.seating.touched(at, self._bits)
         if not why and self.seating.wants_look(at):
-            with suppress(InvalidInput):  # a spoilt picture shows nothing
+            with suppress(InvalidInput):  # a picture that cannot be decoded shows nothing
                 why = self.seating.looked(at, arrived.small())
         self._wanted = bool(why)
         return why
 
     def _show(self, arrived: CameraPicture, at: float, frames: int, lost: int) -> None:
-        """Tell whoever watches; if that fails, the recording goes on without."""
+        """Call `watch` with the status; if it fails, continue the recording without it."""
         assert self.watch is not None
         status = RecordingStatus(
             at, frames, lost, self._pace.rate, self._bits, self._free, self._told()
@@ -348,6 +348,6 @@ class Recorder:
 
 
 def _utc(instant: float) -> str:
-    """An instant of `time.monotonic` [s] as ISO 8601 in UTC."""
+    """Convert an instant of `time.monotonic` [s] to ISO 8601 in UTC."""
     ago = timedelta(seconds=time.monotonic() - instant)
     return (datetime.now(UTC) - ago).isoformat(timespec="milliseconds")

@@ -1,4 +1,4 @@
-"""How much space a recording needs, and how much there is."""
+"""Disk space that a recording needs, and free space."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Final
 from fixel.errors import InvalidInput
 from fixel.testbed.frame_source import Stream
 
-MIN_TIME: Final = 60.0  # [s] that must fit
-SPARE: Final = 32 * 1024 * 1024  # [bytes] that are left free when the disk fills up
-USUAL_RATE: Final = 30.0  # [frames/s] of a camera that does not say
-# Bytes a pixel of a bench with its noise, with something to spare.
+MIN_TIME: Final = 60.0  # [s] of recording that must fit on the disk
+SPARE: Final = 32 * 1024 * 1024  # [bytes] of the disk that stay free
+USUAL_RATE: Final = 30.0  # [frames/s] assumed for a camera that does not report its rate
+# Bytes per pixel for pictures of a testbed with noise, with a margin.
 ROOM: Final = {"as-it-comes": 0.45, "near": 0.45, "exact": 2.0}
 
 
 def free_space(folder: Path) -> int:
-    """Bytes one may still write where the folder is, or will be."""
+    """Free space [bytes] on the disk of a folder, which need not exist yet."""
     place = folder.absolute()
     while not place.exists():
         place = place.parent
@@ -25,13 +25,13 @@ def free_space(folder: Path) -> int:
 
 
 def bytes_a_second(stream: Stream, codec: str) -> float:
-    """About how fast a recording grows [bytes/s]."""
+    """Approximate growth of a recording [bytes/s]."""
     width, height = stream.size
     return width * height * ROOM[codec] * (stream.rate or USUAL_RATE)
 
 
 def refuse_full_disk(folder: Path, stream: Stream, codec: str, limit: float | None) -> None:
-    """Refuse a disk on which a minute does not fit, or less where less is recorded."""
+    """Raise if a minute of recording, or the shorter limit, does not fit on the disk."""
     duration = MIN_TIME if limit is None else min(limit, MIN_TIME)
     needed = bytes_a_second(stream, codec) * duration + SPARE
     free = free_space(folder)

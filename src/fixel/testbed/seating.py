@@ -1,4 +1,4 @@
-"""When is a part seated: it touches what it should, or everything has come to rest."""
+"""Detection of a seated part: it touches the right fixels, or motion has ended."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from fixel.vision.frame import Gray
 
-STEADY: Final = 0.5  # [s] for which the fixels must say the same
-REST_SECONDS: Final = 1.0  # [s] without motion, once something has moved
-LOOK: Final = 0.2  # [s] between two looks at the picture
-CHANGE: Final = 6  # steps of brightness of a cell of 8 x 8 pixels: noise leaves less than one
-CELLS: Final = 3  # that must change: a part of a centimetre is about two cells wide
+STEADY: Final = 0.5  # [s] for which the fixels must report the same
+STILL: Final = 1.0  # [s] without motion, once something has moved
+LOOK: Final = 0.2  # [s] between two pictures compared
+CHANGE: Final = 6  # [grey levels] of a cell of 8 x 8 pixels: noise is less than one
+CELLS: Final = 3  # must change for motion; a part of one centimetre is about two cells wide
 
 
 @final
 class Seating:
-    """Watches readings and pictures.
+    """Detector of a seated part from readings and pictures.
 
     Parameters
     ----------
     mode : int, optional
-        The byte wanted; none: any that is not 0 and stays while nothing moves.
+        Bits of the contacts wanted. None: only the pictures decide.
     """
 
     def __init__(self, mode: int | None = None) -> None:
@@ -34,8 +34,8 @@ class Seating:
         self._moved_at: float | None = None
 
     def touched(self, time: float, bits: int | None) -> str:
-        """Why the part is seated as the fixels say, at a time [s]; empty where it is not."""
-        if bits is None:  # a missing reading says nothing
+        """Return why the part is seated by the fixels at a time [s]; empty if it is not."""
+        if bits is None:  # a missing reading changes nothing
             return ""
         if bits != self._bits:
             self._bits, self._same_since = bits, time
@@ -44,11 +44,11 @@ class Seating:
         return f"seated: the fixels say {bits:03b} for {STEADY:g} s"
 
     def wants_look(self, time: float) -> bool:
-        """Whether it is time to look at a picture again."""
+        """Whether it is time to compare the next picture."""
         return time - self._looked >= LOOK
 
     def looked(self, time: float, small: Gray) -> str:
-        """Why the part is seated as the pictures say; empty where it is not."""
+        """Return why the part is seated by the pictures; empty if it is not."""
         before, self._before, self._looked = self._before, small, time
         if before is None:
             return ""
@@ -60,7 +60,7 @@ class Seating:
 
 
 def _moved(before: Gray, now: Gray) -> bool:
-    """Whether more than light and noise has changed."""
+    """Whether two pictures differ by more than light and noise."""
     change = now.astype(np.int16) - before
     change -= np.int16(np.median(change))
     return int((np.abs(change) > CHANGE).sum()) > CELLS

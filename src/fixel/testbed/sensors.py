@@ -1,4 +1,4 @@
-"""What the camera and the fixels report of a run."""
+"""Simulated measurements of the camera and the fixels from a simulation."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from fixel.model import Channel
 from fixel.simulation import Simulation
 from fixel.typing import BoolArray, FloatArray
 
-ON_CLOCK = 1e-6  # [-] of a frame: a sample further from the clock is no frame
+ON_CLOCK = 1e-6  # largest distance of a sample from the clock, in frames [-]
 
 
 def frames_of(simulation: Simulation, frame_rate: float) -> BoolArray:
-    """(n_sample,) which samples fall on the camera's clock; the end of a run may not."""
+    """Return (n_sample,) bool: samples on the camera's clock; the end of a run may be off it."""
     count = simulation.time * frame_rate
     return np.asarray(np.abs(count - np.rint(count)) < ON_CLOCK)
 
 
 def touching(simulation: Simulation) -> BoolArray:
-    """(n_sample, n_fixel) whether the body touches the fixel."""
+    """Return (n_sample, n_fixel) bool: whether the body touches the fixel."""
     scene, contacts = simulation.scene, simulation.contacts
     n_moving = len(scene.bodies) + len(scene.pushers)
     fixel = np.maximum(contacts["body"], contacts["other"]) - n_moving
@@ -29,7 +29,7 @@ def touching(simulation: Simulation) -> BoolArray:
 
 
 def frames_kept(n_frame: int, share_dropped: float, random: np.random.Generator) -> BoolArray:
-    """(n_frame,) which frames arrive; the first and the last always do."""
+    """Draw (n_frame,) bool: frames that arrive; the first and the last always do."""
     kept = random.random(n_frame) >= share_dropped
     kept[[0, -1]] = True
     return np.asarray(kept)
@@ -38,7 +38,7 @@ def frames_kept(n_frame: int, share_dropped: float, random: np.random.Generator)
 def seen(
     pose: FloatArray, position_noise: float, angle_noise: float, random: np.random.Generator
 ) -> FloatArray:
-    """(n, 3) poses as measured: with white noise, of deviations in [m] and [rad]."""
+    """Add white noise to poses (n, 3), with standard deviations in [m] and [rad]."""
     return pose + random.standard_normal(pose.shape) * (position_noise, position_noise, angle_noise)
 
 
@@ -49,14 +49,14 @@ def tactile_channel(
     missed_contact: float,
     random: np.random.Generator,
 ) -> Channel:
-    """Readings of the fixels, each wrong on its own.
+    """Return readings of the fixels with independent errors.
 
     Parameters
     ----------
     time : (n,) float64
-        [s]. The fixels have a line of their own: what the camera drops, they report.
+        Times of the readings [s], with those of dropped frames: the fixels have their own line.
     touches : (n, n_fixel) bool
-        The truth.
+        True contacts.
     false_contact, missed_contact : float
         Probabilities of reading 1 without contact, and 0 with it [-].
     random : numpy.random.Generator

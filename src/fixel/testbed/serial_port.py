@@ -1,4 +1,4 @@
-"""Serial ports: which there are, opening one for oneself, and why not."""
+"""Serial ports: list them, open one exclusively, and explain failures."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ ARDUINO: Final = {  # USB vendor and product, as the makers registered them
     (0x2341, 0x0043): "Arduino Uno",
     (0x1A86, 0x7523): "CH340 adapter, as on many copies of the Arduino",
 }
-FIRST_WORDS: Final = 60  # [bytes] of what a port said that a message quotes
+FIRST_WORDS: Final = 60  # [bytes] of a port's answer that a message quotes
 
 
 class PortSeen(NamedTuple):
-    """A serial port of this computer.
+    """Serial port of this computer.
 
     Attributes
     ----------
     port : str
-        What to open: `/dev/ttyACM0`, `COM4`.
+        Name to open: `/dev/ttyACM0`, `COM4`.
     description : str
-        What the system or the device says it is.
+        Description by the system or the device.
     in_use_by : str
-        The program that has it open, as far as one may see; empty for nobody.
+        Programs that have it open, as far as the system shows; empty for none.
     """
 
     port: str
@@ -45,7 +45,7 @@ class PortSeen(NamedTuple):
 
 
 def found_ports() -> list[PortSeen]:
-    """The serial ports of this computer, those on USB first."""
+    """List the serial ports of this computer, those on USB first."""
     _need_pyserial()
     from serial.tools import list_ports
 
@@ -65,13 +65,13 @@ def _described(description: str | None) -> str:
 
 
 def chosen_port(port: str | None, what: str) -> str:
-    """The port that was named; a list of what there is, as a refusal, if none was.
+    """Return the port that was named; raise with a list of the ports if none was.
 
     Parameters
     ----------
     port : str, optional
     what : str
-        What is looked for: `"the tactile board"`.
+        Device expected at the port, for the message: `"the tactile board"`.
     """
     if port:
         return port
@@ -79,21 +79,21 @@ def chosen_port(port: str | None, what: str) -> str:
 
 
 def open_port(port: str, baud: int, what: str) -> Serial:
-    """Open a port that nobody else then can.
+    """Open a port exclusively.
 
     Parameters
     ----------
     port : str
-        `/dev/ttyACM0`, `COM4`.
+        Name of the port: `/dev/ttyACM0`, `COM4`.
     baud : int
         Bits per second.
     what : str
-        What is expected there: `"the tactile board"`.
+        Device expected at the port, for messages: `"the tactile board"`.
 
     Raises
     ------
     InvalidInput
-        There is no such port, it is in use, or one may not open it; with what to do.
+        The port does not exist, is in use, or may not be opened; with a remedy.
     """
     _need_pyserial()
     import serial
@@ -129,7 +129,7 @@ def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterat
     Raises
     ------
     InvalidInput
-        It went away meanwhile.
+        The port disappeared.
     """
     try:
         yield
@@ -144,8 +144,8 @@ def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterat
 
 
 def resets_on_opening(port: Serial) -> bool:
-    """Whether a board behind the port restarts when it is opened: real ports have the line that
-    does it, pseudo-terminals and sockets have none."""
+    """Whether opening the port restarts its board: real ports have the control line for it,
+    pseudo-terminals and sockets have none."""
     if sys.platform == "win32":
         return True
     import fcntl
@@ -159,7 +159,7 @@ def resets_on_opening(port: Serial) -> bool:
 
 
 def quoted(said: bytes) -> str:
-    """What a port said, as a message shows it: text as text, anything else as numbers."""
+    """Format the answer of a port for a message: text as text, other bytes in hexadecimal."""
     if not said:
         return "nothing"
     first = said[:FIRST_WORDS]
@@ -193,7 +193,7 @@ def _need_pyserial() -> None:
 
 
 def _errno(problem: Exception) -> int | None:
-    # pyserial's own exceptions begin with the number, or have it in their text.
+    # pyserial's own exceptions have the number as first argument or in their text.
     if problem.args and isinstance(problem.args[0], int):
         return problem.args[0]
     found = re.search(r"\[Errno (\d+)\]|\((\d+), ", str(problem))
@@ -210,11 +210,11 @@ def _group(port: str) -> str:
 
 
 def _program_at(port: str) -> str:
-    """The processes that have a port open, where the system shows it; empty where nothing shows."""
+    """Name the processes that have a port open; empty where the system shows none."""
     users = []
     try:
         target = os.path.realpath(port)
-        # A process that just looks, such as this one, has it not open.
+        # This process is left out.
         for folder in sorted(Path("/proc").glob("[0-9]*"), key=lambda path: int(path.name)):
             name = _name_if_open(folder, target)
             if name:
@@ -230,5 +230,5 @@ def _name_if_open(folder: Path, target: str) -> str:
             if os.readlink(link) == target and int(folder.name) != os.getpid():
                 return (folder / "comm").read_text().strip()
     except OSError:
-        pass  # it ended meanwhile, or belongs to somebody else
+        pass  # it ended meanwhile, or belongs to another user
     return ""

@@ -1,4 +1,4 @@
-"""A simulated laboratory: it differs from the model that is calibrated, in ways that are known."""
+"""Simulated testbed that differs in known ways from the model to calibrate."""
 
 from __future__ import annotations
 
@@ -45,35 +45,35 @@ from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel,
 from fixel.testbed.uneven_drive import driven_unevenly, with_stall_force
 from fixel.typing import BoolArray, FloatArray, Progress
 
-TRUTH = "truth_"  # how the names of conditions begin that no real laboratory could write down
+TRUTH = "truth_"  # prefix of conditions that a real laboratory could not know
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedTestbed:
-    """A bench that runs planned experiments and records them as the real one does.
+    """Simulated testbed that runs planned experiments and records them as the real one does.
 
-    A ratio is true over nominal, a spread the standard deviation of the logarithm of a factor that
-    is drawn anew for every run. What a run draws depends on the seed and its name alone.
+    A ratio is true over nominal value. A spread is the standard deviation of the logarithm of a
+    factor that is drawn for every run. Random values of a run depend on the seed and its name only.
 
     Parameters
     ----------
     seed : int
-        Of everything random: the plate and the undersides of the objects, which stay the same from
-        run to run, and the runs.
+        Seed of the random numbers: of the plate and the undersides of the objects, which are the
+        same in all runs, and of the runs.
     dataset : str
-        Of the experiments.
+        Dataset of the experiments.
     support_friction, pusher_friction, fixel_friction : float
         Ratios of the coefficients of friction [-].
     support_spread, pusher_spread, fixel_spread : float
-        Spreads of the same from run to run [-].
+        Spreads of these coefficients from run to run [-].
     support_cells : int
-        About how many points carry the object [-]; 0 for points as planned, with the pressure that
-        goes with them.
+        Approximate number of points that carry the object [-]; 0 for the planned support with its
+        pressure.
     unevenness : float
         Standard deviation of the logarithm of the pressure at these points [-].
     centre_of_pressure : (float, float)
-        From the centre of mass, body axes [m]. The balance out of the plane would put it at the
+        Offset from the centre of mass, body axes [m]. Balance out of the plane would put it at the
         centre of mass; pushing above the plate moves it.
     centre_of_pressure_spread : float
         Standard deviation of either coordinate from run to run [m].
@@ -85,19 +85,19 @@ class SimulatedTestbed:
         Ratio of the object's size, about the origin of its frame [-]. Above 1, an object that was
         planned to touch something does not fit.
     stall_force : float, optional
-        At which the drive stalls [N]; none: as planned.
+        Force at which the drive stalls [N]; None: as planned.
     ripple : float
         Amplitude of the actuator's speed, as a share of it [-].
     ripple_frequency : float
-        [Hz]; once a turn of a screw of 5 mm pitch at the thesis's 13.5 mm/s.
+        Frequency of the ripple [Hz]; one per turn of a 5 mm screw at the thesis's 13.5 mm/s.
     speed_spread : float
         Spread of the actuator's speed from run to run [-].
     lead_in : float
         Time at rest before the actuator starts, to the nearest frame [s].
     frame_rate : float
-        Of camera and fixels [Hz].
+        Rate of camera and fixels [Hz].
     position_noise, angle_noise : float
-        Standard deviations of a measured pose, in either coordinate [m] and in angle [rad].
+        Standard deviations of a measured pose, in each coordinate [m] and in angle [rad].
     dropped_frames : float
         Probability that a frame of the camera is lost [-].
     false_contact, missed_contact : float
@@ -150,7 +150,7 @@ class SimulatedTestbed:
 
     @classmethod
     def ideal(cls, seed: int = 1) -> SimulatedTestbed:
-        """A bench without any imperfection: it is the nominal model, seen by a perfect camera."""
+        """Return a testbed without imperfections: the nominal model with a perfect camera."""
         nothing = dict.fromkeys((*_NOT_NEGATIVE, *_SHARES), 0.0)
         nominal = dict.fromkeys(_RATIOS, 1.0)
         return cls(
@@ -168,27 +168,27 @@ class SimulatedTestbed:
         progress: Progress | None = None,
         threads: int | None = None,
     ) -> Iterator[Experiment]:
-        """Run experiments, one after the other as planned.
+        """Run planned experiments and yield the results in their order.
 
         Parameters
         ----------
         planned : sequence of PlannedExperiment
-            No two of one name.
+            Plans, each with a different name.
         progress : callable, optional
             Called as `progress(done, total)` after every experiment.
         threads : int, optional
-            All cores where left out. The experiments are the same bits for any number.
+            Number of threads; all cores by default. Results are bit for bit the same for any.
 
         Yields
         ------
         Experiment
-            Never real. `scene` is the planned one; what was true is in the conditions `truth_...`.
+            Simulated experiment with the planned scene; conditions `truth_...` are the true values.
 
         Raises
         ------
         InvalidInput
-            A name twice, or a scene that is no push of one body; before anything runs. A body the
-            bench's own truth cannot carry or place; in its turn.
+            A name occurs twice, or a scene is no push of one body; raised before anything runs.
+            With the true values, a body cannot be placed or carried; raised at its turn.
         """
         planned = tuple(planned)
         _refuse_plan(planned)
@@ -207,7 +207,7 @@ class SimulatedTestbed:
                     if progress is not None:
                         progress(done, len(runs))
                     yield experiment
-            finally:  # also where nobody wants the rest
+            finally:  # also where the caller stops early
                 pool.shutdown(cancel_futures=True)
 
     def _run_one(self, planned: PlannedExperiment) -> Experiment:
@@ -219,7 +219,7 @@ class SimulatedTestbed:
         return self._recorded(planned, simulation)
 
     def true_scene(self, planned: PlannedExperiment) -> Scene:
-        """What the bench has on its plate when it runs this: not what was planned."""
+        """Return the scene with the true values that a run of this plan has."""
         scene, drawn = planned.scene, self._draw(planned.name)
         return replace(
             scene,
@@ -233,7 +233,7 @@ class SimulatedTestbed:
 
     def _draw(self, name: str) -> _RunConditions:
         random = stream(self.seed, "run", name)
-        # All are drawn whether or not they are used, so that no setting changes another's draw.
+        # All are always drawn, so that no setting changes the random value of another.
         support, pusher, fixel, speed, x, y = random.standard_normal(6)
         aside = self.centre_of_pressure_spread
         return _RunConditions(
@@ -273,7 +273,7 @@ class SimulatedTestbed:
         )
 
     def _recorded(self, planned: PlannedExperiment, simulation: Simulation) -> Experiment:
-        """What is kept of a run: poses the camera saw, bits the fixels sent, and the truth."""
+        """Record a run: poses of the camera, readings of the fixels, and the true values."""
         scene = planned.scene
         rest = round(self.lead_in * self.frame_rate)
         moving = np.flatnonzero(frames_of(simulation, self.frame_rate))
@@ -318,7 +318,7 @@ class SimulatedTestbed:
         return (tactile_channel(time, touches, *wrong, random),)
 
     def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
-        """What really was, under names that end with their unit."""
+        """Return the true values of a run, under names that end with their unit."""
         drawn = self._draw(name)
         final = simulation.final[simulation.scene.bodies[0].name]
         stall = simulation.scene.pushers[0].drive.force_limit
@@ -347,7 +347,7 @@ class SimulatedTestbed:
 
 
 class _RunConditions(NamedTuple):
-    """What changes from run to run: ratios [-], a place [m], a phase [rad]."""
+    """Random values of one run: ratios [-], centre of pressure [m], phase [rad]."""
 
     support: float
     pusher: float
@@ -387,7 +387,7 @@ def _flags(simulation: Simulation) -> tuple[Flag, ...]:
 
 
 def _scaled(shape: Shape, ratio: float) -> Shape:
-    """The shape, larger or smaller about the origin of its frame."""
+    """Scale a shape about the origin of its frame."""
     if ratio == 1.0:
         return shape
     if isinstance(shape, Disk):

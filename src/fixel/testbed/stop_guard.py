@@ -1,15 +1,15 @@
-"""Stops a drive when the program that drives it cannot: a process that does nothing else.
+"""Guard process that stops a drive when the program that drives it cannot.
 
-Run as a script, without site packages and without fixel, so that it is there in some milliseconds
-and nothing can keep it busy. It shares the open port with its owner and writes a feed hold and a
-soft reset to it
+It runs as a script, without site packages and without fixel, so that it starts in milliseconds
+and does no other work. It shares the open port with its owner and writes a feed hold and a soft
+reset to it
 
 - when a byte that is a signal's number comes from its owner;
-- when the owner's pipe closes: the owner has died, of whatever;
+- when the owner's pipe closes: the owner has died;
 - on SIGINT (Ctrl-C reaches every process of the terminal), SIGTERM and SIGHUP;
-- when a key is pressed, if it was given a terminal, and when that is closed.
+- when a key is pressed, if it has a terminal, and when that is closed.
 
-`q` from its owner ends it without a word to the drive.
+`q` from its owner ends it without stopping the drive.
 
     python -I -S stop_guard.py PORT_FD KEYS_FD(or -1)
 """
@@ -30,7 +30,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def stop(port: int) -> None:
-    """Write the stop ahead of whatever else is on its way."""
+    """Discard unsent data and write the stop command."""
     with contextlib.suppress(termios.error):
         termios.tcflush(port, termios.TCOFLUSH)
     for _ in range(100):
@@ -40,12 +40,12 @@ def stop(port: int) -> None:
         except BlockingIOError:
             time.sleep(0.001)
         except OSError:
-            return  # there is no drive any more
+            return  # the drive is disconnected
     print(f"stopped {time.monotonic():.6f}", flush=True)
 
 
 def watch(port: int, keys: int) -> None:
-    """Until released, or until the owner is gone."""
+    """Watch for reasons to stop the drive, until released or until the owner has died."""
     heard, woken = os.pipe()
     os.set_blocking(woken, False)
     os.set_blocking(0, False)
@@ -57,7 +57,7 @@ def watch(port: int, keys: int) -> None:
     while True:
         ready = select.select(sources, [], [])[0]
         said = os.read(0, 64) if 0 in ready else None
-        # Ctrl-Z, a resized window: they concern nobody.
+        # Other signals, such as Ctrl-Z or a resized window, are ignored.
         stops = said is not None and (not said or any(n in said for n in SIGNALS))
         if heard in ready:
             os.read(heard, 64)
@@ -73,7 +73,7 @@ def watch(port: int, keys: int) -> None:
 
 
 def pressed(keys: int) -> bytes:
-    """What was typed; nothing where there is no terminal any more."""
+    """Read the keys typed; empty if the terminal was closed."""
     try:
         return os.read(keys, 64)
     except OSError:
@@ -86,18 +86,18 @@ def main() -> None:
     if keys >= 0:
         before = termios.tcgetattr(keys)
         quiet = termios.tcgetattr(keys)
-        quiet[3] &= ~(termios.ICANON | termios.ECHO)  # keys at once, and unseen
+        quiet[3] &= ~(termios.ICANON | termios.ECHO)  # keys at once, without echo
         termios.tcsetattr(keys, termios.TCSANOW, quiet)
     try:
         watch(port, keys)
     except BrokenPipeError:
-        pass  # the owner, who would have read this, is gone
+        pass  # the owner, the reader of this pipe, has died
     finally:
         if before is not None:
             # The owner may have been killed, and no longer be the terminal's program.
             signal.signal(signal.SIGTTOU, signal.SIG_IGN)
             termios.tcsetattr(keys, termios.TCSANOW, before)
-    # Nothing is left to say, and the pipe may be gone.
+    # Without flushing, since the pipe may be closed.
     os._exit(0)
 
 

@@ -1,4 +1,4 @@
-"""Touch: an Arduino that says which fixels the object touches."""
+"""Reader of the tactile board, an Arduino that reports the fixels that the object touches."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from fixel.testbed.tactile_reading import Statistics, TactileReading
 if TYPE_CHECKING:
     from serial import Serial
 
-DEADLINE: Final = 0.015  # [s] less than half a frame at 30 frames a second
-QUIET: Final = 0.003  # [s] a board that was late and now says nothing for so long is done
+DEADLINE: Final = 0.015  # [s] less than half the interval at 30 frames/s
+QUIET: Final = 0.003  # [s] of silence after which a late answer is complete
 
 
 @final
 class TactileReader:
-    """Asks the tactile board, one reading at a time.
+    """Reader of the tactile board, one reading per request.
 
     Parameters
     ----------
     port : str, optional
-        `/dev/ttyACM0`, `COM4`. None is refused with a list of the ports there are.
+        Serial port: `/dev/ttyACM0`, `COM4`. None raises, with a list of the ports found.
     deadline : float
-        For how long `read` waits [s].
+        Longest time that `read` waits [s].
     thresholds : (int, int, int), optional
-        Of bits 0, 1, 2, from 0 to 1023; none leaves those of the board, 900 as it starts. Kept
-        when the board restarts. Needs protocol 2.
+        Thresholds of bits 0, 1, 2, from 0 to 1023; None leaves those of the board, initially 900.
+        Set again when the board restarts. Needs protocol 2.
     settle : float, optional
-        For how long the board is left alone after opening, as its boot loader would take a request
-        for a new program [s]; none: 2 s where opening restarts a board, else 0.
+        Time without requests after opening [s], since the boot loader would take them for a new
+        program. Default: 2 s where opening restarts a board, else 0.
 
     Attributes
     ----------
     statistics : Statistics
     protocol : int
-        1 is the thesis's, a byte for a byte; 2 adds time and checksum. 0 while not connected.
+        1: one byte per request byte, as in the thesis; 2: with time and checksum; 0: not connected.
     identity : Identity, optional
-        What a board of protocol 2 says of itself.
+        Identity that a board of protocol 2 reports.
     trouble : str
         Why the connection ended; empty while it lasts.
 
@@ -77,17 +77,17 @@ class TactileReader:
         self._finder = frames.FrameFinder()
         self._number = 0
         self._doubt = False  # an answer of protocol 1 may still be under way
-        self._restarted = False  # and has not been told its thresholds yet
+        self._restarted = False  # and its thresholds are not set yet
 
     # --- connection ---------------------------------------------------------------------------
 
     def connect(self) -> Self:
-        """Open the port and find out who is there.
+        """Open the port and identify the board.
 
         Raises
         ------
         InvalidInput
-            The port cannot be had, or something else is behind it: with what that said.
+            The port cannot be opened, or another device answers; with its answer.
         """
         self.disconnect()
         self._serial = link = open_port(self.port, frames.BAUD, "the tactile board")
@@ -101,13 +101,13 @@ class TactileReader:
         return self
 
     def disconnect(self) -> None:
-        """Let others have the port."""
+        """Close the port."""
         self._lose("not connected")
 
     def reconnect(self) -> bool:
-        """Try to get the board back, after its plug was pulled; whether that worked.
+        """Connect again after the board was unplugged; return whether it succeeded.
 
-        Where opening restarts the board this takes some seconds. The statistics go on.
+        This takes some seconds where opening restarts the board. The statistics continue.
         """
         try:
             self.connect()
@@ -117,7 +117,7 @@ class TactileReader:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a board to ask."""
+        """Whether a board is connected."""
         return self._serial is not None
 
     def __enter__(self) -> Self:
@@ -130,15 +130,15 @@ class TactileReader:
         link, self._serial = self._serial, None
         self.protocol, self.trouble = 0, why
         if link is not None:
-            with suppress(OSError):  # it is gone, which is what was wanted
+            with suppress(OSError):  # it is already closed
                 link.close()
 
     # --- reading ------------------------------------------------------------------------------
 
     def read(self) -> TactileReading:
-        """Ask, and wait for the answer until the deadline.
+        """Request a reading, and wait for it until the deadline.
 
-        Never raises: a board that does not answer, or is no longer there, is a `problem`.
+        Never raises: a missing answer or a lost board is reported in `problem`.
         """
         if self._serial is None:
             return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
@@ -169,7 +169,7 @@ class TactileReader:
             counted.garbled += 1
             return TactileReading(bits=None, time=received, problem="an answer of unknown content")
         counted.round_trips.append(received - sent)
-        # An emulated board that catches up with its clock is faster than any wire.
+        # An emulated board that catches up with its clock answers faster than a real line.
         earliest = sent + frames.READ_REQUEST_BYTES * frames.BYTE_TIME
         latest = received - frames.READ_REPLY_BYTES * frames.BYTE_TIME - frames.SAMPLING_TIME
         if latest < earliest:
@@ -184,10 +184,10 @@ class TactileReader:
         )
 
     def _frame_of(self, kind: bytes, until: float) -> frames.BoardFrame | None:
-        """The answer to the last request; older ones are counted as late."""
+        """Wait for the answer to the last request; count older ones as late."""
         link = self._link
         while True:
-            # One byte wakes us, and whatever came with it is taken along.
+            # Wait for one byte, then read all that has arrived.
             link.timeout = max(0.0, until - time.monotonic())
             arrived = link.read(1)
             arrived += link.read(link.in_waiting) if arrived else b""
@@ -208,7 +208,7 @@ class TactileReader:
         return TactileReading(bits=None, time=now, problem=problem)
 
     def _forget_half_a_frame(self) -> int:
-        """What came of an answer whose rest did not; a late rest is stray, and counted then."""
+        """Discard an incomplete answer and return its bytes; a late rest counts as stray then."""
         given_up = self._finder.forget()
         self.statistics.stray_bytes += given_up
         return given_up
@@ -222,7 +222,7 @@ class TactileReader:
         if self._thresholds is None:
             self._restarted = False
             return "the board restarted, or its clock jumped"
-        # What it does not take is tried again with the next reading: this one must not wait long.
+        # If this fails it is tried again at the next reading, since this one must not wait long.
         self._restarted = not self._confirmed(self._thresholds)
         if self._restarted:
             return "the board restarted, and does not take its thresholds"
@@ -251,7 +251,7 @@ class TactileReader:
         return TactileReading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
 
     def _drain(self) -> str:
-        """Take away what came too late: protocol 1 does not say which request a byte answers."""
+        """Discard late bytes: in protocol 1 a byte does not identify the request it answers."""
         link = self._link
         link.timeout = QUIET if self._doubt else 0.0
         over = link.read(max(1, link.in_waiting))
@@ -262,7 +262,7 @@ class TactileReader:
             self.statistics.late += len(over)
         else:
             self.statistics.stray_bytes += len(over)
-        # What came unasked may have been the answer, and the last reading the one before it.
+        # The extra byte may have been the answer, and the last reading that of the frame before.
         unasked = not self._doubt
         self._doubt = True
         return "an extra byte came before it; the last reading may be a frame old" * unasked
@@ -270,17 +270,17 @@ class TactileReader:
     # --- thresholds ---------------------------------------------------------------------------
 
     def set_thresholds(self, thresholds: tuple[int, int, int]) -> None:
-        """Say above which value a fixel counts as touched; the board forgets it when it restarts.
+        """Set the values above which a fixel counts as touched, also after restarts of the board.
 
         Parameters
         ----------
         thresholds : (int, int, int)
-            Of bits 0, 1, 2 (blue, red, green), from 0 to 1023.
+            Thresholds of bits 0, 1, 2 (blue, red, green), from 0 to 1023.
 
         Raises
         ------
         InvalidInput
-            The board speaks protocol 1, or does not confirm.
+            The board has protocol 1, or does not confirm.
         """
         thresholds = _checked(thresholds)
         if self.protocol < 2:
@@ -295,7 +295,7 @@ class TactileReader:
         self._thresholds, self._restarted = thresholds, False
 
     def _confirmed(self, thresholds: tuple[int, int, int]) -> bool:
-        """Whether the board took these thresholds."""
+        """Send thresholds to the board; return whether it confirmed them."""
         self._number = (self._number + 1) % 256
         self._link.write(frames.thresholds_request(self._number, thresholds))
         frame = self._frame_of(frames.SET_THRESHOLDS, time.monotonic() + max(0.1, self.deadline))

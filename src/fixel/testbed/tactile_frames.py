@@ -1,4 +1,4 @@
-"""The bytes between a program and the tactile board; `firmware/README.md` has the tables."""
+"""Encoding of requests to the tactile board and answers; see `firmware/README.md`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ BAUD: Final = 115200
 BYTE_TIME: Final = 10 / BAUD  # [s] on the wire: start bit, eight bits, stop bit
 SENSORS: Final = 3
 NAME: Final = b"fixel-tactile"
-OLD_REQUEST: Final = b"?"  # any byte would do
-OLD_MOST: Final = 7  # the largest old answer: three bits
+OLD_REQUEST: Final = b"?"  # any byte works
+OLD_MOST: Final = 7  # largest answer of protocol 1: three bits
 
 IDENTIFY: Final = b"I"
 READ: Final = b"R"
@@ -20,7 +20,7 @@ SET_THRESHOLDS: Final = b"T"
 
 _REQUEST: Final = b"\xf5"
 _REPLY: Final = 0xFA
-_HEAD: Final = 4  # begin, kind, number, length
+_HEAD: Final = 4  # start byte, kind, number, length
 _SUM: Final = 2
 _READING: Final = struct.Struct("<BBI3H")
 _IDENTITY: Final = struct.Struct("<BB3HI13s")
@@ -32,7 +32,7 @@ SAMPLING_TIME: Final = 3 * 112e-6  # [s] three conversions, after the time stamp
 
 
 class BoardFrame(NamedTuple):
-    """A framed answer of the board, its checksum right."""
+    """Framed answer of the board with a correct checksum."""
 
     kind: bytes
     number: int
@@ -56,9 +56,9 @@ class Identity(NamedTuple):
     protocol : int
     sensors : int
     thresholds : (int, int, int)
-        Of the bits 0, 1, 2, in steps of the converter [-], 1023 at 5 V.
+        Thresholds of the bits 0, 1, 2, in steps of the converter [-], 1023 at 5 V.
     uptime : float
-        Since the board started [s].
+        Time since the board started [s].
     name : str
     """
 
@@ -70,28 +70,28 @@ class Identity(NamedTuple):
 
 
 def request(kind: bytes, number: int, values: bytes = b"") -> bytes:
-    """A request of the new kind.
+    """Encode a request of protocol 2.
 
     Parameters
     ----------
     kind : bytes
         `IDENTIFY`, `READ` or `SET_THRESHOLDS`.
     number : int
-        From 0 to 255; the answer repeats it.
+        Number from 0 to 255, which the answer repeats.
     values : bytes
-        The thresholds, for `SET_THRESHOLDS`.
+        Encoded thresholds, for `SET_THRESHOLDS`.
     """
     summed = kind + bytes([number]) + values
     return _REQUEST + summed + _checksum(summed)
 
 
 def thresholds_request(number: int, thresholds: tuple[int, int, int]) -> bytes:
-    """A request to set the thresholds of bits 0, 1, 2."""
+    """Encode a request to set the thresholds of bits 0, 1, 2."""
     return request(SET_THRESHOLDS, number, struct.pack("<3H", *thresholds))
 
 
 def reading_of(frame: BoardFrame) -> FramedReading | None:
-    """What the frame says about the fixels; None if it is no such frame."""
+    """Decode the reading in a frame; None for frames of other kinds."""
     if frame.kind != READ or len(frame.content) != _READING.size:
         return None
     protocol, bits, time_us, *values = _READING.unpack(frame.content)
@@ -99,7 +99,7 @@ def reading_of(frame: BoardFrame) -> FramedReading | None:
 
 
 def identity_of(frame: BoardFrame) -> Identity | None:
-    """Who the board says it is; None if the frame does not say."""
+    """Decode the identity in a frame; None for frames of other kinds or boards."""
     if frame.kind not in (IDENTIFY, SET_THRESHOLDS) or len(frame.content) != _IDENTITY.size:
         return None
     protocol, sensors, a, b, c, uptime_ms, name = _IDENTITY.unpack(frame.content)
@@ -109,12 +109,12 @@ def identity_of(frame: BoardFrame) -> Identity | None:
 
 
 class FrameFinder:
-    """Frames among whatever arrives: finds its place again after anything.
+    """Finder of frames in arriving bytes, which resynchronises after errors.
 
     Attributes
     ----------
     stray : int
-        Bytes so far that belong to no frame with a right checksum.
+        Number of bytes so far that belong to no frame with a correct checksum.
     """
 
     def __init__(self) -> None:
@@ -122,15 +122,15 @@ class FrameFinder:
         self._held = bytearray()
 
     def add(self, arrived: bytes) -> list[BoardFrame]:
-        """The frames that are complete now."""
+        """Add bytes and return the frames that are complete now."""
         self._held += arrived
         found = []
         while self._held:
             size = self._size()
             if size is None:
-                break  # more is to come
+                break  # the frame is incomplete
             if size == 0:
-                # What looked like a beginning was none: the true one may be just behind it.
+                # This byte starts no frame: the true start may follow directly.
                 self.stray += 1
                 del self._held[0]
             else:
@@ -141,14 +141,14 @@ class FrameFinder:
         return found
 
     def forget(self) -> int:
-        """Give up what is incomplete; how many bytes that was."""
+        """Discard an incomplete frame; return its number of bytes."""
         given_up = len(self._held)
         self.stray += given_up
         self._held.clear()
         return given_up
 
     def _size(self) -> int | None:
-        """Of the frame at the beginning; None for not yet known, 0 for no frame."""
+        """Return the size of the first frame; None if not yet known, 0 for no frame."""
         held = self._held
         if held[0] != _REPLY:
             return 0

@@ -1,4 +1,4 @@
-"""Who is behind this port? The tactile board, new or old, or something else."""
+"""Test whether the device at a serial port is the tactile board, of protocol 1 or 2."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from serial import Serial
 
 BOOT_TIME: Final = 2.0  # [s] the boot loader of a Mega waits a second for a new program
-PATIENCE: Final = 0.25  # [s] a question, until it is asked again
+PATIENCE: Final = 0.25  # [s] between two attempts
 QUESTIONS: Final = 4
-# With these numbers the checksum is of letters and digits: a motion controller on the port is
-# neither stopped nor started by the question.
+# With these numbers the checksum consists of letters and digits: the request neither stops nor
+# starts a motion controller on the port.
 NUMBERS: Final = (9, 8)
 OLD_CHECKS: Final = 3
 GRBL: Final = re.compile(rb"Grbl|<(Idle|Run|Hold|Jog|Alarm|Home|Door|Check|Sleep)|error:\d|ALARM:")
@@ -26,7 +26,7 @@ GRBL: Final = re.compile(rb"Grbl|<(Idle|Run|Hold|Jog|Alarm|Home|Door|Check|Sleep
 def shake_hands(
     link: Serial, port: str, settle: float | None
 ) -> tuple[int, frames.Identity | None]:
-    """The protocol of the board, and what it says of itself.
+    """Return the protocol of the board and its identity.
 
     Raises
     ------
@@ -56,14 +56,14 @@ def shake_hands(
         if _is_old_board(link, question, answer):
             return 1, None
         if answer:
-            break  # somebody else speaks; asking again would only disturb
+            break  # another device answers; more requests would only disturb it
     if not heard:
         heard = _asked_as_a_controller(link)
     raise _refusal(port, heard, question)
 
 
 def _wait_for_boot(link: Serial, settle: float | None) -> bytes:
-    """Leave the board alone until it listens; what it says meanwhile."""
+    """Wait until the board has started; return the bytes it sent meanwhile."""
     if settle is None:
         settle = BOOT_TIME if resets_on_opening(link) else 0.0
     heard = b""
@@ -75,7 +75,7 @@ def _wait_for_boot(link: Serial, settle: float | None) -> bytes:
 
 
 def _asked_as_a_controller(link: Serial) -> bytes:
-    """What comes back to the question that motion controllers know, so that they can be named."""
+    """Send the status request of motion controllers and return the answer, to identify them."""
     link.write(b"?")
     link.timeout = PATIENCE
     heard = link.read(1)
@@ -84,8 +84,8 @@ def _asked_as_a_controller(link: Serial) -> bytes:
 
 
 def _is_old_board(link: Serial, question: bytes, answer: bytes) -> bool:
-    """Whether a byte came for every byte, all of them possible, and still does."""
-    # Of a slow board, the answers to several questions come together.
+    """Whether every byte is answered by one plausible byte, in the answer and in new tests."""
+    # A slow board answers several requests together.
     if not answer or len(answer) % len(question) or max(answer) > frames.OLD_MOST:
         return False
     for _ in range(OLD_CHECKS):

@@ -1,4 +1,4 @@
-"""What the tactile board said, and how the conversation with it went."""
+"""Readings of the tactile board, and statistics of the communication."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, Final, final
 
-KEPT: Final = 4096  # round trips that the statistics remember
+KEPT: Final = 4096  # round trips stored in the statistics
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TactileReading:
-    """What the fixels said, once.
+    """One reading of the fixels.
 
     Attributes
     ----------
     bits : int, optional
-        Bit 0 blue, bit 1 red, bit 2 green, set where touched; none where the board gave no answer.
+        Bit 0 blue, bit 1 red, bit 2 green, set where touched; None without an answer.
     time : float
-        When the fixels were read, on `time.monotonic` [s].
+        Time of the reading, on `time.monotonic` [s].
     device_time : float, optional
-        The same on the board's clock [s]; only boards of protocol 2 tell.
+        The same on the board's clock [s]; None for protocol 1.
     values : (int, int, int), optional
-        What the converter saw at bits 0, 1, 2 [-], 1023 at 5 V; likewise.
+        Converter values of bits 0, 1, 2 [-], 1023 at 5 V; None for protocol 1.
     problem : str
-        Why there are no bits, or why they are to be doubted; empty if all is well.
+        Why there are no bits, or why they are doubtful; empty otherwise.
     """
 
     bits: int | None
@@ -39,24 +39,24 @@ class TactileReading:
 @final
 @dataclass(slots=True, kw_only=True)
 class Statistics:
-    """How the conversation went.
+    """Statistics of the communication with the board.
 
     Attributes
     ----------
     asked, answered : int
-        Requests, and those answered in time and undamaged.
+        Number of requests, and of those answered in time and undamaged.
     missing : int
-        Requests without an answer until the deadline.
+        Number of requests without an answer until the deadline.
     late : int
-        Answers that came after their deadline.
+        Number of answers after their deadline.
     garbled : int
-        Requests that something unreadable came back to.
+        Number of requests with an unreadable answer.
     stray_bytes : int
-        Bytes that belonged to no answer.
+        Number of bytes that belonged to no answer.
     restarts : int
-        How often the board began anew.
+        Number of restarts of the board.
     round_trips : deque of float
-        The last of them [s].
+        Last round-trip times [s].
     """
 
     asked: int = 0
@@ -69,7 +69,7 @@ class Statistics:
     round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return the statistics as plain values."""
         counts = ("asked", "answered", "missing", "late", "garbled", "stray_bytes", "restarts")
         trips = self.round_trips
         return {name: getattr(self, name) for name in counts} | {

@@ -1,4 +1,4 @@
-"""A drive that runs unevenly."""
+"""Pusher drive with uneven speed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fixel.model import LineDrive, PathDrive, Pusher
 from fixel.typing import FloatArray
 
-WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; a ripple of some hertz is a smooth curve in this
+WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; resolves a ripple of a few hertz
 
 
 def driven_unevenly(
@@ -22,22 +22,22 @@ def driven_unevenly(
     frequency: float,
     phase: float,
 ) -> Pusher:
-    """The pusher on the planned path, but early here and late there.
+    """Return the pusher on its planned path, with uneven timing.
 
     Parameters
     ----------
     pusher : Pusher
-        As planned.
+        Planned pusher.
     duration : float
-        For how long waypoints are needed [s].
+        Time for which waypoints are needed [s].
     speed_ratio : float
         Mean speed over the planned speed [-].
     ripple : float
         Amplitude of the speed about its mean, as a share of it [-].
     frequency : float
-        Of the ripple [Hz].
+        Frequency of the ripple [Hz].
     phase : float
-        Of the ripple at the start [rad].
+        Phase of the ripple at the start [rad].
     """
     if speed_ratio == 1.0 and ripple == 0.0:
         return pusher
@@ -50,13 +50,13 @@ def driven_unevenly(
 
 
 def uneven_time(time: FloatArray, ripple: float, frequency: float, phase: float) -> FloatArray:
-    """When the drive, were it even, would be where it is at these instants [s]."""
+    """Times at which an even drive reaches the positions of the uneven one at `time` [s]."""
     turn = 2.0 * math.pi * frequency
     return np.asarray(time + ripple / turn * (np.sin(turn * time + phase) - math.sin(phase)))
 
 
 def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:
-    """(n, 3) poses the planned drive asks for at instants (n,) [s]."""
+    """Poses (n, 3) of the planned drive at times (n,) [s]."""
     drive = pusher.drive
     if isinstance(drive, PathDrive):
         instants, *columns = drive.waypoints.T
@@ -68,7 +68,7 @@ def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:
 
 
 def with_stall_force(pusher: Pusher, stall_force: float | None) -> Pusher:
-    """The pusher with a drive that stalls at this force [N]; None leaves it as planned."""
+    """Return the pusher with a drive that stalls at a force [N]; None leaves it as planned."""
     if stall_force is None:
         return pusher
     drive: LineDrive | PathDrive = replace(pusher.drive, force_limit=stall_force)

@@ -1,4 +1,4 @@
-"""Network cameras: JPEG pictures over HTTP, one after the other."""
+"""Frame source for network cameras: a stream of JPEG pictures over HTTP."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 MAX_LINE: Final = 4096  # [bytes] of a header
-MAX_PICTURE_BYTES: Final = 32 * 1024 * 1024  # [bytes] of a picture
-GARBAGE: Final = 10  # pictures in a row that are none
-OPENS_WITHIN: Final = 10.0  # [s] the first picture, however slowly it comes
+LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
+GARBAGE: Final = 10  # unreadable pictures in a row after which the stream ends
+OPENS_WITHIN: Final = 10.0  # [s] in which the first picture must be complete
 
 
 @final
 class UrlSource(FrameSource):
-    """A camera that speaks HTTP: `multipart/x-mixed-replace` of JPEG pictures.
+    """Camera that sends JPEG pictures over HTTP as `multipart/x-mixed-replace`.
 
     Parameters
     ----------
     url : str
-        `http://NAME:PASSWORD@HOST:PORT/PATH`; name and password stay out of all records.
+        Address `http://NAME:PASSWORD@HOST:PORT/PATH`; name and password are not recorded.
     patience : float
-        For how long the camera may be silent [s].
+        Longest silence of the camera [s].
     """
 
     def __init__(self, url: str, *, patience: float = STALLED) -> None:
@@ -52,13 +52,13 @@ class UrlSource(FrameSource):
         self._socket: socket.socket | None = None
         self._answer: http.client.HTTPResponse | None = None
         self._boundary = b""
-        self._inside = False  # of a part, its boundary read already
+        self._inside = False  # a part, after its boundary
         self._first: CameraPicture | None = None
-        self._stamp: float | None = None  # of the part that is read, by the camera's clock [s]
+        self._stamp: float | None = None  # capture time of the part, camera's clock [s]
         self._clock = CaptureClock()
 
     def open(self) -> Stream:
-        """Connect, and read the first picture."""
+        """Connect to the camera and read the first picture."""
         limit = max(OPENS_WITHIN, 2.0 * self._patience)
         late = Timer(limit, self._hang_up, (f"no whole picture within {limit:g} s",))
         late.start()
@@ -80,7 +80,7 @@ class UrlSource(FrameSource):
         return Stream(size=size, rate=0.0, jpeg=True, live=True, simulated_by=unquote(made_by))
 
     def frames(self) -> Iterator[CameraPicture]:
-        """Pictures until the camera is pulled or closed."""
+        """Yield pictures until the camera is unplugged or closed."""
         arrived, self._first = self._first, None
         while arrived is not None:
             yield arrived
@@ -90,14 +90,14 @@ class UrlSource(FrameSource):
                 self.ended = f"the camera has sent nothing for {self._patience:g} s"
                 break
             except (OSError, ValueError, AttributeError, http.client.HTTPException) as problem:
-                # Closing from another thread takes the file away under a read.
+                # Closing from another thread closes the file during a read.
                 self.ended = f"the camera went away: {_words(problem)}"
                 break
         if self._stop.is_set():
             self.ended = "stopped"
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._stop.set()
         self._hang_up()
         if self._answer is not None:
@@ -107,7 +107,7 @@ class UrlSource(FrameSource):
             self._connection.close()
 
     def _hang_up(self, why: str = "") -> None:
-        """End what is being read; before that, closing would wait for it."""
+        """Shut down the socket to end a blocked read, for which closing would wait."""
         self.ended = self.ended or why
         if self._socket is not None:
             with suppress(OSError):
@@ -124,7 +124,7 @@ class UrlSource(FrameSource):
             user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             headers["Authorization"] = "Basic " + base64.b64encode(user.encode()).decode()
         self._connection.request("GET", target, headers=headers)
-        # The connection forgets it once the answer has begun.
+        # The connection drops its socket once the answer has begun.
         self._socket = self._connection.sock
         self._answer = answer = self._connection.getresponse()
         if answer.status != http.HTTPStatus.OK:
@@ -139,7 +139,7 @@ class UrlSource(FrameSource):
         self._boundary = b"--" + str(boundary or "").strip('"').removeprefix("--").encode()
 
     def _next(self) -> CameraPicture | None:
-        """The next picture that is one, or None at the end of the stream."""
+        """Return the next valid picture, None at the end of the stream."""
         for _ in range(GARBAGE):
             data = self._part()
             now = time.monotonic()
@@ -155,7 +155,7 @@ class UrlSource(FrameSource):
         return None
 
     def _part(self) -> bytes | None:
-        """What stands between two boundaries; None at the end."""
+        """Read the data between two boundaries; None at the end."""
         answer = self._answer
         assert answer is not None
         length = self._head(answer)
@@ -167,7 +167,7 @@ class UrlSource(FrameSource):
         return self._until_boundary(answer)
 
     def _head(self, answer: http.client.HTTPResponse) -> int | None:
-        """The length of the next part, -1 where it is not said; None at the end of the stream."""
+        """Read the length of the next part; -1 if it is missing, None at the end of the stream."""
         begun, length, read = self._inside, -1, 0
         self._inside, self._stamp = False, None
         while line := answer.readline(MAX_LINE):
@@ -187,7 +187,7 @@ class UrlSource(FrameSource):
         return None
 
     def _until_boundary(self, answer: http.client.HTTPResponse) -> bytes | None:
-        """A part whose length nobody said: up to the boundary, which may stand in the last line."""
+        """Read a part of unknown length up to the boundary, which may be in the last line."""
         data = bytearray()
         while line := answer.readline(MAX_LINE):
             if line.strip() in (self._boundary, b"--" + self._boundary) and line.endswith(b"\n"):
@@ -206,7 +206,7 @@ class UrlSource(FrameSource):
 def _split(url: str) -> SplitResult:
     try:
         parts = urlsplit(url)
-        _ = parts.port  # looked at only when it is asked for
+        _ = parts.port  # parsed only on access
     except ValueError as problem:
         raise _refusal(str(problem)) from None
     return parts
@@ -230,7 +230,7 @@ def _stamp(header: bytes) -> float | None:
 
 
 def _shown(parts: SplitResult) -> str:
-    """The address without name, password and query, which may hold secrets."""
+    """Format the address without name, password and query, which may contain secrets."""
     host = parts.hostname or ""
     port = f":{parts.port}" if parts.port else ""
     return f"{parts.scheme}://{host}{port}{parts.path}"
