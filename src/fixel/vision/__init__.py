@@ -1,1 +1,1 @@
-"""Pictures and poses: cameras, marks, tracking, and pictures of what a simulation does."""
+"""Computer vision: cameras, markers, tracking of parts, and rendering of simulations."""

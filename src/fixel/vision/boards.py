@@ -1,4 +1,4 @@
-"""Boards to calibrate a camera with: checkerboards, and such with tags in their white squares.
+"""Calibration boards: checkerboards, also with tags in their white squares (ChArUco).
 
 A board's frame has x to the right and y up along the print, z out of the paper, and its origin at
 the lower left corner of the outermost squares.
@@ -21,9 +21,9 @@ from fixel.vision.opencv import opencv
 Gray = NDArray[np.uint8]
 Picture = NDArray[np.uint8]
 
-MIN_OTHERS: Final = 3  # tags of another dictionary that are no chance
-MIN_CORNERS: Final = 8  # of one picture; a pose has six unknowns, a corner two numbers
-DICTIONARIES: Final = {"4x4": 50, "5x5": 100, "6x6": 250}  # how many tags of each there are
+MIN_OTHERS: Final = 3  # tags of another dictionary that may be found by chance
+MIN_CORNERS: Final = 8  # of one picture; a pose has six parameters, a corner two coordinates
+DICTIONARIES: Final = {"4x4": 50, "5x5": 100, "6x6": 250}  # number of tags of each
 UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 SHAPE: Final = (
     "charuco:7x5:30mm:22mm (squares, size, size of tags) or checkerboard:9x6:25mm (inner corners, "
@@ -34,12 +34,12 @@ SHAPE: Final = (
 @final
 @dataclass(frozen=True, slots=True)
 class Corners:
-    """The corners of a board in a picture.
+    """Corners of a board in a picture.
 
     Attributes
     ----------
     places : (n, 2) float64
-        In the board's frame [m].
+        Coordinates in the board's frame [m].
     pixels : (n, 2) float64
     """
 
@@ -50,18 +50,18 @@ class Corners:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A checkerboard.
+    """Checkerboard, with or without tags.
 
     Parameters
     ----------
     columns, rows : int
-        Squares.
+        Number of squares.
     square : float
         Side of a square [m].
     marker : float, optional
-        Side of the tags in the white squares [m]; none for a plain checkerboard.
+        Side of the tags in the white squares [m]; None for a plain checkerboard.
     dictionary : str
-        Of the tags: one of `DICTIONARIES`.
+        Dictionary of the tags, one of `DICTIONARIES`.
     """
 
     columns: int
@@ -103,12 +103,12 @@ class Board:
         return self.columns * self.square, self.rows * self.square
 
     def find(self, picture: Picture) -> Corners:
-        """The corners that a picture shows.
+        """Find the corners of the board in a picture.
 
         Raises
         ------
         InvalidInput
-            Too few, and why as far as it can be told.
+            Too few corners were found, with the reason where it is known.
         """
         gray = gray_of(picture)
         found = self._find_tagged(gray) if self.marker else self._find_plain(gray)
@@ -154,7 +154,7 @@ class Board:
         return self._sharpened(gray, places, pixels.reshape(-1, 2).astype(np.float64))
 
     def _other_dictionaries(self, gray: Gray) -> str:
-        """The dictionary of which most tags are in a picture, if it is another; empty if none."""
+        """Return the dictionary of most tags in a picture if it is another one, else empty."""
         aruco = opencv().aruco
         counts = {}
         for name, size in DICTIONARIES.items():
@@ -167,13 +167,13 @@ class Board:
     def _find_plain(self, gray: Gray) -> Corners | None:
         cv2 = opencv()
         across, down = self.columns - 1, self.rows - 1
-        # Of its options, normalising the picture makes corners ten times worse.
+        # Its option to normalise the picture makes corners ten times less accurate.
         done, pixels = cv2.findChessboardCornersSB(gray, (across, down))
         if not done:
             return None
         grid = pixels.reshape(down, across, 2).astype(np.float64)
-        # The board looks the same turned by half a turn, and its corners may come in any order:
-        # the first row is the upper one in the picture, read from the left.
+        # The board looks the same after half a turn, and its corners come in any order: make the
+        # upper row of the picture the first, from left to right.
         if grid[0, -1, 0] < grid[0, 0, 0]:
             grid = grid[:, ::-1]
         along, below = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
@@ -184,7 +184,7 @@ class Board:
         return self._sharpened(gray, places.reshape(-1, 2), grid.reshape(-1, 2).copy())
 
     def _sharpened(self, gray: Gray, places: FloatArray, pixels: FloatArray) -> Corners:
-        """Corners where the edges about them cross, looked for between the tags."""
+        """Refine corners to the crossing of the edges around them, within windows between tags."""
         cv2 = opencv()
         if len(places) < 4:
             return Corners(self._upright(places), pixels)
@@ -209,11 +209,11 @@ class Board:
         return Corners(self._upright(places[inside & steady]), sharp[inside & steady])
 
     def _upright(self, places: FloatArray) -> FloatArray:
-        """OpenCV counts y from the upper edge."""
+        """Convert OpenCV's places, with y from the upper edge, to the board's frame."""
         return np.stack([places[:, 0], self.size[1] - places[:, 1]], axis=-1)
 
     def of_opencv(self) -> Any:
-        """The board as OpenCV knows it, if it has tags."""
+        """Return the OpenCV object of a board with tags."""
         aruco = opencv().aruco
         tags = f"DICT_{self.dictionary.upper()}_{DICTIONARIES[self.dictionary]}"
         dictionary = aruco.getPredefinedDictionary(getattr(aruco, tags))
@@ -223,9 +223,9 @@ class Board:
 
 
 def board_of(text: str) -> Board:
-    """A board as one types it: `charuco:7x5:30mm:22mm`, `checkerboard:9x6:25mm`.
+    """Parse the text of a board: `charuco:7x5:30mm:22mm`, `checkerboard:9x6:25mm`.
 
-    A checkerboard is counted by its inner corners, as everywhere; a ChArUco board by its squares.
+    A checkerboard is specified by its inner corners, a ChArUco board by its squares, as is usual.
     """
     kind, *parts = text.strip().lower().split(":")
     counts = re.fullmatch(r"(\d{1,3})x(\d{1,3})", parts[0]) if parts else None
@@ -253,7 +253,7 @@ def _length(text: str) -> float:
 
 
 def gray_of(picture: Picture) -> Gray:
-    """Without colour."""
+    """Convert a picture to grey levels."""
     if picture.ndim == 2:
         return picture
     gray: Gray = opencv().cvtColor(picture, opencv().COLOR_BGR2GRAY)

@@ -1,7 +1,7 @@
-"""A lens and places of the camera fitted to points whose pixels were found, with their covariance.
+"""Least-squares fit of a lens and camera places to points with known pixels, with covariance.
 
-Rotations are changed by small rotations about the camera's axes, after the one they have; so no
-place of the camera is special.
+A rotation is updated by a small rotation about the camera's axes after it, so that no place of the
+camera is singular.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, FOCAL
 
 STEPS: Final = 60
-CALM: Final = 1e-8  # [px] of the root mean square, below which a step changed nothing
-# How far parameters are moved for their slopes: pixels, then coefficients, radians, metres.
+CALM: Final = 1e-8  # [px] decrease of the root mean square at which the fit has converged
+# Steps of the finite differences: pixels, then coefficients, radians, metres.
 NUDGE: Final = {"px": 1e-3, "coefficient": 1e-6, "rad": 1e-6, "m": 1e-7}
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class BundleFit:
-    """What fits best.
+    """Result of a fit.
 
     Attributes
     ----------
     lens : Lens
     rotations : (n_view, 3, 3) float64
     translations : (n_view, 3) float64
-        Of each view's points in the camera's axes [m].
+        Translation of each view's points in the camera's axes [m].
     residuals : (n, 2) float64
-        Found less fitted [px].
+        Found minus fitted pixels [px].
     covariance : (n_name, n_name) float64
-        Of the lens's parameters, all others unknown too.
+        Covariance of the lens's parameters, with the places unknown.
     place_covariance : (n_view, 6, 6) float64
-        Of each view's place, given the lens: rx, ry, rz [rad], tx, ty, tz [m].
+        Covariance of each view's place given the lens: rx, ry, rz [rad], tx, ty, tz [m].
     place_slope : (n_view, 6, n_name) float64
-        How each place follows the lens.
+        Derivative of each place with respect to the lens.
     noise : float
         Standard deviation of a pixel along each axis [px].
     """
@@ -59,15 +59,15 @@ class BundleFit:
 @final
 @dataclass(frozen=True, slots=True)
 class PointObservations:
-    """Points and where they were found: all views in one row.
+    """Points and their pixels, all views in one array.
 
     Attributes
     ----------
     points : (n, 3) float64
-        In the frame of their view [m].
+        Points in the frame of their view [m].
     pixels : (n, 2) float64
     view : (n,) intp
-        Which view each belongs to.
+        Index of the view of each point.
     """
 
     points: FloatArray
@@ -75,19 +75,19 @@ class PointObservations:
     view: NDArray[np.intp]
 
     def only(self, which: NDArray[np.bool_]) -> PointObservations:
-        """Some of them."""
+        """Return the observations that a mask selects."""
         return PointObservations(self.points[which], self.pixels[which], self.view[which])
 
 
 def values_of(lens: Lens, names: Sequence[str]) -> FloatArray:
-    """The parameters of a lens by their names."""
+    """Return the parameters of a lens with these names."""
     known = dict(zip(_coefficients(lens), lens.distortion.tolist(), strict=True))
     known |= dict(zip(FOCAL, [*lens.focal, *lens.centre, lens.skew], strict=True))
     return np.array([known[name] for name in names], dtype=np.float64)
 
 
 def lens_with(lens: Lens, names: Sequence[str], values: FloatArray) -> Lens:
-    """The lens with other parameters."""
+    """Return the lens with some parameters replaced."""
     new = dict(zip(names, values.tolist(), strict=True))
     fx, fy, cx, cy, skew = (
         new.get(name, old)
@@ -108,7 +108,7 @@ def lens_with(lens: Lens, names: Sequence[str], values: FloatArray) -> Lens:
 
 
 def turned(rotations: FloatArray, angles: FloatArray) -> FloatArray:
-    """(..., 3, 3) rotations, turned further by rotation vectors (..., 3) [rad]."""
+    """Turn rotations (..., 3, 3) further by rotation vectors (..., 3) [rad]."""
     from scipy.spatial.transform import Rotation
 
     flat = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix()
@@ -124,17 +124,17 @@ def fit(
     *,
     steps: int = STEPS,
 ) -> BundleFit:
-    """The least squares fit, by Levenberg and Marquardt's method from a start nearby.
+    """Fit lens and places by least squares, with Levenberg and Marquardt's method.
 
     Parameters
     ----------
     lens, rotations, translations
-        Where to start: the lens, and the place of every view.
+        Start nearby: the lens, and the place of every view.
     names : sequence of str
-        What of the lens is to be found; nothing for places only.
+        Parameters of the lens to fit; empty to fit places only.
     sight : PointObservations
     steps : int
-        Number of steps at most.
+        Largest number of steps.
     """
     damping, state = 1e-4, (lens, rotations, translations)
     error = _residuals(*state, sight)
@@ -176,7 +176,7 @@ def _fitted(
     shared = matrix[:n, :n].copy()
     place_covariance = np.empty((n_view, 6, 6))
     place_slope = np.empty((n_view, 6, n))
-    # Each view's place is eliminated from the equations: what stays is about the lens alone.
+    # Each view's place is eliminated from the equations, which leaves those of the lens.
     for k in range(n_view):
         own = slice(n + 6 * k, n + 6 * k + 6)
         inverse = np.linalg.pinv(matrix[own, own], hermitian=True)
@@ -188,7 +188,7 @@ def _fitted(
         scale = np.sqrt(np.abs(np.diag(shared)))
         unit = shared / np.outer(scale, scale)
         inverse = np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale)
-        # How corners follow the lens where their view's place gives way to it.
+        # Derivatives of corners with respect to the lens, with the places adjusted.
         each = slopes.reshape(len(sight.view), 2, -1)
         own_columns = n + 6 * sight.view[:, None] + np.arange(6)
         by_place = np.take_along_axis(each, own_columns[:, None, :], axis=2)
@@ -201,23 +201,23 @@ def _fitted(
 
 
 def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: float) -> float:
-    """Factor by which the variance of the lens exceeds that of independent corners, at least 1.
+    """Ratio of the variance of the lens to that for independent corners, at least 1.
 
-    Corners of one view err together: paper bends, light falls from one side, and a lens that the
-    model does not describe errs where the board is. Each view is left out in turn, the places of
-    the others following (the jackknife over clusters); the mean square of what that changes is
-    compared with the variance that independent corners would give.
+    Errors of corners in one view are correlated: paper bends, light falls from one side, and the
+    model error of the lens depends on the place of the board. Each view is left out in turn, with
+    the places adjusted (the jackknife over clusters). The mean square of the changes is compared
+    with the variance for independent corners.
 
     Parameters
     ----------
     pulls : (n_view, n) float64
         Gradient of each view.
     own : (n_view, n, n) float64
-        Normal matrix of each view, its place eliminated.
+        Normal matrix of each view, with its place eliminated.
     whole : (n, n) float64
-        Their sum.
+        Sum of the matrices.
     noise : float
-        [px].
+        Standard deviation of a pixel [px].
 
     Source
     ------
@@ -260,7 +260,7 @@ def _moved(
 def slopes_of(
     state: tuple[Lens, FloatArray, FloatArray], names: Sequence[str], sight: PointObservations
 ) -> FloatArray:
-    """(2 n, n_name + 6 n_view) how pixels follow the parameters, by central differences."""
+    """Derivatives (2 n, n_name + 6 n_view) of pixels by parameters, from central differences."""
     n, n_view, count = len(names), len(state[1]), len(sight.view)
     slopes = np.zeros((count, 2, n + 6 * n_view))
 
@@ -277,7 +277,7 @@ def slopes_of(
     each = np.arange(count)
     for k in range(6):
         move = np.zeros(n + 6 * n_view)
-        move[n + k :: 6] = 1.0  # a pixel follows the place of its own view only
+        move[n + k :: 6] = 1.0  # a pixel depends on the place of its own view only
         slopes[each, :, n + 6 * sight.view + k] = slope(move, NUDGE["rad" if k < 3 else "m"])
     return slopes.reshape(2 * count, -1)
 

@@ -1,4 +1,4 @@
-"""A lens from pictures of a board: which pictures are of use, what they say, how sure they are."""
+"""Lens calibration from pictures of a board: choice of pictures, fit and its uncertainty."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
 from fixel.vision.opencv import opencv
 
 MIN_PICTURES: Final = 4
-MIN_TILT: Final = 8.0  # [deg] between two boards, or the focal length is anyone's guess
-LOOSE_FOCAL: Final = 0.03  # relative standard deviation from which on a calibration is refused
-FAR_OUT: Final = 5.0  # of robust standard deviations, from which on a corner is a wrong one
-WORSE: Final = 3.0  # times the usual, from which on a picture is dropped
-TOLERABLE: Final = 0.3  # [px] a picture as good as this is never dropped
+MIN_TILT: Final = 8.0  # [deg] between two boards; with less the focal length is undetermined
+LOOSE_FOCAL: Final = 0.03  # relative standard deviation from which a calibration is rejected
+FAR_OUT: Final = 5.0  # robust standard deviations from which a corner counts as wrong
+WORSE: Final = 3.0  # times the usual residual, from which a picture is dropped
+TOLERABLE: Final = 0.3  # [px] residual of a picture that is never dropped
 COEFFICIENTS: Final = 5  # k1, k2, p1, p2, k3
 MAX_COEFFICIENTS: Final = 8
-FEWER: Final = (4,)  # numbers of coefficients that are compared with these
+FEWER: Final = (4,)  # other numbers of coefficients for comparison
 FEW_COEFFICIENTS: Final = 4
 FOLDS: Final = 3
-NEAR_STEPS: Final = 6  # of fits that begin at that of all pictures
+NEAR_STEPS: Final = 6  # of fits that start at the fit of all pictures
 MIN_TO_HOLD_OUT: Final = 8  # pictures
-CELLS: Final = 16  # across the picture, of the map of where boards were seen
+CELLS: Final = 16  # across the picture, of the map of corners seen
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """A picture in which a board was found.
+    """Picture in which a board was found.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class BoardView:
 @final
 @dataclass(frozen=True, slots=True)
 class SkippedPicture:
-    """A picture, or corners of one, that were not used, and why."""
+    """Picture, or corners of one, left out of a calibration, with the reason."""
 
     name: str
     reason: str
@@ -63,18 +63,18 @@ class SkippedPicture:
 @final
 @dataclass(frozen=True, slots=True)
 class UsedView:
-    """A picture that was used.
+    """Picture used in a calibration.
 
     Attributes
     ----------
     name : str
     corners : int
     rms : float
-        Of its residuals along each axis [px].
+        Root mean square of its residuals along each axis [px].
     tilt : float
-        Of its board against the sensor [rad].
+        Tilt of its board against the sensor [rad].
     residuals : (corners, 2) float64
-        Found less fitted [px].
+        Found minus fitted pixels [px].
     """
 
     name: str
@@ -87,20 +87,20 @@ class UsedView:
 @final
 @dataclass(frozen=True, slots=True)
 class LensCalibration:
-    """What pictures of a board say of a lens.
+    """Result of a lens calibration.
 
     Attributes
     ----------
     camera : MeasuredCamera
-        Without a place.
+        Lens with covariance, without a place.
     used : tuple of UsedView
     dropped : tuple of SkippedPicture
     rms : float
-        Of all residuals along each axis [px].
+        Root mean square of all residuals along each axis [px].
     unseen : dict of int to float
-        Root mean square of residuals in pictures that the lens was found without [px], by number
-        of distortion coefficients; empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where
-        the number was given.
+        Root mean square of residuals in held-out pictures [px], by number of distortion
+        coefficients; empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where the number was
+        given.
     """
 
     camera: MeasuredCamera
@@ -115,12 +115,12 @@ def find_boards(
     board: Board,
     tell: Callable[[str], None] | None = None,
 ) -> tuple[tuple[BoardView, ...], tuple[SkippedPicture, ...]]:
-    """The views of a board in pictures, and the pictures that show none.
+    """Find a board in pictures; return its views, and the pictures without one.
 
     Raises
     ------
     InvalidInput
-        A mirrored picture: all others will be mirrored too.
+        A picture is mirrored, as all others will be.
     """
     views, dropped = [], []
     for name, picture in pictures:
@@ -145,26 +145,26 @@ def calibrate_lens(
     coefficients: int | None = None,
     fisheye: bool = False,
 ) -> LensCalibration:
-    """The lens that views of a board determine.
+    """Calibrate a lens from views of a board.
 
     Parameters
     ----------
     views : sequence of BoardView
-        At least four, tilted against each other.
+        At least four views, tilted against each other.
     dropped : sequence of SkippedPicture
-        Pictures left out before.
+        Pictures already left out.
     coefficients : int, optional
-        How many distortion coefficients to find: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Left
-        out, 5 are found, or 8 where pictures that were left out say that 5 are too few: fewer would
-        fit as well in the middle, and hide how little is known of the corners of the picture. With
-        `fisheye` or fewer than `MIN_TO_HOLD_OUT` pictures, 4.
+        Number of distortion coefficients: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Default: 5,
+        or 8 where held-out pictures show that 5 are too few. Fewer would fit as well in the middle,
+        and hide the uncertainty in the corners of the picture. With `fisheye` or fewer than
+        `MIN_TO_HOLD_OUT` pictures, 4.
     fisheye : bool
-        The model of Kannala and Brandt in place of Brown's.
+        Whether to use the model of Kannala and Brandt instead of Brown's.
 
     Raises
     ------
     InvalidInput
-        Views that do not determine the lens, and what is missing.
+        The views do not determine the lens; with what is missing.
     """
     chosen = FEW_COEFFICIENTS if coefficients is None else coefficients
     names = _names(chosen, fisheye)
@@ -208,11 +208,11 @@ def calibrate_lens(
 
 
 def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, float], bool]:
-    """Residuals in pictures left out, by number of coefficients [px], and whether 5 are too few.
+    """Cross-validate the number of coefficients: residuals by number [px], and if 5 are too few.
 
-    A third of the pictures at a time is left out, the lens found without them, and their places
-    alone fitted. More coefficients are needed where the squares of the pictures fall by more than
-    twice their standard error.
+    A third of the pictures at a time is held out: the lens is fitted without them, then only their
+    places are fitted. More coefficients are needed where the mean square of the pictures decreases
+    by more than twice its standard error.
     """
     n_view = len(found.rotations)
     squares = {count: np.zeros(n_view) for count in (*FEWER, COEFFICIENTS, MAX_COEFFICIENTS)}
@@ -241,7 +241,7 @@ def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, flo
 
 
 def _sees_corners(lens: Lens) -> bool:
-    """Whether the model has light for every corner of the picture."""
+    """Whether the model has a direction for every corner of the picture."""
     width, height = lens.image_size
     try:
         lens.direction([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
@@ -253,7 +253,7 @@ def _sees_corners(lens: Lens) -> bool:
 def _views(
     found: BundleFit, sight: PointObservations, which: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, PointObservations]:
-    """Places and corners of some views, numbered anew."""
+    """Select places and corners of some views, with new indices of the views."""
     corners = sight.only(which[sight.view])
     number = np.cumsum(which) - 1
     return (
@@ -305,10 +305,9 @@ def _refuse_few(views: Sequence[BoardView], dropped: Sequence[SkippedPicture]) -
 
 
 def _refuse_parallel(views: Sequence[BoardView], size: tuple[int, int]) -> None:
-    """Parallel boards say nothing of the focal length: each may be small and near or large and far.
+    """Raise if all boards are parallel: small and near or large and far, they look the same.
 
-    How the boards stand is told from their vanishing lines with a rough focal length, which only
-    has to tell tilted from parallel.
+    Tilts are computed from homographies with a rough focal length, which suffices for this test.
     """
     cv2 = opencv()
     rough, centre = float(max(size)), (np.array(size) - 1.0) / 2.0
@@ -335,7 +334,7 @@ def _fitted(
     places = [view.corners.places for view in views]
     solid = [np.column_stack([p, np.zeros(len(p))]).astype(np.float32) for p in places]
     pixels = [view.corners.pixels.astype(np.float32)[:, None] for view in views]
-    # OpenCV's own fit with two coefficients is a start; the rest is found from there.
+    # OpenCV's fit with two coefficients is the start of ours.
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     if fisheye or len(names) < 6:
         flags |= cv2.CALIB_FIX_K2
@@ -356,7 +355,7 @@ def _fitted(
         image_size=size,
         focal=(matrix[0, 0], matrix[1, 1]),  # type: ignore[arg-type]
         centre=(matrix[0, 2], matrix[1, 2]),  # type: ignore[arg-type]
-        # Seen without distortion, tan(a) is a + a^3/3: so begins a fisheye that is nearly flat.
+        # Start of a fisheye without distortion: tan(a) is a + a^3/3 + ...
         distortion=(k1 + 1.0 / 3.0,) if fisheye else (k1, k2),  # type: ignore[arg-type]
         fisheye=fisheye,
     )
@@ -372,7 +371,7 @@ def _fitted(
 def _worst_view(
     found: BundleFit, sight: PointObservations, views: Sequence[BoardView]
 ) -> int | None:
-    """A picture whose corners fit much worse than those of the others, if there is one."""
+    """Return the picture whose corners fit much worse than those of the others, if any."""
     rms = [_rms(found.residuals[sight.view == k]) for k in range(len(views))]
     worst = int(np.argmax(rms))
     others = float(np.median(np.delete(rms, worst)))
@@ -388,12 +387,12 @@ def _too_far(found: BundleFit, sight: PointObservations, worst: int) -> str:
 def _without_wrong_corners(
     found: BundleFit, sight: PointObservations, names: tuple[str, ...]
 ) -> tuple[BundleFit, PointObservations, list[int]]:
-    """The same without corners that are far from where the others say."""
+    """Repeat a fit without corners whose residuals are far too large."""
     n_view = len(found.rotations)
     wrong = np.zeros(n_view, dtype=int)
     for _ in range(3):
         off = np.hypot(*found.residuals.T)
-        usual = float(np.median(off)) / 1.1774  # of the median of a Rayleigh distribution
+        usual = float(np.median(off)) / 1.1774  # median of a Rayleigh distribution
         good = off <= FAR_OUT * max(usual, 1e-6)
         counts = np.bincount(sight.view[good], minlength=n_view)
         good |= (counts < 6)[sight.view]

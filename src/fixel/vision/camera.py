@@ -1,4 +1,4 @@
-"""A camera above the plane."""
+"""Camera above the plane: projection between the world and pixels."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ ORTHONORMAL = 1e-6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera(Comparable):
-    """A lens at a place: between points above the plane and pixels.
+    """Lens at a place above the plane; projects points to pixels and back.
 
-    The world has x and y in the plane and z up, towards the camera; heights are z.
+    The world has x and y in the plane and z up, towards the camera. Heights are along z.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Camera(Comparable):
     rotation : (3, 3) array_like
         `camera_from_world`: the camera's axes are x right, y down, z away from it.
     translation : (3,) array_like
-        Where the world's origin is, in the camera's axes [m].
+        Origin of the world in the camera's axes [m].
     """
 
     lens: Lens
@@ -72,20 +72,20 @@ class Camera(Comparable):
         turned: float = 0.0,
         tilted: ArrayLike = (0.0, 0.0),
     ) -> Camera:
-        """A camera that looks down, straight but for a small tilt.
+        """Create a camera that looks straight down, or with a small tilt.
 
         Parameters
         ----------
         lens : Lens
         height : float
-            Of the camera above the plane [m].
+            Height of the camera above the plane [m].
         above : (2,) array_like
-            The place of the world under it [m].
+            Point of the plane below the camera [m].
         turned : float
-            From the world's x to the picture's right, counter-clockwise from above [rad].
+            Angle from the world's x to the picture's right, counter-clockwise from above [rad].
         tilted : (2,) array_like
-            Of the axis: towards what the picture shows below its middle, and towards its right;
-            one after the other, about the camera's x and then its y [rad].
+            Tilt of the axis towards the lower part of the picture, then towards its right: about
+            the camera's x, then its y [rad].
         """
         c, s = math.cos(turned), math.sin(turned)
         straight = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
@@ -98,21 +98,21 @@ class Camera(Comparable):
         return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
 
     def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Camera:
-        """The same camera, if its lens is for pictures of this size; see `Lens`."""
+        """Return the camera if its lens is for pictures of this size; see `Lens`."""
         return replace(self, lens=self.lens.for_pictures_of(size, rescale=rescale))
 
     @property
     def position(self) -> FloatArray:
-        """(3,) of the camera in the world [m]."""
+        """Position (3,) of the camera in the world [m]."""
         return -self.rotation.T @ self.translation
 
     def project(self, points: ArrayLike) -> FloatArray:
-        """(..., 2) pixels of points (..., 3) of the world [m].
+        """Project points (..., 3) of the world [m] to pixels (..., 2).
 
         Raises
         ------
         InvalidInput
-            A point behind the camera.
+            A point lies behind the camera.
         """
         seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
         depth = seen[..., 2:]
@@ -123,26 +123,26 @@ class Camera(Comparable):
         return self.lens.pixel(seen[..., :2] / depth)
 
     def project_at(self, places: ArrayLike, height: float) -> FloatArray:
-        """(..., 2) pixels of places (..., 2) [m] at one height above the plane [m]."""
+        """Project places (..., 2) [m] at one height above the plane [m] to pixels (..., 2)."""
         xy = np.asarray(places, dtype=np.float64)
         return self.project(np.concatenate([xy, np.full((*xy.shape[:-1], 1), height)], axis=-1))
 
     def homography(self, height: float = 0.0) -> FloatArray:
-        """(3, 3) from places (x, y, 1) at a height above the plane [m] to directions (x, y, 1).
+        """Return the map (3, 3) from places (x, y, 1) at a height [m] to directions (x, y, 1).
 
-        Up to scale: the third number is how deep the place lies before the camera [m].
+        Directions are up to scale; the third number is the depth before the camera [m].
         """
         across, down, up = self.rotation.T
         return np.stack([across, down, up * height + self.translation], axis=1)
 
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> FloatArray:
-        """(..., 2) places [m] at a height above the plane [m] that pixels (..., 2) show.
+        """Project pixels (..., 2) to places (..., 2) [m] at a height above the plane [m].
 
         Raises
         ------
         InvalidInput
-            A pixel that looks past the plane, that the lens cannot have light from, or a height
-            that is not below the camera.
+            A pixel does not see the plane or has no direction in the lens model, or the height is
+            not below the camera.
         """
         if not height < self.position[2]:
             raise InvalidInput(
@@ -160,7 +160,7 @@ class Camera(Comparable):
         return np.asarray(there[..., :2] / there[..., 2:])
 
     def metres_per_pixel(self, height: float = 0.0) -> float:
-        """How much of the plane one pixel shows in the middle of the picture [m/px]."""
+        """Scale in the middle of the picture: side of a pixel on the plane [m/px]."""
         middle = (np.array(self.lens.image_size) - 1.0) / 2.0
         corners = middle + np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5]])
         a, b, c = self.on_plane(corners, height)

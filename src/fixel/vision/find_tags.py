@@ -1,4 +1,4 @@
-"""Tags in one picture: the corners of those that are looked for, to a few hundredths of a pixel."""
+"""Detection of tags in one picture, with corners to a few hundredths of a pixel."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from fixel.vision.marks import Tag
 from fixel.vision.tracking.edges import EdgeLine, find_edges
 from fixel.vision.tracking.tag_reader import read_tags
 
-ALONG: Final = np.linspace(0.12, 0.88, 16)  # of a side, where its edge is looked for
-TAG_REACH: Final = 4.0  # [px] from where it was roughly found
+ALONG: Final = np.linspace(0.12, 0.88, 16)  # fractions of a side at which its edge is measured
+REACH: Final = 4.0  # [px] from the rough edge
 MIN_ON_A_SIDE: Final = 6
 
 
 def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:
-    """Corners (4, 2) [px] by the place of each tag in `tags`; those that are not seen are left out.
+    """Find tags; return corners (4, 2) [px] by index in `tags`, without those not found.
 
     Raises
     ------
     InvalidInput
-        A mirrored picture, or a tag that is there twice.
+        The picture is mirrored, or a tag occurs twice.
     """
     gray = gray_of(picture)
     families = {tag.family for tag in tags}
@@ -60,9 +60,9 @@ def _refuse_mirrored(gray: Gray, tags: Sequence[Tag], families: set[str]) -> Non
 
 
 def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
-    """Corners where lines through the edges of the four sides cross; none where one is not clear.
+    """Refine corners to the crossings of lines through four edges; None if one is unclear.
 
-    A tag is small, so that the lens does not bend its sides.
+    Tags are small enough for distortion within one to be negligible.
     """
     lines = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):

@@ -1,4 +1,4 @@
-"""Frames of a film, with the instant at which each was taken."""
+"""Frames of a film, with their times."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8]
 Gray = NDArray[np.uint8]
 
-# Rec. 601, as cameras and codecs of this size have it: blue, green, red.
+# Rec. 601, as in cameras and codecs of this size: blue, green, red.
 LUMA = np.array([0.114, 0.587, 0.299])
 
 
 class Planes(Protocol):
-    """A decoded picture that has not been turned into colours yet."""
+    """Decoded picture before conversion to colours."""
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height [px]."""
 
     def luma(self) -> Gray:
-        """(height, width) of brightness, not to be written to."""
+        """Brightness (height, width), read-only."""
 
     def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """The same of a window."""
+        """Brightness of a window, read-only."""
 
     def colour(self, rows: slice, columns: slice) -> Picture:
-        """(height, width, 3) blue, green, red of a window."""
+        """Colours (height, width, 3) of a window: blue, green, red."""
 
 
 @final
 class Frame:
-    """One picture of a film.
+    """Picture of a film with its time.
 
-    Colours of a decoded frame are computed when they are asked for: most of tracking needs none,
-    and the rest only small windows of them.
+    Colours of a decoded frame are computed on access: most of tracking needs none, and the rest
+    only small windows.
 
     Parameters
     ----------
     time : float
-        When it was taken, as the film itself says [s].
+        Time of the frame as recorded in the film [s].
     picture : (height, width, 3) uint8, optional
-        Blue, green, red; rows from above.
+        Pixels: blue, green, red; rows from above.
     planes : Planes, optional
-        What the picture is made from, where it is not given.
+        Decoded picture from which the pixels are computed, where `picture` is missing.
     """
 
     __slots__ = ("_luma", "_picture", "_planes", "time")
@@ -62,7 +62,7 @@ class Frame:
 
     @property
     def picture(self) -> Picture:
-        """(height, width, 3) uint8, blue, green, red; rows from above."""
+        """Pixels (height, width, 3) uint8: blue, green, red; rows from above."""
         if self._picture is None:
             assert self._planes is not None
             self._picture = self._planes.colour(slice(None), slice(None))
@@ -70,19 +70,19 @@ class Frame:
 
     @property
     def luma(self) -> Gray:
-        """(height, width) uint8 of brightness; its range may be that of television, 16 to 235."""
+        """Brightness (height, width) uint8; its range may be that of television, 16 to 235."""
         if self._luma is None:
             self._luma = self._planes.luma() if self._planes else _gray(self.picture)
         return self._luma
 
     def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """(height, width) uint8 of brightness in a window, decoded alone where that is possible."""
+        """Brightness (height, width) uint8 of a window, decoded alone where possible."""
         if self._luma is None and self._planes is not None:
             return self._planes.luma_in(rows, columns)
         return self.luma[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
-        """(height, width, 3) uint8 of a window, blue, green, red."""
+        """Colours (height, width, 3) uint8 of a window: blue, green, red."""
         if self._picture is None:
             assert self._planes is not None
             return self._planes.colour(rows, columns)

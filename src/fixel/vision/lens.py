@@ -1,4 +1,4 @@
-"""Lenses: from directions to pixels and back, distortion included."""
+"""Lens models: conversion between directions and pixels, with distortion."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, frozen, settle, vector
 from fixel.typing import FloatArray
 
-# From a start without distortion Newton's method needs four or five steps in any picture a lens
-# can make; where light comes from nowhere it wanders.
+# From a start without distortion Newton's method needs four or five steps wherever a direction
+# exists; elsewhere it wanders.
 MAX_ITERATIONS = 50
-CONVERGED_DIRECTION = 1e-13  # [-] of directions; times a focal length of 1000 px still 1e-10 px
-LOST = 1e-11  # [-] from here on no direction was found
-FARTHEST_STEP = 0.5  # [-] of Newton's method, for lenses that fold the picture not far away
+CLOSE = 1e-13  # [-] of directions; 1e-10 px at a focal length of 1000 px
+LOST = 1e-11  # [-] residual from which no direction was found
+FARTHEST_STEP = 0.5  # [-] of Newton's method, for lens models that fold the picture nearby
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens(Comparable):
-    """A lens and the sensor behind it.
+    """Lens and sensor.
 
-    Directions are given where they meet the plane one unit in front of the camera: x to the right,
+    A direction is its intersection with the plane one unit in front of the camera: x to the right,
     y down, as in OpenCV. A pixel is (u, v) from the middle of the upper left pixel.
 
     Parameters
@@ -35,14 +35,14 @@ class Lens(Comparable):
     focal : (2,) array_like
         Focal lengths along u and v [px].
     centre : (2,) array_like
-        Where the axis meets the sensor [px].
+        Intersection of the optical axis with the sensor [px].
     skew : float
-        How far u moves with y, in focal lengths: `alpha_c` of the MATLAB toolbox [-].
+        Change of u with y, in focal lengths: `alpha_c` of the MATLAB toolbox [-].
     distortion : (n,) array_like
-        k1, k2, p1, p2, k3, k4, k5, k6 in OpenCV's order; those left out are 0. With `fisheye`, the
-        four numbers of the equidistant model of Kannala and Brandt.
+        k1, k2, p1, p2, k3, k4, k5, k6 in OpenCV's order; missing ones are 0. With `fisheye`, the
+        four coefficients of the equidistant model of Kannala and Brandt.
     fisheye : bool
-        Which of the two models.
+        Whether the model is Kannala and Brandt's instead of Brown's.
 
     Sources
     -------
@@ -75,17 +75,17 @@ class Lens(Comparable):
         )
 
     def distorted(self, direction: ArrayLike) -> FloatArray:
-        """(..., 2) where directions (..., 2) [-] appear to come from [-]."""
+        """Apply distortion to directions (..., 2) [-]."""
         xy = np.asarray(direction, dtype=np.float64)
         return self._fisheye(xy) if self.fisheye else self._brown(xy)
 
     def undistorted(self, apparent: ArrayLike) -> FloatArray:
-        """(..., 2) the directions [-] that appear to come from these (..., 2) [-].
+        """Remove distortion from apparent directions (..., 2) [-]; inverse of `distorted`.
 
         Raises
         ------
         InvalidInput
-            A direction from which, by this model, no light comes.
+            By this model, no light appears to come from a direction.
         """
         wanted = np.asarray(apparent, dtype=np.float64)
         xy = self._opened(wanted) if self.fisheye else self._without_brown(wanted)
@@ -101,35 +101,35 @@ class Lens(Comparable):
         return xy
 
     def pixel(self, direction: ArrayLike) -> FloatArray:
-        """(..., 2) pixels of directions (..., 2) [-]."""
+        """Project directions (..., 2) [-] to pixels (..., 2)."""
         return self._pixels_of(self.distorted(direction))
 
     def direction(self, pixel: ArrayLike) -> FloatArray:
-        """(..., 2) directions [-] of pixels (..., 2), without distortion; see `undistorted`."""
+        """Convert pixels (..., 2) to directions (..., 2) [-], without distortion."""
         y = (np.asarray(pixel, dtype=np.float64) - self.centre) / self.focal
         y[..., 0] -= self.skew * y[..., 1]
         return self.undistorted(y)
 
     def sees(self, pixel: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """(...) whether pixels (..., 2) lie on the sensor."""
+        """Return (...) bool: whether pixels (..., 2) lie on the sensor."""
         uv = np.asarray(pixel, dtype=np.float64)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size) - 0.5)).all(axis=-1))
 
     def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Lens:
-        """The same lens, if it was calibrated for pictures of this size.
+        """Return the lens if it was calibrated for pictures of this size, else raise or rescale.
 
         Parameters
         ----------
         size : (int, int)
             Width and height of the pictures [px].
         rescale : bool
-            Take a picture of the same shape for the same view in other pixels. Wrong where the
-            sensor was cropped, which the picture alone does not tell; so never without asking.
+            Whether a picture of the same aspect ratio is taken for the same view at another
+            resolution. This is wrong for a cropped sensor, which a picture does not show.
 
         Raises
         ------
         InvalidInput
-            Another size, or with `rescale` another shape.
+            The size differs, or with `rescale` the aspect ratio.
         """
         ours, theirs = self.image_size, (int(size[0]), int(size[1]))
         if theirs == ours:
@@ -168,7 +168,7 @@ class Lens(Comparable):
         return np.stack([x * radial + aside, y * radial + down], axis=-1)
 
     def _radial(self, r2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """(...) numerator and denominator of the radial factor, and their slopes with r2."""
+        """Numerator and denominator (...) of the radial factor, and their derivatives by r2."""
         k1, k2, _, _, k3, k4, k5, k6 = self.distortion
         top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
@@ -177,7 +177,7 @@ class Lens(Comparable):
         return top, bottom, top_slope, bottom_slope
 
     def _without_brown(self, wanted: FloatArray) -> FloatArray:
-        """(..., 2) directions, by Newton's method; NaN where there is none."""
+        """Invert `_brown` by Newton's method: directions (..., 2), NaN where there is none."""
         _, _, p1, p2, *_ = self.distortion
         xy = wanted.copy()
         if not self.distortion.any():
@@ -188,7 +188,7 @@ class Lens(Comparable):
                 r2 = x * x + y * y
                 top, bottom, top_slope, bottom_slope = self._radial(r2)
                 radial = top / bottom
-                # Twice the slope of the radial factor with r2: what its slopes along x, y share.
+                # Twice the derivative of the radial factor by r2, common to those by x and y.
                 bend = 2.0 * (top_slope - radial * bottom_slope) / bottom
                 aside, down = p1 * y + p2 * x, p1 * x + p2 * y
                 off_x = x * radial + 2.0 * x * aside + p2 * r2 - wanted[..., 0]
@@ -204,14 +204,14 @@ class Lens(Comparable):
                     break
                 length = np.hypot(step[..., 0], step[..., 1])[..., None]
                 xy = xy - step * np.minimum(1.0, FARTHEST_STEP / np.maximum(length, 1e-300))
-            # Behind a fold of the picture the model goes on, but no light does.
+            # Solutions beyond a fold of the picture have no physical meaning.
             found = (
                 (off < LOST * (1.0 + np.abs(wanted).max(axis=-1))) & (det > 0.0) & (bottom > 0.0)
             )
         return np.where(found[..., None], xy, np.nan)
 
     def _seen_angle(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(...) where a fisheye shows an angle off its axis [rad], and the slope."""
+        """Apparent angles (...) of a fisheye for angles off its axis [rad], and the derivative."""
         k1, k2, k3, k4 = self.distortion
         a2 = angle * angle
         seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
@@ -225,7 +225,7 @@ class Lens(Comparable):
         return np.asarray(xy * ratio[..., None])
 
     def _opened(self, wanted: FloatArray) -> FloatArray:
-        """(..., 2) directions of a fisheye, by Newton's method; NaN where there is none."""
+        """Invert `_fisheye` by Newton's method: directions (..., 2), NaN where there is none."""
         seen = np.hypot(wanted[..., 0], wanted[..., 1])
         angle = np.minimum(seen, 0.5 * np.pi)
         with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Where everything lies now, frame by frame, and whether the camera can be believed."""
+"""Live localisation of parts and fixels, with checks of the camera's place."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from fixel.vision.tracking.checks import UNWATCHED, refuse_flipped, refuse_moved
 from fixel.vision.tracking.fixels import MIN_FRAMES, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
-# What stays where it is, is looked at in so few frames: camera, plate and fixels.
+# Camera, plate and fixels rarely move and are checked once in this many frames.
 NOW_AND_THEN: Final = 15
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePoses:
-    """What one frame shows.
+    """Poses and places in one frame.
 
     Attributes
     ----------
     parts : dict of str to Sighting
-        Of every part that is looked for.
+        Sighting of every part in question.
     fixels : dict of str to (2,) float64
         Places of the fixels whose tops were found [m].
     problems : tuple of str
-        Why nothing of this can be believed.
+        Why the poses cannot be trusted.
     remarks : tuple of str
-        What else one should know.
+        Further remarks.
     """
 
     parts: dict[str, Sighting] = field(default_factory=dict)
@@ -44,23 +44,23 @@ class FramePoses:
 
 @final
 class Locator:
-    """Finds parts and fixels in a live picture, and goes on when there are none.
+    """Locator of parts and fixels in live pictures; frames without any raise nothing.
 
     Parameters
     ----------
     rig : Rig
     scene : Scene
-        Tells outlines, and about where fixels stand.
+        Scene with the outlines of parts and the approximate places of fixels.
 
     Attributes
     ----------
     names : tuple of str
-        The parts of the scene that it looks for.
+        Parts of the scene to find.
 
     Raises
     ------
     InvalidInput
-        There is no part of the scene that the rig has marks for.
+        The rig has markers for no part of the scene.
     """
 
     def __init__(self, rig: Rig, scene: Scene) -> None:
@@ -82,7 +82,7 @@ class Locator:
         self._finds = 0
 
     def see(self, frame: Frame) -> FramePoses:
-        """Where everything is in this frame."""
+        """Locate parts and fixels in a frame."""
         try:
             refuse_size(self.rig, frame)
             parts = {
@@ -102,7 +102,7 @@ class Locator:
         return replace(self._standing, parts=parts)
 
     def _what_stands(self, frame: Frame, seen: bool) -> FramePoses:
-        """Camera, plate and fixels."""
+        """Check camera and plate, and locate the fixels."""
         try:
             watched = refuse_moved(self.rig, frame)
             if not seen:
@@ -113,7 +113,7 @@ class Locator:
         return FramePoses(fixels=self._fixels(frame), remarks=remarks)
 
     def _fixels(self, frame: Frame) -> dict[str, FloatArray]:
-        """Places out of the last few frames; a fixel may be moved to another hole meanwhile."""
+        """Places of fixels from the last few frames, as a fixel may be moved to another hole."""
         self._finder.see(frame)
         self._finds += 1
         if self._finds % MIN_FRAMES:
@@ -124,6 +124,6 @@ class Locator:
 
 
 def _told(problem: InvalidInput) -> str:
-    """What is wrong, and what to do."""
+    """Format an error and its hint as a sentence."""
     sentence = f"Found {problem.found}, expected {problem.expected}"
     return f"{sentence}; {problem.hint}" if problem.hint else sentence

@@ -1,4 +1,4 @@
-"""What a camera looks for: tags and stickers, and where they sit on the parts."""
+"""Rig of a testbed: camera, tags and stickers, and their places on the parts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.measured_camera import MeasuredCamera
 
-# Bit 0 is the blue coil, 1 the red, 2 the green one; the thesis's contact mode counts fixels from
-# the other end: 4 for the first, 2, 1 for the third.
+# Bit 0 is the blue coil, 1 the red, 2 the green one. The thesis's contact mode has the reverse
+# order: 4 for the first fixel, 2 for the second, 1 for the third.
 THESIS_BITS: Final = ("fixel-3", "fixel-2", "fixel-1")
 FAMILIES: Final = ("apriltag-36h11", "aruco-4x4-50", "aruco-5x5-100")
 COLOURS: Final = ("red", "orange", "yellow", "green", "cyan", "blue", "magenta")
@@ -22,21 +22,21 @@ COLOURS: Final = ("red", "orange", "yellow", "green", "cyan", "blue", "magenta")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tag(Comparable):
-    """A square tag with a number in it.
+    """Square tag that encodes a number.
 
     Parameters
     ----------
     id : int
-        Which of its family.
+        Number within its family.
     size : float
         Side of its black square [m].
     pose : (3,) array_like
-        Of its middle in the frame of the part it sits on; at angle 0 its upper side is along x,
-        read with y up [m, m, rad].
+        Pose of its middle in the frame of its part [m, m, rad]; at angle 0 its upper side is along
+        x, with y up.
     height : float
-        Of its upper face above the plane [m].
+        Height of its upper face above the plane [m].
     family : str
-        One of `FAMILIES`.
+        Family of the tag, one of `FAMILIES`.
     """
 
     id: int
@@ -61,18 +61,18 @@ class Tag(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sticker(Comparable):
-    """A round sticker of one colour.
+    """Round sticker of one colour.
 
     Parameters
     ----------
     colour : str
-        One of `COLOURS`, alone of its colour in the picture.
+        One of `COLOURS`, which no other sticker in the picture has.
     diameter : float
-        [m].
+        Diameter of the sticker [m].
     place : (2,) array_like
-        Of its middle in the frame of the part it sits on [m].
+        Place of its middle in the frame of its part [m].
     height : float
-        Of its upper face above the plane [m].
+        Height of its upper face above the plane [m].
     """
 
     colour: str
@@ -99,14 +99,14 @@ Mark = Tag | Sticker
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkedPart(Comparable):
-    """A part of the scene as the camera knows it.
+    """Part of the scene with its markers.
 
     Parameters
     ----------
     height : float
-        Of its upper face above the plane [m].
+        Height of its upper face above the plane [m].
     marks : tuple of Mark
-        One tag, or two stickers, tell where a part lies; more are used together.
+        Markers of the part. One tag or two stickers determine its pose; more are used together.
     """
 
     height: float
@@ -122,25 +122,25 @@ class MarkedPart(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig(Comparable):
-    """A camera over a plate, and how it tells the parts apart.
+    """Camera over a plate, with the markers of parts and plate.
 
     Parameters
     ----------
     name : str
-        Of the bench; recordings of another are refused.
+        Name of the testbed; recordings of another are rejected.
     camera : Camera
     parts : dict of str to MarkedPart
-        By the names the scene calls body and pusher.
+        Parts by the names of body and pusher in the scene.
     fixel_height : float
-        Of the fixels above the plane [m].
+        Height of the fixels above the plane [m].
     plate : tuple of Tag
-        Tags fixed to the plate, at poses of the world: they tell whether the camera was moved.
+        Tags fixed to the plate, at poses in the world; they show whether the camera moved.
     tactile : tuple of str
-        The fixel behind each bit of the tactile byte, lowest first.
+        Fixel of each bit of the tactile byte, lowest first.
     position_tolerance, angle_tolerance : float
-        How well parts must be placed before an experiment starts [m, rad].
+        Largest errors of the start poses of an experiment [m, rad].
     measured : MeasuredCamera, optional
-        The same camera with the covariance of its errors; none where nothing is known of them.
+        The same camera with the covariance of its errors; None where it is unknown.
     """
 
     name: str
@@ -186,7 +186,7 @@ def _bits(fixels: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _refuse_twins(rig: Rig) -> None:
-    """A tag or a colour that is there twice cannot be told from itself."""
+    """Raise if a tag or a colour occurs twice, as it could not be assigned to a part."""
     seen: dict[str, str] = {}
     everywhere = [(name, mark) for name, part in rig.parts.items() for mark in part.marks]
     for name, mark in [*everywhere, *(("the plate", tag) for tag in rig.plate)]:

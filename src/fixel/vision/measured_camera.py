@@ -1,4 +1,4 @@
-"""A camera with what is known of its errors."""
+"""Camera with the covariance of its errors."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 
-# Of the lens, in OpenCV's words.
+# Parameters of the lens, with OpenCV's names.
 FOCAL: Final = ("fx", "fy", "cx", "cy", "skew")
 BROWN: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE: Final = ("k1", "k2", "k3", "k4")
-# Of the place: a small rotation about the camera's axes [rad], after the one it has, and the
-# translation [m].
+# Parameters of the place: a small rotation about the camera's axes [rad], after the camera's own,
+# and the translation [m].
 PLACE: Final = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredCamera(Comparable):
-    """A lens, its place if it has one, and what is known of their errors.
+    """Lens with its place, if known, and the covariance of their errors.
 
     Parameters
     ----------
     lens : Lens
     camera : Camera, optional
-        The lens at its place above the plate; none before it was placed.
+        Lens at its place above the plate; None before it was placed.
     names : tuple of str
-        What was measured, of `FOCAL`, the lens's coefficients and `PLACE`; empty where nothing is
-        known of errors.
+        Measured parameters out of `FOCAL`, the lens's coefficients and `PLACE`; empty where errors
+        are unknown.
     covariance : (n, n) array_like
-        Of these, in pixels, radians and metres.
+        Covariance of these parameters, in pixels, radians and metres.
     noise : float, optional
         Standard deviation of a corner along each axis of the picture [px].
     seen : (n_row, n_column) array_like
-        How many corners of boards lay in each cell of the picture; empty where unknown.
+        Number of board corners in each cell of the picture; empty where unknown.
     source : str
-        Where this comes from, for people.
+        Origin of the measurement, for messages.
     """
 
     lens: Lens
@@ -77,7 +77,7 @@ class MeasuredCamera(Comparable):
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def placed(self) -> Camera:
-        """The camera at its place, or a refusal."""
+        """Return the camera at its place; raise if it was not placed."""
         if self.camera is None:
             raise InvalidInput(
                 "camera.place",
@@ -88,7 +88,7 @@ class MeasuredCamera(Comparable):
         return self.camera
 
     def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> MeasuredCamera:
-        """The same, if the lens is for pictures of this size; see `Lens.for_pictures_of`."""
+        """Return the camera if its lens is for this size of picture; see `Lens.for_pictures_of`."""
         lens = self.lens.for_pictures_of(size, rescale=rescale)
         if lens is self.lens:
             return self

@@ -1,4 +1,4 @@
-"""OpenCV, where it is installed."""
+"""Optional import of OpenCV."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fixel.errors import InvalidInput
 
 
 def opencv() -> Any:
-    """The package cv2, or what to install."""
+    """Return the package cv2; raise with the command to install it if missing."""
     try:
         import cv2
     except ImportError:

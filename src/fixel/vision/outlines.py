@@ -1,4 +1,4 @@
-"""Outlines of parts where a camera sees them, drawn on its pictures."""
+"""Outlines of parts in pixels, and drawing on pictures."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from fixel.vision.opencv import opencv
 
 Bgr = tuple[int, int, int]
 
-# A lens bends straight edges: in so many pieces all together, they follow it.
+# Pieces of an outline, so that its straight edges follow the distortion of the lens.
 PIECES = 32
-# Beyond the corners of the picture a lens model means nothing and may fold back into it.
+# Far beyond the corners of the picture a lens model is invalid and may fold back into it.
 FIELD = 1.25  # [-] of the farthest corner
 WIDEST = 20.0  # [-] a direction 87 degrees off the axis
-SHALLOW = 1e-3  # [m] least depth a place is drawn at
+SHALLOW = 1e-3  # [m] least depth at which a place is drawn
 SUBPIXEL = 4  # [bit]
 HALO: Bgr = (0, 0, 0)
 HALO_STRENGTH = 0.45
 
 
 def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float) -> FloatArray:
-    """Where the outline of a part appears.
+    """Project the outline of a part into the picture.
 
     Parameters
     ----------
     camera : Camera
     shape : Shape
-        In its own frame.
+        Shape in its own frame.
     pose : (3,) array_like
-        Of that frame in the world [m, m, rad].
+        Pose of that frame in the world [m, m, rad].
     height : float
-        Of the outline above the plane [m].
+        Height of the outline above the plane [m].
 
     Returns
     -------
     (n, 2) float64
-        Corners of a closed line [px], straight edges in pieces so that they bend with the lens.
-        What lies far outside the picture is drawn to its border.
+        Corners of a closed line [px], with edges in pieces that follow the distortion of the lens.
+        Points far outside the picture are moved to the limit of the lens model.
     """
     corners = shape.outline
     following = np.roll(corners, -1, axis=0)
@@ -57,7 +57,7 @@ def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float)
 
 
 def place_pixels(camera: Camera, places: ArrayLike, height: float) -> FloatArray:
-    """(..., 2) pixels of places (..., 2) [m] at a height [m]; those far outside, at the border."""
+    """Project places (..., 2) [m] at a height [m] to pixels, limited to `_field` of the lens."""
     xy = np.asarray(places, dtype=np.float64)
     points = np.concatenate([xy, np.full((*xy.shape[:-1], 1), height)], axis=-1)
     seen = points @ camera.rotation.T + camera.translation
@@ -69,7 +69,7 @@ def place_pixels(camera: Camera, places: ArrayLike, height: float) -> FloatArray
 
 @lru_cache(maxsize=16)
 def _field(lens: Lens) -> float:
-    """How far from the axis directions mean something [-]."""
+    """Largest valid direction of a lens model, as distance from the axis [-]."""
     width, height = lens.image_size
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     farthest = np.linalg.norm((corners - lens.centre) / lens.focal, axis=-1).max()
@@ -95,21 +95,21 @@ def draw_outline(
     Parameters
     ----------
     picture : (h, w, 3) uint8
-        Blue, green, red; changed in place.
+        Picture (blue, green, red), changed in place.
     pixels : (n, 2) array_like
-        Its corners [px], to fractions of a pixel.
+        Corners of the line [px], to fractions of a pixel.
     colour : (int, int, int)
         Blue, green, red.
     width : int
-        [px].
+        Width of the line [px].
     strength : float
-        From 0, not to be seen, to 1.
+        Opacity from 0 to 1.
     closed : bool
-        Whether the last corner is joined to the first.
+        Whether to join the last corner to the first.
     dash : float, optional
-        Length of dashes and of the gaps between them [px]; left out, a solid line.
+        Length of dashes and of the gaps between them [px]; None for a solid line.
     halo : bool
-        A dark rim that keeps the line readable on bright ground.
+        Whether to draw a dark rim that makes the line visible on bright ground.
     """
     line = np.asarray(pixels, dtype=np.float64)
     if closed:
@@ -123,7 +123,7 @@ def draw_outline(
 def draw_arrow(
     picture: Picture, start: ArrayLike, end: ArrayLike, colour: Bgr, *, width: int = 3
 ) -> None:
-    """Draw an arrow from one pixel (2,) to another; nothing where they are the same."""
+    """Draw an arrow from one pixel (2,) to another, unless it is shorter than a pixel."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     way = b - a
     length = float(np.linalg.norm(way))
@@ -140,7 +140,7 @@ def draw_arrow(
 def draw_words(
     picture: Picture, words: str, place: ArrayLike, colour: Bgr, *, size: float = 0.6
 ) -> None:
-    """Write ASCII words, their lower left corner at a pixel (2,), moved until they fit."""
+    """Write ASCII text with its lower left corner at a pixel (2,), moved into the picture."""
     cv2 = opencv()
     font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(2.0 * size))
     (wide, tall), below = cv2.getTextSize(words, font, size, thick)
@@ -155,7 +155,7 @@ def draw_words(
 
 
 def bgr(colour: str) -> Bgr:
-    """Blue, green, red of a colour written as in the web: `"#0072B2"`."""
+    """Convert a colour of the web, such as `"#0072B2"`, to blue, green, red."""
     red, green, blue = bytes.fromhex(colour.removeprefix("#"))
     return blue, green, red
 
@@ -163,7 +163,7 @@ def bgr(colour: str) -> Bgr:
 def _stroke(
     picture: Picture, strokes: list[FloatArray], colour: Bgr, width: int, strength: float
 ) -> None:
-    """Draw lines; where they are faint, mixed with what is there, each pixel once."""
+    """Draw lines; faint ones are blended with the picture, each pixel once."""
     cv2 = opencv()
     whole = [np.round(stroke * 2**SUBPIXEL).astype(np.int32) for stroke in strokes]
     if strength >= 1.0:
@@ -183,7 +183,7 @@ def _stroke(
 
 
 def _dashes(line: FloatArray, dash: float) -> Iterator[FloatArray]:
-    """Every other piece of a line that is cut into pieces of one length [px]."""
+    """Yield every other piece of a line that is cut into pieces of length `dash` [px]."""
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     for start in np.arange(0.0, run[-1], 2.0 * dash):
         end = min(start + dash, run[-1])

@@ -1,6 +1,6 @@
-"""Where a camera is above the plate: from a board that lies on it, or from tags fixed to it.
+"""Place of a camera above the plate, from a board that lies on it or from tags fixed to it.
 
-All points are fitted together, so that one view of the plate gives one place; never a tag's own.
+All points are fitted together, so that one view of the plate gives one place, not one per tag.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.tag_reader import other_families, tag_corners
 
 MIN_TAGS: Final = 2
-UNEVEN: Final = 0.2  # of the spread of tags' edges, by which it differs from corner to corner
-WRONG: Final = 3e-3  # [m] from here on a point is not where it is said to be
-WORST_PIXELS: Final = 3.0  # [px] of the root mean square: this is another board, or another lens
+UNEVEN: Final = 0.2  # variation of the shift of tags' edges between corners, as a share of it
+WRONG: Final = 3e-3  # [m] largest misfit of a point
+WORST_PIXELS: Final = 3.0  # [px] largest root mean square; above it, board or lens is another
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """A camera at its place.
+    """Camera with its measured place.
 
     Attributes
     ----------
     camera : MeasuredCamera
     names : tuple of str
-        What each point is, for people.
+        Names of the points, for messages.
     misfit : (n, 2) float64
-        Of each point on the plane at its height: where it is seen less where it is [m].
+        Seen minus true place of each point, on the plane at its height [m].
     rms : float
-        Of the pixels along each axis [px].
+        Root mean square of the pixel residuals along each axis [px].
     """
 
     camera: MeasuredCamera
@@ -61,18 +61,18 @@ def place_by_board(
     pose: ArrayLike = (0.0, 0.0, 0.0),
     height: float = 0.0,
 ) -> Placement:
-    """The place of a camera from a board that lies on the plate.
+    """Determine the place of a camera from a board that lies on the plate.
 
     Parameters
     ----------
     measured : MeasuredCamera
-        Whose lens is known.
+        Camera with a calibrated lens.
     picture : (height, width, 3) or (height, width) uint8
     board : Board
     pose : (3,) array_like
-        Of the board's lower left corner in the world [m, m, rad].
+        Pose of the board's lower left corner in the world [m, m, rad].
     height : float
-        Of its upper face above the plate [m].
+        Height of its upper face above the plate [m].
     """
     _refuse_size(measured.lens, picture)
     corners = board.find(picture)
@@ -85,7 +85,7 @@ def place_by_board(
 
 
 def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag]) -> Placement:
-    """The place of a camera from tags fixed to the plate, at poses of the world."""
+    """Determine the place of a camera from tags fixed to the plate, at known poses."""
     _refuse_size(measured.lens, picture)
     found = find_tags(picture, tags)
     if len(found) < MIN_TAGS:
@@ -112,14 +112,14 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
 def _without_spread(
     camera: Camera, points: FloatArray, pixels: FloatArray
 ) -> tuple[FloatArray, float]:
-    """(n, 2) corners of tags without what bright spreads into dark, and that spread [px].
+    """Correct tag corners (n, 2) for the spread of bright into dark; return also the spread [px].
 
-    Blur and the camera's curve of brightness move the edges of all tags inwards, or all outwards,
-    by a fraction of a pixel. Four corners each, so that the places of the tags tell how far.
+    Blur and the camera's brightness curve move the edges of all tags inwards, or all outwards, by
+    a fraction of a pixel. With four corners per tag, the shift can be estimated.
     """
     off = (pixels - camera.project(points)).reshape(-1, 4, 2)
     squares = pixels.reshape(-1, 4, 2)
-    # Along both sides that meet at a corner: a step outwards of one pixel in each.
+    # Steps outwards of one pixel along each of the two sides that meet at a corner.
     before, after = squares - np.roll(squares, 1, axis=1), squares - np.roll(squares, -1, axis=1)
     outwards = before / np.linalg.norm(before, axis=-1, keepdims=True)
     outwards += after / np.linalg.norm(after, axis=-1, keepdims=True)
@@ -135,14 +135,14 @@ def place_by_points(
     *,
     noise: float = 0.0,
 ) -> Placement:
-    """The place of a camera from points (n, 3) of the world [m] and their pixels (n, 2).
+    """Determine the place of a camera from points (n, 3) of the world [m] and pixels (n, 2).
 
-    The pixels count as uncertain by `noise` [px] at least, along each axis.
+    `noise` is the least standard deviation of the pixels along each axis [px].
     """
     lens = measured.lens
     sight = PointObservations(points, pixels, np.zeros(len(points), dtype=np.intp))
     rotation, translation = _start(lens, points, pixels)
-    # Places alone: how they follow the lens is told by its own slopes, see `_joint`.
+    # Fits the place only; `_joint` adds its dependence on the lens.
     found = fit(lens, (), rotation[None], translation[None], sight)
     rms = float(np.sqrt(np.mean(found.residuals**2)))
     camera = Camera(lens=lens, rotation=found.rotations[0], translation=found.translations[0])
@@ -177,7 +177,7 @@ def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArr
 def _joint(
     measured: MeasuredCamera, found: BundleFit, sight: PointObservations, least: float
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Errors of lens and place together: the place was found with the lens as it is said to be."""
+    """Joint covariance of lens and place, where the place was fitted with the given lens."""
     of_lens = [k for k, name in enumerate(measured.names) if name not in PLACE]
     names = tuple(measured.names[k] for k in of_lens)
     noise = max(measured.noise or 0.0, found.noise, least, 1e-9)
@@ -194,10 +194,9 @@ def _joint(
 
 
 def _in_step(slopes: FloatArray) -> FloatArray:
-    """What corners of one picture add that err together by as much as each does by itself.
+    """Covariance of the place for a shift common to all corners, of one pixel along each axis.
 
-    Where a board lies square to the pixels, all its corners lie alike on them, and are found to the
-    same side.
+    Where a board is parallel to the pixel grid, all its corners have the same detection error.
     """
     shift = np.tile(np.eye(2), (len(slopes) // 2, 1))
     moved = np.linalg.lstsq(slopes, shift, rcond=None)[0]

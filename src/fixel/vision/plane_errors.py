@@ -1,4 +1,4 @@
-"""How right places on the plane are, over the field of view: errors of lens and place in metres."""
+"""Errors of places on the plane caused by errors of lens and camera place, in metres."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ SMALL_NUDGE: Final = 1e-6  # of coefficients, and of translations [m]
 @final
 @dataclass(frozen=True, slots=True)
 class PlaneErrors:
-    """Radii within which places on the plane are right in 95 of 100 cases.
+    """Radii that contain 95 % of the errors of places on the plane.
 
     Attributes
     ----------
     height : float
-        Above the plate [m].
+        Height above the plate [m].
     pixels : (n_row, n_column, 2) float64
-        Where in the picture.
+        Grid over the picture [px].
     places : (n_row, n_column, 2) float64
-        What is seen there [m].
+        Places on the plane that these pixels show [m].
     camera : (n_row, n_column) float64
-        By errors of the camera, the same in every picture [m]; NaN never: it is 0 where nothing is
-        known of them, see `known`.
+        Radius due to the camera's errors, the same in every picture [m]; 0, never NaN, where they
+        are unknown, see `known`.
     whole : (n_row, n_column) float64
-        By these and the noise of one corner [m].
+        Radius due to these errors and the noise of one corner [m].
     known : bool
-        Whether the camera's errors are known at all.
+        Whether the camera's errors are known.
     """
 
     height: float
@@ -53,14 +53,14 @@ class PlaneErrors:
 def plane_errors(
     measured: MeasuredCamera, height: float, *, columns: int = 17, rows: int = 11
 ) -> PlaneErrors:
-    """Errors of places at one height, on a grid over the picture.
+    """Compute errors of places at one height, on a grid over the picture.
 
     Parameters
     ----------
     measured : MeasuredCamera
-        At its place.
+        Placed camera.
     height : float
-        Of what is seen above the plate [m].
+        Height of the places above the plate [m].
     """
     camera = measured.placed()
     if columns < 2 or rows < 2:
@@ -83,7 +83,7 @@ def plane_errors(
 
 
 def place_covariance(measured: MeasuredCamera, pixels: FloatArray, height: float) -> FloatArray:
-    """(..., 2, 2) of the places that pixels (..., 2) show, by the camera's errors [m^2]."""
+    """Covariance (..., 2, 2) of the places of pixels (..., 2), due to camera errors [m^2]."""
     if not measured.names:
         return np.zeros((*pixels.shape[:-1], 2, 2))
     slopes = np.stack(
@@ -93,7 +93,7 @@ def place_covariance(measured: MeasuredCamera, pixels: FloatArray, height: float
 
 
 def shifted(measured: MeasuredCamera, by: dict[str, float]) -> Camera:
-    """The camera with some of its parameters moved [px, -, rad, m]."""
+    """Return the camera with some of its parameters changed [px, -, rad, m]."""
     camera = measured.placed()
     of_lens = [name for name in by if name not in PLACE]
     lens = lens_with(
@@ -111,7 +111,7 @@ def shifted(measured: MeasuredCamera, by: dict[str, float]) -> Camera:
 
 
 def radius95(covariance: FloatArray) -> FloatArray:
-    """(...) radius of the circle that holds 95 % of normal errors of covariances (..., 2, 2)."""
+    """Radius (...) of the circle with 95 % of normal errors of covariances (..., 2, 2)."""
     least, most = np.moveaxis(np.linalg.eigvalsh(covariance), -1, 0)
     least, most = np.maximum(least, 0.0), np.maximum(most, 0.0)
     ratio = np.sqrt(np.divide(least, most, out=np.zeros_like(most), where=most > 0.0))
@@ -121,12 +121,12 @@ def radius95(covariance: FloatArray) -> FloatArray:
 
 @cache
 def _factors() -> tuple[FloatArray, FloatArray]:
-    """The radius in units of the larger deviation, for ratios of the two from 0 to 1."""
+    """Ratios of the smaller to the larger deviation, and the radius in units of the larger."""
     from scipy.optimize import brentq
     from scipy.special import erf
 
     ratios = np.linspace(0.0, 1.0, 41)
-    # The share within r: over x = r sin(t), that of y within sqrt(r^2 - x^2).
+    # Probability within r: integral over x = r sin(t) of that of |y| < sqrt(r^2 - x^2).
     nodes, weights = np.polynomial.legendre.leggauss(64)
     t = 0.5 * math.pi * nodes
 
@@ -141,7 +141,7 @@ def _factors() -> tuple[FloatArray, FloatArray]:
 
 
 def slope_of(measured: MeasuredCamera, name: str, pixels: FloatArray, height: float) -> FloatArray:
-    """(..., 2) how the places that pixels (..., 2) show follow a parameter of the camera."""
+    """Derivative (..., 2) of the places of pixels (..., 2) by a parameter of the camera."""
     nudge = NUDGES.get(name, SMALL_NUDGE)
     ahead, back = (
         shifted(measured, {name: sign * nudge}).on_plane(pixels, height) for sign in (1.0, -1.0)
@@ -150,7 +150,7 @@ def slope_of(measured: MeasuredCamera, name: str, pixels: FloatArray, height: fl
 
 
 def _pixel_slope(camera: Camera, pixels: FloatArray, height: float) -> FloatArray:
-    """(..., 2, 2) how places follow pixels [m/px]."""
+    """Derivative (..., 2, 2) of places by pixels [m/px]."""
     columns = [
         camera.on_plane(pixels + shift, height) - camera.on_plane(pixels - shift, height)
         for shift in 0.5 * np.eye(2)

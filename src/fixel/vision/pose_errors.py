@@ -1,4 +1,4 @@
-"""Errors of poses by the errors of the camera they are measured with."""
+"""Errors of measured poses due to errors of the camera."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from fixel.vision.plane_errors import slope_of
 def pose_covariance(
     measured: MeasuredCamera, poses: FloatArray, points: FloatArray, height: float
 ) -> FloatArray:
-    """(n, 3, 3) covariances of poses by the camera's errors [m^2, m rad, rad^2].
+    """Covariances (n, 3, 3) of poses due to the camera's errors [m^2, m rad, rad^2].
 
-    They are the same in every picture, so that no number of frames reduces them.
+    The errors are the same in every picture, so that averaging over frames does not reduce them.
 
     Parameters
     ----------
     measured : MeasuredCamera
-        At its place.
+        Placed camera.
     poses : (n, 3) float64
-        [m, m, rad].
+        Poses of the part [m, m, rad].
     points : (k, 2) float64
-        Points of the part by which it is measured, two at least [m].
+        At least two points of the part by which it is measured [m].
     height : float
-        Of these above the plate [m].
+        Height of these points above the plate [m].
     """
     if not measured.names:
         return np.zeros((len(poses), 3, 3))
@@ -40,7 +40,7 @@ def pose_covariance(
         slopes[:, :2, k] = moved.mean(axis=1)
         turned = arms[..., 0] * moved[..., 1] - arms[..., 1] * moved[..., 0]
         slopes[:, 2, k] = turned.sum(axis=1) / square
-    # Position is that of the frame's origin, not of the middle of the points.
+    # The position is that of the frame's origin, not of the middle of the points.
     away = poses[:, :2] - places.mean(axis=1)
     slopes[:, 0] -= away[:, 1:] * slopes[:, 2]
     slopes[:, 1] += away[:, :1] * slopes[:, 2]

@@ -1,4 +1,4 @@
-"""The rendered twin: pictures of a scene in motion, as a camera would take them.
+"""Rendering of a scene in motion to films, as a camera would record them.
 
     looks = looks_named("thesis")
     times = frame_times(duration, 30.0, looks, seed)

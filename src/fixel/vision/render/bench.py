@@ -1,4 +1,4 @@
-"""The bench from above: plate, fixels, object, actuator, and now and then a hand."""
+"""Rendering of the testbed from above: plate, fixels, object, actuator and a hand."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ HAND: Final = "hand"  # name of its pose among those of bodies and pushers
 
 
 class RenderedBench:
-    """Pictures of a scene on the bench.
+    """Renderer of a scene on the testbed.
 
-    What rests is painted once; what moves, in the window that it and its shadows can touch.
+    Resting things are painted once; moving ones in the window that they and their shadows touch.
 
     Parameters
     ----------
     scene : Scene
-        With the shapes as they truly are.
+        Scene with the true shapes.
     rig : Rig
-        Parts it does not know are 25.4 mm high, pushers 30 mm, and carry no mark.
+        Camera and markers. Parts that it lacks are 25.4 mm high, pushers 30 mm, without markers.
     looks : Looks
     seed : int
-        Of the textures.
+        Seed of the textures.
     """
 
     def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
@@ -76,12 +76,12 @@ class RenderedBench:
         return self._size
 
     def light(self, instants: Sequence[Poses]) -> FloatPicture:
-        """(h, w, 3) float32 of what the sensor gets [grey levels].
+        """Render the light on the sensor (h, w, 3) float32 [grey levels].
 
         Parameters
         ----------
         instants : sequence of mapping of str to (3,)
-            Poses of bodies and pushers [m, m, rad], at instants spread evenly over the exposure; a
+            Poses of bodies and pushers [m, m, rad] at times spread evenly over the exposure; with a
             hand where there is a pose for `HAND`.
         """
         placed = [self._placed(poses) for poses in instants]
@@ -111,7 +111,7 @@ class RenderedBench:
     def _painted(
         self, moving: Sequence[PlacedSolid], window: PictureWindow | None = None
     ) -> FloatPicture:
-        """What rests and what moves, sharp, in a window."""
+        """Paint resting and moving things in a window, without blur."""
         window = window or PictureWindow(0, 0, *self._size)
         depth, eye = self._looks.shadows, self._eye
         things = [*self._resting, *moving]
@@ -132,7 +132,7 @@ class RenderedBench:
     def _shades(
         self, thing: PlacedSolid, things: Sequence[PlacedSolid], window: PictureWindow
     ) -> dict[float, FloatPicture]:
-        """Shadows of higher things on the faces of one that has marks."""
+        """Compute shadows of higher things on the faces of one that has markers."""
         if not thing.solid.inks:
             return {}
         high = thing.solid.high
@@ -143,7 +143,7 @@ class RenderedBench:
         return {level: dimmed for _, level in thing.strokes if level is not None}
 
     def _developed(self, window: PictureWindow, light: FloatPicture) -> FloatPicture:
-        """Blurred by the lens, darker towards the corners."""
+        """Apply blur and vignetting of the lens."""
         if self._looks.blur > 0.0:
             light = opencv().GaussianBlur(light, (0, 0), self._looks.blur)
         return np.asarray(light * self._falloff[window.slices][..., None])
@@ -151,7 +151,7 @@ class RenderedBench:
     def _paste(
         self, picture: FloatPicture, window: PictureWindow, light: FloatPicture, margin: int
     ) -> None:
-        """Put a window into the picture, but for the margin that blurring has spoilt."""
+        """Copy a window into the picture, without the margin that blurring made invalid."""
         light = self._developed(window, light)
         inner = PictureWindow(
             window.left + (margin if window.left > 0 else 0),

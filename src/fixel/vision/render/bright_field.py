@@ -1,4 +1,4 @@
-"""The microscope's bright field: part and probe black before a bright ground."""
+"""Rendering of a microscope's bright field: black part and probe on a bright ground."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ Poses = Mapping[str, FloatArray]
 
 GROUND: Final = 214.0  # [grey levels]
 BLACK: Final = 22.0
-SHEET: Final = 38.1e-6  # [m] height of a part the rig does not know
+SHEET: Final = 38.1e-6  # [m] height of a part that the rig lacks
 
-# The needle's half width behind its tip: straight for a little, then a cone, then the shank.
+# Half width of the needle behind its tip: first straight, then a cone, then the shank.
 NEEDLE: Final = ((0.0, 0.5), (25e-6, 0.5), (1.6e-3, 5.2), (1.2e-2, 7.0))  # [m], [tip sides]
 
 
 class BrightField:
-    """Pictures of a scene under the microscope, lit from below.
+    """Renderer of a scene under the microscope, lit from below.
 
     Parameters
     ----------
     scene : Scene
-        With the shapes as they truly are.
+        Scene with the true shapes.
     rig : Rig
     looks : Looks
     seed : int
-        Of the dust.
+        Seed of the dust.
     """
 
     def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
@@ -64,7 +64,7 @@ class BrightField:
         return self._size
 
     def light(self, instants: Sequence[Poses]) -> FloatPicture:
-        """(h, w, 3) float32 of what the sensor gets over an exposure [grey levels]."""
+        """Render the light on the sensor (h, w, 3) float32 over an exposure [grey levels]."""
         total = self._sharp(instants[0])
         for poses in instants[1:]:
             total += self._sharp(poses)
@@ -93,13 +93,13 @@ class BrightField:
 
 
 def part_outline(body: Body, tab: tuple[float, float], pixel: float) -> FloatArray:
-    """(n, 2) of a part with its tab in the middle of its first shortest side [m].
+    """Outline (n, 2) of a part with its tab in the middle of its first shortest side [m].
 
     Parameters
     ----------
     body : Body
     tab : (float, float)
-        Width and length [m]; none for a disk.
+        Width and length of the tab [m]; a disk has none.
     pixel : float
         Size of a pixel [m].
     """
@@ -123,7 +123,7 @@ def part_outline(body: Body, tab: tuple[float, float], pixel: float) -> FloatArr
 
 
 def needle_outline(pusher: Pusher, pixel: float) -> FloatArray:
-    """(n, 2) of the needle whose end is the pusher, in the pusher's frame [m]."""
+    """Outline (n, 2) of the needle whose end is the pusher, in the pusher's frame [m]."""
     x = direction_of(pusher)
     y = np.array([-x[1], x[0]])
     side = float(np.ptp(pusher.shape.outline @ y))
@@ -133,7 +133,7 @@ def needle_outline(pusher: Pusher, pixel: float) -> FloatArray:
 
 
 def _ground(size: tuple[int, int], seed: int, *, clean: bool) -> FloatPicture:
-    """(h, w, 3) the lit film, with a little dust out of focus."""
+    """Render the bright ground (h, w, 3), with some dust out of focus."""
     w, h = size
     ground = np.full((h, w, 3), GROUND, np.float32)
     if clean:

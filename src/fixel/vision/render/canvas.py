@@ -1,4 +1,4 @@
-"""A part of a picture on which polygons are painted."""
+"""Window of a picture on which polygons are painted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FloatPicture = NDArray[np.float32]
 
 
 class PictureWindow(NamedTuple):
-    """Columns from `left` and rows from `top` of a picture, so many of each [px]."""
+    """Window of a picture: first column and row, number of columns and rows [px]."""
 
     left: int
     top: int
@@ -24,14 +24,14 @@ class PictureWindow(NamedTuple):
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Rows and columns of the whole picture."""
+        """Slices of the rows and columns of the whole picture."""
         return (
             slice(self.top, self.top + self.height),
             slice(self.left, self.left + self.width),
         )
 
     def joined(self, other: PictureWindow) -> PictureWindow:
-        """The smallest window that holds both; an empty one adds nothing."""
+        """Return the smallest window that contains both; an empty one adds nothing."""
         if not self.width or not self.height:
             return other
         if not other.width or not other.height:
@@ -42,14 +42,14 @@ class PictureWindow(NamedTuple):
         return PictureWindow(left, top, right - left, bottom - top)
 
     def grown(self, margin: int, size: tuple[int, int]) -> PictureWindow:
-        """So much larger on every side, within a picture of (width, height)."""
+        """Enlarge the window by a margin, within a picture of (width, height)."""
         left, top = max(self.left - margin, 0), max(self.top - margin, 0)
         right = min(self.left + self.width + margin, size[0])
         bottom = min(self.top + self.height + margin, size[1])
         return PictureWindow(left, top, max(right - left, 0), max(bottom - top, 0))
 
     def meets(self, other: PictureWindow) -> bool:
-        """Whether they have a pixel in common."""
+        """Whether two windows overlap."""
         return (
             self.left < other.left + other.width
             and other.left < self.left + self.width
@@ -59,7 +59,7 @@ class PictureWindow(NamedTuple):
 
 
 def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
-    """The pixels that polygons with corners (n, 2) [px] can touch, in a picture (width, height)."""
+    """Return the window that polygons (n, 2) [px] can touch in a picture of (width, height)."""
     low, high = np.floor(points.min(axis=0)) - 1.0, np.ceil(points.max(axis=0)) + 1.0
     left, top = (int(x) for x in np.clip(low, 0, size))
     right, bottom = (int(x) for x in np.clip(high + 1.0, 0, size))
@@ -69,14 +69,14 @@ def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Grain:
-    """A texture that multiplies a colour.
+    """Texture that multiplies a colour.
 
     Attributes
     ----------
     values : (2^k, 2^k) float32
-        Repeats without a seam.
+        Values of the texture, which repeats without a seam.
     from_pixel : (2, 3) float64
-        Its column and row from (u, v, 1).
+        Map from (u, v, 1) to column and row of the texture.
     """
 
     values: FloatPicture
@@ -94,14 +94,14 @@ class Stroke:
     Attributes
     ----------
     points : (n, 2) float64
-        Corners of one polygon after the other [px].
+        Corners of all polygons [px].
     starts : (k + 1,) int64
-        Where each begins.
+        Index of the first corner of each polygon, and n.
     colour : (3,) float64
         Blue, green, red, from 0 to 255.
     grain : Grain
     window : PictureWindow
-        What it can touch of the whole picture.
+        Window of the whole picture that the polygons can touch.
     """
 
     points: FloatArray
@@ -114,7 +114,7 @@ class Stroke:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Canvas:
-    """A window of a picture, in light that is linear in grey levels."""
+    """Window of a picture, with grey levels proportional to light."""
 
     window: PictureWindow
     picture: FloatPicture
@@ -125,7 +125,7 @@ class Canvas:
         object.__setattr__(self, "cover", room)
 
     def paint(self, stroke: Stroke, shade: FloatPicture) -> None:
-        """Paint a stroke, its colour multiplied by `shade` (h, w)."""
+        """Paint a stroke with its colour multiplied by `shade` (h, w)."""
         if not stroke.window.meets(self.window):
             return
         _paint(
@@ -143,10 +143,10 @@ class Canvas:
 
 
 def cover(mask: FloatPicture, room: FloatArray, points: FloatArray) -> None:
-    """Raise a mask (h, w) to the share of each pixel that one polygon (n, 2) [px] covers."""
+    """Raise a mask (h, w) to the share of each pixel that a polygon (n, 2) [px] covers."""
     _cover_most(points, np.array([0, len(points)]), 0, 0, mask, room)
 
 
-# The kernels take any real arrays; their annotations know of float64 only.
+# The kernels take any real arrays, but are annotated for float64.
 _paint: Any = paint
 _cover_most: Any = cover_most

@@ -1,4 +1,4 @@
-"""A camera that may be asked about places it does not see."""
+"""Projection of places that may lie outside the picture."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import ArrayLike
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 
-# How far outside the picture points may be, as factors of the way from its middle to its corners.
+# Limits of points outside the picture, as factors of the distance from its middle to its corners.
 BEYOND: Final = (1.3, 1.2, 1.1, 1.05, 1.02)
 
 
 class Eye:
-    """Projects as its camera does, but keeps what is far outside the picture outside.
+    """Camera whose projection stays outside the picture for points far outside.
 
-    The model of a lens holds for what the lens sees. Beyond, its polynomial turns back, and a
-    sleeve that leaves the picture would come in again on the other side. So points far out are
-    moved towards the axis, to where the model still holds and nobody sees them.
+    A lens model is valid within the picture. Farther out its polynomial may turn back, so that a
+    sleeve that leaves the picture would reappear on the other side. Points far outside are
+    therefore moved towards the axis, to where the model is valid and still outside the picture.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -32,7 +32,7 @@ class Eye:
         self._limit = widest * next((f for f in BEYOND if self._holds(widest * f)), 1.0)
 
     def project_at(self, places: ArrayLike, height: float) -> FloatArray:
-        """(..., 2) pixels of places (..., 2) [m] at one height above the plane [m]."""
+        """Project places (..., 2) [m] at one height above the plane [m] to pixels (..., 2)."""
         rotation = self.camera.rotation
         flat = np.asarray(places, dtype=np.float64)
         seen = flat @ rotation[:, :2].T + (self.camera.translation + height * rotation[:, 2])
@@ -43,11 +43,11 @@ class Eye:
         return self.camera.lens.pixel(direction)
 
     def pixel_size(self, height: float = 0.0) -> float:
-        """How much of a level one pixel shows in the middle [m/px]."""
+        """Scale in the middle of the picture at a height [m/px]."""
         return self.camera.metres_per_pixel(height)
 
     def _holds(self, limit: float) -> bool:
-        """Whether what is farther out also appears farther out, up to this direction [-]."""
+        """Whether distortion is monotonic up to this direction [-]."""
         r = np.linspace(0.0, limit, 64)
         seen = self.camera.lens.distorted(np.column_stack((r, 0.0 * r)))[:, 0]
         return bool((np.diff(seen) > 0.0).all())

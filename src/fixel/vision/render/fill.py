@@ -1,8 +1,8 @@
-"""Filling polygons with the exact share of every pixel that they cover.
+"""Filling of polygons with exact coverage of every pixel.
 
-A pixel (u, v) is the unit square around that place. The share comes from signed areas: every edge
-adds, row by row, what lies to its right, and a running sum along the row gives the share. So there
-is no grid of samples and no bias: an edge lies where its corners say, to rounding.
+A pixel (u, v) is the unit square around that place. Coverage is computed from signed areas: every
+edge adds the area to its right, row by row, and a running sum along the row gives the coverage.
+Without a grid of samples there is no bias: edges are exact to rounding.
 
 Source: the accumulation buffers of R. Levien's font-rs (2015) and S. Barrett's stb_truetype 2.
 """
@@ -31,22 +31,22 @@ def paint(
     Parameters
     ----------
     points : (n, 2) float64
-        Corners [px], of one polygon after the other; overlapping ones add up, opposite ones cancel.
+        Corners of all polygons [px]; overlapping ones add up, opposite orientations cancel.
     starts : (k + 1,) int64
-        Where each polygon begins in `points`, and the end.
+        Index of the first corner of each polygon, and n.
     left, top : int
-        Column and row of the whole picture at which this one begins [px].
+        First column and row of this picture in the whole one [px].
     picture : (h, w, 3) float32
-        Changed in place.
+        Picture, changed in place.
     cover : (h, w + 2) float64
-        Room to work in; zeros before and after.
+        Workspace; zeros before and after.
     colour : (3,) float64
     shade : (h, w) float32
-        The colour is multiplied by this.
+        Factor on the colour.
     grain : (2^k, 2^k) float32
-        And by this, wherever a pixel falls in it.
+        Texture, a further factor.
     grain_from_pixel : (2, 3) float64
-        Column and row of `grain` from (u, v, 1).
+        Map from (u, v, 1) to column and row of `grain`.
     """
     h, w = picture.shape[0], picture.shape[1]
     first, last, begin, end = _bounds(points, left, top, h, w)
@@ -101,7 +101,7 @@ def cover_most(
 def _grain_at(
     grain: FloatArray, wrap: int, grain_from_pixel: FloatArray, u: float, v: float
 ) -> float:
-    """The grain under a pixel, linear between its values."""
+    """Interpolate the grain at a pixel linearly."""
     x = grain_from_pixel[0, 0] * u + grain_from_pixel[0, 1] * v + grain_from_pixel[0, 2]
     y = grain_from_pixel[1, 0] * u + grain_from_pixel[1, 1] * v + grain_from_pixel[1, 2]
     i = math.floor(x)
@@ -119,7 +119,7 @@ def _grain_at(
 
 @kernel
 def _bounds(points: FloatArray, left: int, top: int, h: int, w: int) -> tuple[int, int, int, int]:
-    """Rows and columns, from and up to, that polygons can reach."""
+    """Rows and columns that polygons can touch: first row, end, first column, end."""
     low_u = low_v = 1e300
     high_u = high_v = -1e300
     for i in range(len(points)):
@@ -138,7 +138,7 @@ def _bounds(points: FloatArray, left: int, top: int, h: int, w: int) -> tuple[in
 def _accumulate(
     points: FloatArray, starts: IntArray, left: int, top: int, cover: FloatArray, h: int, w: int
 ) -> None:
-    """Add all edges to the buffer."""
+    """Add all edges to the accumulation buffer."""
     for k in range(len(starts) - 1):
         begin = starts[k]
         end = starts[k + 1]
@@ -159,7 +159,7 @@ def _accumulate(
 def _add_edge(
     x0: float, y0: float, x1: float, y1: float, cover: FloatArray, h: int, w: int
 ) -> None:
-    """Add what lies to the right of one edge, positive where it goes down."""
+    """Add the area to the right of one edge, positive where it goes down."""
     if y0 == y1:
         return
     sign = 1.0
@@ -181,7 +181,7 @@ def _add_edge(
 
 @kernel
 def _add_within(a: float, b: float, height: float, cover: FloatArray, row: int, w: int) -> None:
-    """Add a piece of an edge from column a to b >= a within a row; what is outside is moved in."""
+    """Add a piece of an edge from column a to b >= a within a row, clipped to the picture."""
     if b <= 0.0:
         cover[row, 0] += height
         return
@@ -205,7 +205,7 @@ def _add_within(a: float, b: float, height: float, cover: FloatArray, row: int, 
         cover[row, i] += height * (1.0 - beyond)
         cover[row, i + 1] += height * beyond
         return
-    # The share to the right of the piece, integrated over each column it crosses.
+    # Area to the right of the piece, for each column that it crosses.
     per_column = height / length
     before = 0.0
     for column in range(i, j):

@@ -1,4 +1,4 @@
-"""A film of a scene in motion: exposure, light, hands, noise."""
+"""Rendering of films of a scene in motion, with exposure, light, hands and noise."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from fixel.vision.render.hand import Occlusion
 from fixel.vision.render.looks import Looks, light
 from fixel.vision.render.sensor import Sensor
 
-STRIDE: Final = 0.4  # [px] between instants of one exposure
+STRIDE: Final = 0.4  # [px] of motion between the times rendered in one exposure
 MAX_INSTANTS: Final = 6
 
 Motion = Simulation | Mapping[str, Trajectory]
 
 
 class FilmView(Protocol):
-    """What a film is made of: `RenderedBench` or `BrightField`."""
+    """Renderer of single pictures: `RenderedBench` or `BrightField`."""
 
     @property
     def size(self) -> tuple[int, int]: ...
@@ -37,7 +37,7 @@ class FilmView(Protocol):
 
 
 def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> FilmView:
-    """The bench under a lamp, or the microscope's bright field."""
+    """Create the renderer for the lighting: testbed under a lamp, or bright field."""
     if looks.lighting == "through":
         return BrightField(scene, rig, looks, seed)
     return RenderedBench(scene, rig, looks, seed)
@@ -46,20 +46,20 @@ def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> FilmView:
 def film_scene(
     scene: Scene, motion: Motion, rig: Rig, looks: Looks, times: FloatArray, seed: int = 1
 ) -> Iterator[Frame]:
-    """The frames of a film, one by one.
+    """Render the frames of a film, one by one.
 
     Parameters
     ----------
     scene : Scene
-        With the shapes as they truly are.
+        Scene with the true shapes.
     motion : Simulation or mapping of str to Trajectory
-        Of every body and pusher, on the film's clock; before its begin and after its end they rest.
+        Motion of every body and pusher in film time; they rest before its begin and after its end.
     rig : Rig
     looks : Looks
     times : (n,) float64
-        Of the frames, increasing: the middles of their exposures [s]. See `frame_times`.
+        Increasing times of the frames, in the middle of their exposures [s]. See `frame_times`.
     seed : int
-        Of everything random: the same seed gives the same bits.
+        Seed of the random numbers; results for one seed are bit for bit equal.
 
     Yields
     ------
@@ -68,7 +68,7 @@ def film_scene(
     Raises
     ------
     InvalidInput
-        Something that moves and has no trajectory.
+        A body or pusher has no trajectory.
     """
     tracks = tracks_of(scene, motion)
     view = view_of(scene, rig, looks, seed)
@@ -85,7 +85,7 @@ def film_scene(
 
 
 def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
-    """Trajectories of all that moves in a scene, by name."""
+    """Trajectories of all bodies and pushers of a scene, by name."""
     names = [*(body.name for body in scene.bodies), *(pusher.name for pusher in scene.pushers)]
     if isinstance(motion, Simulation):
         return {name: motion.trajectory(name) for name in names}
@@ -98,7 +98,7 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
 
 
 def occlusion_of(scene: Scene, rig: Rig, looks: Looks, times: FloatArray, seed: int) -> Occlusion:
-    """The hand of a film: over the scene's first body."""
+    """Create the hand of a film, over the scene's first body."""
     body = scene.bodies[0]
     return Occlusion(looks, body.name, body.shape, rig, times, seed)
 
@@ -106,7 +106,7 @@ def occlusion_of(scene: Scene, rig: Rig, looks: Looks, times: FloatArray, seed: 
 def poses_at(
     tracks: Mapping[str, Trajectory], time: float, occlusion: Occlusion, scene: Scene
 ) -> dict[str, FloatArray]:
-    """Poses (3,) of all that moves at an instant [s], the hand too while it is there."""
+    """Poses (3,) of bodies and pushers at a time [s], and of the hand while it is present."""
     poses = {name: track.at(time) for name, track in tracks.items()}
     hand = occlusion.pose(time, poses[scene.bodies[0].name])
     return poses if hand is None else {**poses, HAND: hand}
@@ -115,7 +115,7 @@ def poses_at(
 def _instants(
     tracks: Mapping[str, Trajectory], time: float, exposure: float, pixel: float
 ) -> list[float]:
-    """Instants [s] that stand for an exposure: more where something moves by pixels meanwhile."""
+    """Times [s] to render for one exposure: more for faster motion."""
     if exposure == 0.0:
         return [time]
     ends = np.array([time - 0.5 * exposure, time + 0.5 * exposure])

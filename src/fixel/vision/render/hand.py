@@ -1,4 +1,4 @@
-"""A hand that lies over half the object for a while."""
+"""Hand that covers part of the object for a while."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from fixel.vision.render.looks import Looks
 from fixel.vision.render.solids import outline_of
 from fixel.vision.render.things import OBJECT_HEIGHT, hand_solid, pixel_of
 
-AWAY: Final = 0.45  # [m] from where it lies to where nobody sees it
-MOVING: Final = 0.45  # [s] to come, and to go
-STEPS: Final = 12  # halvings of the way on which the place is looked for
+AWAY: Final = 0.45  # [m] from its resting place to one outside the picture
+MOVING: Final = 0.45  # [s] to arrive, and to leave
+STEPS: Final = 12  # bisections to find the resting place
 
 
 class Occlusion:
-    """When a hand is where, in one film.
+    """Motion of a hand in one film.
 
     Parameters
     ----------
     looks : Looks
-        For how long, and how much of the object.
+        Duration of the occlusion, and covered share of the object.
     name : str
-        Of the object.
+        Name of the object.
     shape : Shape
-        Of the object.
+        Shape of the object.
     rig : Rig
     times : (n,) float64
-        Of the film's frames [s].
+        Times of the film's frames [s].
     seed : int
     """
 
@@ -58,11 +58,11 @@ class Occlusion:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """From when to when the hand lies still over the object [s]; nothing: from 0 to 0."""
+        """First and last time at which the hand lies over the object [s]; (0, 0) without a hand."""
         return (self._begins, self._ends) if self._looks.occlusion > 0.0 else (0.0, 0.0)
 
     def pose(self, time: float, object_pose: FloatArray) -> FloatArray | None:
-        """(3,) of the hand [m, m, rad]; None where it is out of sight."""
+        """Pose (3,) of the hand [m, m, rad]; None while it is outside the picture."""
         if self._looks.occlusion == 0.0:
             return None
         late = max(self._begins - time, time - self._ends, 0.0) / MOVING
@@ -95,7 +95,7 @@ class Occlusion:
         return frozen([*(object_pose[:2] + ahead * along), self._heading])
 
     def _ahead_for(self, object_pose: FloatArray) -> float:
-        """How far beyond the object the fingertips reach, to cover what they should [m]."""
+        """Find the reach of the fingertips beyond the object that covers the given share [m]."""
         low, high = -0.15, 0.2
         for _ in range(STEPS):
             middle = 0.5 * (low + high)

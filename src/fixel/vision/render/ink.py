@@ -1,4 +1,4 @@
-"""Tags and stickers as polygons."""
+"""Conversion of tags and stickers to polygons."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DICTIONARIES: Final = {
     "aruco-4x4-50": "DICT_4X4_50",
     "aruco-5x5-100": "DICT_5X5_100",
 }
-QUIET: Final = 1.0  # cells of white round a tag, without which no detector finds it
+QUIET: Final = 1.0  # width of the white margin in cells, which detectors need
 
 PAPER: Final = np.array([222.0, 226.0, 228.0])
 TONER: Final = np.array([30.0, 28.0, 27.0])
@@ -35,7 +35,7 @@ COLOUR_OF: Final[dict[str, tuple[float, float, float]]] = {
 
 
 def inks(mark: Mark, pixel: float) -> tuple[Ink, ...]:
-    """What a mark is painted with, where a pixel is about so wide [m]."""
+    """Return the coloured polygons of a marker, for a size of pixels of about `pixel` [m]."""
     if isinstance(mark, Tag):
         return _tag(mark, pixel)
     ring = circle(0.5 * mark.diameter, pixel, mark.place).points
@@ -45,7 +45,7 @@ def inks(mark: Mark, pixel: float) -> tuple[Ink, ...]:
 
 @cache
 def tag_cells(family: str, number: int) -> NDArray[np.bool_]:
-    """(n, n) which cells of a tag are black, its border too; rows from the upper side down."""
+    """Return (n, n) bool: black cells of a tag with its border; rows from the upper side down."""
     cv2 = opencv()
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
     side = int(dictionary.markerSize) + 2
@@ -60,7 +60,7 @@ def _tag(tag: Tag, pixel: float) -> tuple[Ink, Ink]:
     corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     paper = polygon(corners, pixel).points
     row, column = np.nonzero(black)
-    # Neighbours share their edges exactly, so that no paper shines through between them.
+    # Neighbours share their edges exactly, so that no paper is visible between them.
     left, top = cell * column - 0.5 * tag.size, 0.5 * tag.size - cell * row
     square = cell * np.array([[0.0, -1.0], [1.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
     cells = (np.column_stack((left, top))[:, None] + square).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""How a film looks: light, lens, sensor, and what goes wrong."""
+"""Appearance of a film: light, lens, sensor and disturbances."""
 
 from __future__ import annotations
 
@@ -16,51 +16,51 @@ from fixel.typing import FloatArray
 
 LIGHTINGS: Final = ("above", "through")
 
-# A bench is seen from metres away, a microscope's field is millimetres wide.
+# Pixels smaller than this belong to a microscope, larger ones to a camera over the testbed.
 MICROSCOPE: Final = 5e-5  # [m/px]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looks:
-    """What stands between the scene and the picture.
+    """Properties of light, lens and sensor, and disturbances of a film.
 
-    The sensor is linear: a grey level is in proportion to light, so an edge is half way between
-    its two sides where it is.
+    The sensor is linear: grey levels are proportional to light, so that the true place of an edge
+    has the mean level of its two sides.
 
     Parameters
     ----------
     lighting : str
-        `"above"`: a bench under a lamp. `"through"`: a microscope's bright field.
+        `"above"`: a testbed under a lamp. `"through"`: a microscope's bright field.
     exposure : float
-        How long a frame collects light; its time is the middle of it [s].
+        Exposure time of a frame, whose time stamp is its middle [s].
     blur : float
         Standard deviation of the lens's blur [px].
     vignetting : float
-        Share of the light that the corners of the picture lack [-].
+        Share of the light that is missing in the corners of the picture [-].
     shadows : float
-        Share of the light that a full shadow lacks [-].
+        Share of the light that is missing in a full shadow [-].
     read_noise : float
         Standard deviation of the noise in the dark [grey levels of 255].
     shot_noise : float
-        Of what the light itself adds at full white, growing with its root [grey levels].
+        Standard deviation of the photon noise at full white [grey levels]; it grows with the root
+        of the light.
     drift : float
-        Standard deviation of the slow wandering of the brightness, as a share [-].
+        Standard deviation of slow changes of the brightness, as a share [-].
     light_change : float
-        Share of the light that goes away for a while in the middle of the film [-].
+        Share of the light that is missing for a while in the middle of the film [-].
     colour_change : float
-        By which red grows, and blue falls, at the same time [-].
+        Relative increase of red and decrease of blue at the same time [-].
     occlusion : float
-        For how long a hand lies over the object [s].
+        Duration for which a hand lies over the object [s].
     occluded : float
         Share of the object's upper face that the hand covers [-].
     dropped : float
         Probability that a frame is lost [-].
     jitter : float
-        Standard deviation of an interval between frames, as a share of it [-].
+        Standard deviation of frame times, as a share of the interval [-].
     tab : (float, float)
-        Width and length of what is left of the lead on a short side of a part under the
-        microscope [m].
+        Width and length of the rest of the lead on a short side of a part under the microscope [m].
     """
 
     lighting: str = "above"
@@ -144,12 +144,12 @@ PRESETS: Final[dict[str, Looks]] = {
 
 
 def looks_named(name: str) -> Looks:
-    """One of the presets.
+    """Return the preset with a name.
 
     Raises
     ------
     InvalidInput
-        No preset of this name.
+        There is no preset with this name.
     """
     if name in PRESETS:
         return PRESETS[name]
@@ -163,12 +163,12 @@ def looks_named(name: str) -> Looks:
 
 
 def changed(looks: Looks, changes: Iterable[str]) -> Looks:
-    """The looks with some numbers changed, each as `NAME=VALUE`.
+    """Return looks with some numbers changed, each given as `NAME=VALUE`.
 
     Raises
     ------
     InvalidInput
-        No such name, or a value that is no number.
+        A name is unknown, or a value is no number.
     """
     for text in changes:
         name, equals, value = text.partition("=")
@@ -187,14 +187,14 @@ def changed(looks: Looks, changes: Iterable[str]) -> Looks:
 
 
 def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatArray:
-    """(n,) when frames are taken that arrive: jittered, and without those that are lost [s].
+    """Draw the times (n,) of frames [s], with jitter and without lost frames.
 
     Parameters
     ----------
     duration : float
-        Of the film; the first frame is taken at 0 [s].
+        Duration of the film, from the first frame at 0 [s].
     rate : float
-        Frames a second [Hz].
+        Frame rate [Hz].
     looks : Looks
     seed : int
     """
@@ -203,24 +203,24 @@ def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatA
     wobble = random.standard_normal(count)
     kept = random.random(count) >= looks.dropped
     kept[[0, -1]] = True
-    # No frame overtakes another, however unsteady the clock.
+    # Limited, so that the order of frames is preserved.
     late = np.clip(looks.jitter * wobble, -0.3, 0.3)
     late[0] = 0.0
     return np.asarray(((np.arange(count) + late) / rate)[kept])
 
 
 def light(looks: Looks, times: FloatArray, seed: int) -> FloatArray:
-    """(n, 3) factors of blue, green and red at instants (n,) of a film [-].
+    """Factors (n, 3) of blue, green and red at times (n,) of a film [-].
 
-    Brightness wanders slowly. In the middle three tenths of the film `light_change` of the light is
-    missing, as when a cloud passes, and what is left is warmer by `colour_change`.
+    Brightness varies slowly. During three tenths of the film, in its middle, `light_change` of the
+    light is missing, as when a cloud passes, and the rest is warmer by `colour_change`.
     """
     random = stream(seed, "film", "light")
     span = max(float(times[-1] - times[0]), 1e-9)
     phase, pace = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(0.1, 0.7, 3)
     wander = np.sin(2.0 * np.pi * np.outer(times, pace) + phase).sum(axis=1) * np.sqrt(2.0 / 3.0)
     begins = random.uniform(0.3, 0.4) * span + times[0]
-    edge = min(0.4, 0.1 * span)  # [s] to come and to go
+    edge = min(0.4, 0.1 * span)  # [s] of transition
     cloud = _smooth((times - begins) / edge) - _smooth((times - begins - 0.3 * span) / edge)
     bright = (1.0 + looks.drift * wander) * (1.0 - looks.light_change * cloud)
     warm = looks.colour_change * cloud[:, None] * np.array([-1.0, 0.0, 1.0])
@@ -228,6 +228,6 @@ def light(looks: Looks, times: FloatArray, seed: int) -> FloatArray:
 
 
 def _smooth(x: FloatArray) -> FloatArray:
-    """From 0 to 1 between 0 and 1, without a kink."""
+    """Smooth step from 0 to 1 between 0 and 1."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * (3.0 - 2.0 * x))

@@ -1,4 +1,4 @@
-"""What never moves and never hides anything: table, aluminium plate, its holes, tags on it."""
+"""Rendering of the background: table, aluminium plate with holes, and tags on it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fixel.vision.render.eye import Eye
 from fixel.vision.render.ink import inks
 from fixel.vision.render.solids import circle, polygon
 
-HALF: Final = 0.305  # [m] of the plate's side
+HALF: Final = 0.305  # [m] half the plate's side
 PITCH: Final = 0.0254  # [m] between holes
 HOLE: Final = 0.0031  # [m] radius
-NODES: Final = 16  # [px] between places of the plane that are computed, others lie between
+NODES: Final = 16  # [px] between places that are computed; others are interpolated
 
 METAL: Final = np.array([171.0, 170.0, 167.0])
 WOOD: Final = np.array([66.0, 92.0, 122.0])
@@ -28,7 +28,7 @@ DARK: Final = np.array([34.0, 33.0, 32.0])
 
 
 def plane_places(eye: Eye) -> NDArray[np.float32]:
-    """(h, w, 2) place of the plane under every pixel [m], good enough for textures."""
+    """Place of the plane under every pixel (h, w, 2) [m], approximate, for textures."""
     w, h = eye.size
     u = np.linspace(0.0, w - 1.0, max(2, w // NODES))
     v = np.linspace(0.0, h - 1.0, max(2, h // NODES))
@@ -39,7 +39,7 @@ def plane_places(eye: Eye) -> NDArray[np.float32]:
 
 
 def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
-    """(h, w, 3) table and plate, without any shadow."""
+    """Render table and plate (h, w, 3) without shadows."""
     size = eye.size
     places = plane_places(eye)
     middle = _middle(eye)
@@ -62,7 +62,7 @@ def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
 
 
 def falloff(eye: Eye, vignetting: float) -> FloatPicture:
-    """(h, w) share of the light that reaches the sensor: less towards the corners."""
+    """Share of the light that reaches the sensor (h, w), which falls towards the corners."""
     w, h = eye.size
     u, v = np.arange(w) - 0.5 * (w - 1), np.arange(h) - 0.5 * (h - 1)
     out = (u**2 + v[:, None] ** 2) / max(u[0] ** 2 + v[0] ** 2, 1.0)
@@ -70,7 +70,7 @@ def falloff(eye: Eye, vignetting: float) -> FloatPicture:
 
 
 def _middle(eye: Eye) -> FloatArray:
-    """The place in the middle of the picture, on the grid of holes [m]."""
+    """Place in the middle of the picture, rounded to the grid of holes [m]."""
     w, h = eye.size
     seen = eye.camera.on_plane([0.5 * (w - 1), 0.5 * (h - 1)])
     return np.asarray(np.rint(seen / PITCH) * PITCH)
@@ -81,7 +81,7 @@ def _corners(middle: FloatArray) -> FloatArray:
 
 
 def _plate_strokes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
-    """The shadow line under the plate, and its milled edge."""
+    """Yield the shadow line under the plate, and its milled edge."""
     pixel = eye.pixel_size()
     for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
         corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
@@ -98,7 +98,7 @@ def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
 
 
 def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
-    """Threaded holes with a countersink that catches the light on one side."""
+    """Yield threaded holes with a countersink, bright on one side."""
     pixel = eye.pixel_size()
     reach = int((HALF - 0.012) / PITCH)
     rings = (
@@ -136,7 +136,7 @@ def _level(eye: Eye, points: FloatArray, colour: FloatArray) -> Stroke:
 
 
 def _brushed(places: NDArray[np.float32], seed: int) -> FloatPicture:
-    """(h, w) grey of brushed metal, without its sheen."""
+    """Grey levels (h, w) of brushed metal, without the reflection of the lamp."""
     fine = _noise(seed, "brushed", (512, 512), (40.0, 0.5))
     slow = _noise(seed, "stains", (512, 512), (18.0, 14.0))
     return np.asarray(
@@ -150,7 +150,7 @@ def _planks(places: NDArray[np.float32], seed: int) -> FloatPicture:
 
 
 def _sheen(places: NDArray[np.float32], middle: FloatArray) -> FloatPicture:
-    """(h, w) the lamp's broad reflection [grey levels]."""
+    """Broad reflection of the lamp (h, w) [grey levels]."""
     aside = places - (middle + np.array([-0.11, 0.09])).astype(np.float32)
     far = aside[..., 0] ** 2 / 0.26**2 + aside[..., 1] ** 2 / 0.17**2
     return np.asarray(20.0 * np.exp(-0.5 * far) - 6.0)
@@ -159,7 +159,7 @@ def _sheen(places: NDArray[np.float32], middle: FloatArray) -> FloatPicture:
 def _noise(
     seed: int, purpose: str, size: tuple[int, int], soft: tuple[float, float]
 ) -> FloatPicture:
-    """A texture without a seam, of deviation 1, smooth over so many values along x and y."""
+    """Create a seamless texture of deviation 1, smoothed by `soft` values along x and y."""
     white = stream(seed, "film", purpose).standard_normal(size).astype(np.float32)
     margin = int(np.ceil(3.0 * max(soft)))
     wrapped = np.pad(white, margin, mode="wrap")
@@ -179,6 +179,6 @@ def _over(below: FloatPicture, above: FloatPicture, share: FloatPicture) -> Floa
 
 
 def _hats(nodes: FloatArray, count: int) -> FloatArray:
-    """(count, n) weights that interpolate linearly between nodes."""
+    """Weights (count, n) of linear interpolation between nodes."""
     unit = np.eye(len(nodes))
     return np.stack([np.interp(np.arange(count), nodes, row) for row in unit], axis=-1)

@@ -1,4 +1,4 @@
-"""From light to grey levels: noise that depends on the light, and rounding."""
+"""Sensor model: conversion of light to grey levels, with noise and rounding."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from fixel.vision.frame import Picture
 from fixel.vision.render.canvas import FloatPicture
 from fixel.vision.render.looks import Looks
 
-# Noise is drawn once and then read from another place for every frame: drawing it anew would take
-# longer than the picture.
+# Noise is drawn once and read from another offset for every frame, since drawing it takes longer
+# than rendering the picture.
 SPARE: Final = 1 << 20
 
 
 class Sensor:
-    """Turns pictures of light into pictures of grey levels.
+    """Converter of light to grey levels.
 
     Parameters
     ----------
     looks : Looks
-        Its noise.
+        Looks with the noise of the sensor.
     size : (int, int)
         Width and height [px].
     seed : int
@@ -44,9 +44,9 @@ class Sensor:
         )
 
     def exposed(self, light: FloatPicture, factor: FloatArray, frame: int) -> Picture:
-        """(h, w, 3) uint8 of light (h, w, 3) [grey levels] times factors (3,) of its colours.
+        """Convert light (h, w, 3) [grey levels], times factors (3,) of its colours, to uint8.
 
-        `frame` is its number in the film; the same number has the same noise.
+        `frame` is the number in the film, which determines the noise.
         """
         random = stream(self._seed, "film", "frame", str(frame))
         start = int(random.integers(len(self._bank) - self._values + 1))
@@ -65,7 +65,7 @@ def _digitise(
     noise: FloatArray,
     picture: FloatArray,
 ) -> None:
-    """Grey levels of light: variance `dark` and so much `per_level`, rounded and cut off."""
+    """Write grey levels with noise of variance `dark + per_level * level`, rounded and clipped."""
     for row in range(light.shape[0]):
         for column in range(light.shape[1]):
             for k in range(3):
@@ -74,5 +74,5 @@ def _digitise(
                 picture[row, column, k] = int(min(max(level + 0.5, 0.0), 255.0))
 
 
-# The kernel takes any real arrays; its annotations know of float64 only.
+# The kernel takes any real arrays, but is annotated for float64.
 _grey_levels: Any = _digitise

@@ -1,4 +1,4 @@
-"""Soft shadows on level faces."""
+"""Soft shadows on horizontal faces."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, windo
 from fixel.vision.render.eye import Eye
 from fixel.vision.render.solids import PlacedSolid
 
-COARSE: Final = 4  # [px] a value; shadows are soft
+COARSE: Final = 4  # [px] per value; shadows are soft
 
-# Where points of the lamp, and of the bright room, throw shadows: along x and y for each unit of
-# height, and their shares of the light.
+# Offsets of shadows from points of the lamp and of the bright room, along x and y per unit of
+# height, and shares of these points in the light.
 _LAMP = [(0.42 + 0.16 * np.cos(a), -0.37 + 0.16 * np.sin(a)) for a in np.arange(5) * 0.4 * np.pi]
 _ROOM = [(0.75 * np.cos(a), 0.75 * np.sin(a)) for a in 0.3 + np.arange(5) * 0.4 * np.pi]
 RAYS: Final = np.array(_LAMP + _ROOM)
 SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
-SHADOW_REACH: Final = float(np.abs(RAYS).max())  # how far a shadow falls, for each unit of height
+REACH: Final = float(np.abs(RAYS).max())  # longest shadow per unit of height
 
 
 def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
-    """The pixels on which the shadows of solids can fall on the plane."""
+    """Window that the shadows of solids on the plane can touch."""
     window = PictureWindow(0, 0, 0, 0)
     for thing in things:
         high = thing.solid.high
@@ -42,7 +42,7 @@ def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
 def shade(
     window: PictureWindow, level: float, casters: Sequence[PlacedSolid], eye: Eye, depth: float
 ) -> FloatPicture | None:
-    """What is left of the light on a level, in a window of the picture.
+    """Compute the light that shadows leave on a horizontal face, in a window of the picture.
 
     Parameters
     ----------
@@ -50,15 +50,15 @@ def shade(
     level : float
         Height of the face above the plane [m].
     casters : sequence of PlacedSolid
-        Those below the level throw none.
+        Solids that cast shadows; those below the face cast none.
     eye : Eye
     depth : float
-        Share of the light that a full shadow lacks [-].
+        Share of the light that is missing in a full shadow [-].
 
     Returns
     -------
     (h, w) float32 or None
-        Factors; None for no shadow at all.
+        Factors on the light; None without shadows.
     """
     hulls = [
         hull
@@ -69,7 +69,7 @@ def shade(
     ]
     if not hulls:
         return None
-    # On one grid for every window, or shadows would shimmer as windows move.
+    # On the same grid for all windows, or shadows would flicker as windows move.
     left, top = window.left % COARSE, window.top % COARSE
     w, h = -(-(window.width + left) // COARSE), -(-(window.height + top) // COARSE)
     room = np.zeros((h, w + 2))
@@ -94,7 +94,7 @@ def shade(
 
 
 def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -> list[FloatArray]:
-    """A convex polygon [px] for every ray: what lies in the shadow of a piece."""
+    """Shadow of a convex piece for every ray, as convex polygons [px]."""
     cv2 = opencv()
     near, far = max(low - level, 0.0), high - level
     ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)

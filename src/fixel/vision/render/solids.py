@@ -1,4 +1,4 @@
-"""Things on the plate: upright prisms, what is printed on them, and how they become polygons."""
+"""Solids on the plate: upright prisms with printed markers, and their projection to polygons."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from fixel.typing import FloatArray
 from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, window_of
 from fixel.vision.render.eye import Eye
 
-CHORD: Final = 8.0  # [px] of a straight edge that may be drawn as a line, in spite of the lens
-SAGITTA: Final = 0.004  # [px] by which a circle's polygon may leave it
-FACETS: Final = 32  # shades round a cylinder
-OVERLAP: Final = 1.2  # [px] by which a face reaches under its neighbour: no ground shines through
+CHORD: Final = 8.0  # [px] longest piece of a straight edge drawn as a line, in spite of distortion
+SAGITTA: Final = 0.004  # [px] largest distance of a circle's polygon from it
+FACETS: Final = 32  # shades around a cylinder
+OVERLAP: Final = 1.2  # [px] of neighbouring faces, so that no ground is visible between them
 
-# Where the light comes from, for the shading of upright faces.
+# Direction towards the light, for the shading of upright faces.
 TO_LIGHT: Final = np.array([-0.75, 0.66])
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """A closed line, cut fine enough to be projected corner by corner.
+    """Closed line, fine enough to be projected corner by corner.
 
     Attributes
     ----------
     points : (n, 2) float64
-        Counter-clockwise, in the frame of the solid [m].
+        Corners, counter-clockwise, in the frame of the solid [m].
     facet : (k + 1,) int64
-        Where each face begins among the points, and n.
+        Index of the first corner of each face, and n.
     """
 
     points: FloatArray
     facet: NDArray[np.int64]
 
     def shrunk(self, by: float) -> Outline:
-        """Nearer to the middle by about so much [m]."""
+        """Shrink the outline towards its middle by about `by` [m]."""
         middle = self.points.mean(axis=0)
         r = self.points - middle
         size = float(np.hypot(*r.T).max())
@@ -49,14 +49,14 @@ class Outline:
 
 
 def outline_of(shape: Shape, pixel: float) -> Outline:
-    """The outline of a shape, where a pixel is about so wide [m]."""
+    """Create the outline of a shape, for a size of pixels of about `pixel` [m]."""
     if isinstance(shape, Disk):
         return circle(shape.radius, pixel)
     return polygon(shape.outline, pixel)
 
 
 def polygon(corners: ArrayLike, pixel: float) -> Outline:
-    """Straight edges between corners (n, 2) [m]."""
+    """Create an outline with straight edges between corners (n, 2) [m]."""
     given = np.asarray(corners, dtype=np.float64)
     parts, facet = [], [0]
     for a, b in zip(given, np.roll(given, -1, axis=0), strict=True):
@@ -67,7 +67,7 @@ def polygon(corners: ArrayLike, pixel: float) -> Outline:
 
 
 def circle(radius: float, pixel: float, middle: ArrayLike = (0.0, 0.0)) -> Outline:
-    """A circle as a polygon of the same area [m]."""
+    """Create a circle as a polygon of the same area [m]."""
     chords = pi / np.sqrt(2.0 * SAGITTA * pixel / radius)
     per_facet = max(1, ceil(chords / FACETS))
     n = FACETS * per_facet
@@ -80,17 +80,17 @@ def circle(radius: float, pixel: float, middle: ArrayLike = (0.0, 0.0)) -> Outli
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Slab:
-    """A prism between two heights.
+    """Prism between two heights.
 
     Attributes
     ----------
     outline : Outline
     low, high : float
-        Above the plane [m].
+        Heights above the plane [m].
     side, top : (3,) float64
-        Colours; blue, green, red from 0 to 255.
+        Colours: blue, green, red from 0 to 255.
     rim : float
-        Width of a bright bevel round the upper face [m].
+        Width of a bright bevel around the upper face [m].
     """
 
     outline: Outline
@@ -109,10 +109,10 @@ class Ink:
     Attributes
     ----------
     points : (n, 2) float64
-        In the frame of the solid, one polygon after the other [m].
+        Corners of all polygons in the frame of the solid [m].
     starts : (k + 1,) int64
     height : float
-        [m]
+        Height above the plane [m].
     colour : (3,) float64
     """
 
@@ -125,17 +125,17 @@ class Ink:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """Slabs from the lowest to the highest, with ink on top.
+    """Solid of slabs from the lowest to the highest, with ink on top.
 
     Attributes
     ----------
     name : str
     slabs : tuple of Slab
     footprint : tuple of (n, 2) float64
-        Convex pieces that hold every slab, for shadows and for what hides what [m].
+        Convex pieces that contain all slabs, for shadows and the order of painting [m].
     inks : tuple of Ink
     grain : (2^k, 2^k) float32 or None
-        Of the upper faces, fixed to the solid, half a millimetre a value.
+        Texture of the upper faces, fixed to the solid, half a millimetre per value.
     """
 
     name: str
@@ -158,17 +158,17 @@ class Solid:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedSolid:
-    """A solid at a pose, as polygons in the picture.
+    """Solid at a pose, as polygons in the picture.
 
     Attributes
     ----------
     solid : Solid
     footprint : tuple of (n, 2) float64
-        In the world [m].
+        Convex pieces in the world [m].
     strokes : tuple of (Stroke, float or None)
-        In the order of painting; with the height on which shadows may fall, for upper faces [m].
+        Strokes in the order of painting; upper faces with the height at which shadows fall [m].
     window : PictureWindow
-        Of all strokes.
+        Window of all strokes.
     """
 
     solid: Solid
@@ -181,7 +181,7 @@ GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 
 def place(solid: Solid, pose: FloatArray, eye: Eye) -> PlacedSolid:
-    """Put a solid at a pose (3,) [m, m, rad]."""
+    """Project a solid at a pose (3,) [m, m, rad]."""
     size = eye.size
     strokes: list[tuple[Stroke, float | None]] = []
     grain = _grain(solid, pose, eye)
@@ -241,7 +241,7 @@ def _slab_strokes(
 def _seen_faces(
     outline: Outline, world: FloatArray, eye: FloatArray
 ) -> list[tuple[int, int, float]]:
-    """Faces turned to the camera, the farthest first: first and last corner, and brightness."""
+    """Visible faces, farthest first: first and last corner, and brightness."""
     corner = world[outline.facet[:-1]]
     along = np.roll(corner, -1, axis=0) - corner
     outward = np.column_stack((along[:, 1], -along[:, 0]))
@@ -254,14 +254,14 @@ def _seen_faces(
 
 
 def _towards(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A short step from a towards b [px]."""
+    """Step from a towards b, of at most `OVERLAP` [px]."""
     way = b - a
     length = float(np.hypot(*way))
     return way * (min(OVERLAP, length) / length) if length > 0.0 else way
 
 
 def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
-    """The solid's grain, as it lies: near its middle, which is near enough for a texture."""
+    """Place a solid's grain by a linear map near its middle, sufficient for a texture."""
     if solid.grain is None:
         return PLAIN
     local = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]])
@@ -273,15 +273,15 @@ def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
 
 
 def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSolid]:
-    """Those that hide others after these.
+    """Order in which solids are painted: those that hide others after these.
 
-    Upright solids hide what lies behind them as seen from the foot of the camera. Where footprints
+    An upright solid hides others behind it as seen from the foot of the camera. Where footprints
     overlap, the higher one is on top.
     """
     left = list(things)
     ordered: list[PlacedSolid] = []
     while left:
-        # A thing that hides none of the others may be painted; in a circle, the first one is.
+        # A solid that hides none of the others is next; in a cycle, the first one.
         free = (a for a in left if not any(_hides(a, b, eye) for b in left if b is not a))
         chosen = next(free, left[0])
         ordered.append(chosen)
@@ -290,7 +290,7 @@ def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSol
 
 
 def _hides(a: PlacedSolid, b: PlacedSolid, eye: FloatArray) -> bool:
-    """Whether some of `a` may lie before some of `b`."""
+    """Whether part of `a` may hide part of `b`."""
     return a.window.meets(b.window) and any(
         _piece_hides(p, q, a.solid.high >= b.solid.high, eye)
         for p in a.footprint
@@ -310,6 +310,6 @@ def _piece_hides(p: FloatArray, q: FloatArray, higher: bool, eye: FloatArray) ->
         if gap[k] > best:
             best, axis = float(gap[k]), sign * outward[k]
             edge = sign * float(reach[k] + 0.5 * gap[k])
-    if best < -1e-3:  # [m] deep inside each other: one stands on the other
+    if best < -1e-3:  # [m] overlap: one stands on the other
         return higher
     return float(eye[:2] @ axis) < edge

@@ -1,4 +1,4 @@
-"""The bench's solids: objects, head and rod of the actuator, fixels wound with copper, a hand."""
+"""Solids of the testbed: objects, head and rod of the actuator, fixels with coils, a hand."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fixel.vision.render.canvas import FloatPicture
 from fixel.vision.render.ink import inks
 from fixel.vision.render.solids import Slab, Solid, circle, outline_of, polygon
 
-OBJECT_HEIGHT: Final = 0.0254  # [m] where the rig does not say
-HEAD_HEIGHT: Final = 0.030  # [m] likewise
+OBJECT_HEIGHT: Final = 0.0254  # [m] for bodies that the rig lacks
+HEAD_HEIGHT: Final = 0.030  # [m] for pushers that the rig lacks
 
 DELRIN: Final = np.array([62.0, 60.0, 58.0])
 COPPER: Final = np.array([78.0, 122.0, 176.0])  # the tape that closes the fixels' circuits
@@ -31,14 +31,14 @@ HEAD: Final = np.array([150.0, 149.0, 146.0])
 SKIN: Final = np.array([124.0, 150.0, 196.0])
 SLEEVE: Final = np.array([112.0, 84.0, 62.0])
 
-ROD: Final = (0.011, 0.008, 0.019)  # [m] width, from this height, to this height
+ROD: Final = (0.011, 0.008, 0.019)  # [m] width, lower and upper height
 ROD_LENGTH: Final = 0.30  # [m]
-ACTUATOR: Final = (0.038, 0.020, 0.34, 0.042)  # [m] width, behind the head, length, height
-HAND_AT: Final = (0.066, 0.092)  # [m] between these heights
+ACTUATOR: Final = (0.038, 0.020, 0.34, 0.042)  # [m] width, distance behind the head, length, height
+HAND_AT: Final = (0.066, 0.092)  # [m] lower and upper height
 
 
 def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid:
-    """An object: black plastic with copper tape round its sides, and its marks."""
+    """Create an object: black plastic with copper tape around its sides, and its markers."""
     part = rig.parts.get(body.name)
     height = part.height if part else OBJECT_HEIGHT
     marks = part.marks if part else ()
@@ -48,7 +48,7 @@ def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid
 
 
 def pusher_solids(pusher: Pusher, rig: Rig, pixel: float, grain: FloatPicture) -> list[Solid]:
-    """The head of the actuator with its marks, and the rod behind it; both move."""
+    """Create the head of the actuator with its markers, and the rod behind it; both move."""
     part = rig.parts.get(pusher.name)
     height = part.height if part else HEAD_HEIGHT
     marks = part.marks if part else ()
@@ -62,7 +62,7 @@ def pusher_solids(pusher: Pusher, rig: Rig, pixel: float, grain: FloatPicture) -
 
 
 def housing_solid(pusher: Pusher, pixel: float) -> Solid:
-    """What the rod comes out of, bolted to the plate behind the head's first place."""
+    """Create the housing of the rod, bolted to the plate behind the head's start."""
     width, gap, length, height = ACTUATOR
     start = 0.5 * _extent(pusher.shape) + gap
     block = _behind(pusher, start, length, width)
@@ -75,7 +75,7 @@ def housing_solid(pusher: Pusher, pixel: float) -> Solid:
 
 
 def fixel_solid(fixel: Fixel, height: float, pixel: float) -> Solid:
-    """A peg: two coils of copper wire over tape, and a turned end with a threaded hole."""
+    """Create a fixel: two coils of copper wire over tape, and a turned end with a threaded hole."""
     if not isinstance(fixel.shape, Disk):
         outline = outline_of(fixel.shape, pixel)
         slab = Slab(outline, 0.0, height, 0.8 * ALUMINIUM, BRIGHT, rim=0.0006)
@@ -101,7 +101,7 @@ def fixel_solid(fixel: Fixel, height: float, pixel: float) -> Solid:
 
 
 def hand_solid(pixel: float) -> Solid:
-    """A hand that reaches along +x, flat; its fingertips near the origin."""
+    """Create a flat hand that reaches along +x, with its fingertips near the origin."""
     fingers = [(-0.031, -0.012), (-0.0105, 0.0), (0.0105, -0.003), (0.030, -0.022)]
     bones = [
         ((-0.052, 0.066), (-0.098, 0.040), 0.0105),
@@ -113,7 +113,7 @@ def hand_solid(pixel: float) -> Solid:
     arm = ((-0.225, -0.003), (-0.9, -0.05), 0.043)
     slabs: list[Slab] = []
     for parts, colour in ((bones, SKIN), ([arm], SLEEVE)):
-        # Smaller and brighter layers on top of each other look round.
+        # Smaller and brighter layers on top of each other give a round appearance.
         for layer, shrink in enumerate((0.0, 0.22, 0.45, 0.7)):
             level = HAND_AT[0] + (HAND_AT[1] - HAND_AT[0]) * layer / 3.0
             bright = colour * (0.82 + 0.07 * layer)
@@ -125,7 +125,7 @@ def hand_solid(pixel: float) -> Solid:
 
 
 def grain(seed: int, purpose: str, rough: float) -> FloatPicture:
-    """(256, 256) a texture of mean 1 and this deviation, without a seam."""
+    """Create a seamless texture (256, 256) of mean 1 and deviation `rough`."""
     cv2 = opencv()
     white = stream(seed, "film", purpose).standard_normal((256, 256))
     wrapped = np.pad(white, 24, mode="wrap").astype(np.float32)
@@ -135,12 +135,12 @@ def grain(seed: int, purpose: str, rough: float) -> FloatPicture:
 
 
 def pixel_of(rig: Rig) -> float:
-    """How much a pixel shows in the middle, a little above the plate [m/px]."""
+    """Scale in the middle of the picture, at the height of objects [m/px]."""
     return rig.camera.metres_per_pixel(OBJECT_HEIGHT)
 
 
 def direction_of(pusher: Pusher) -> FloatArray:
-    """(2,) unit, along which a pusher moves, in its own frame at the start."""
+    """Unit vector (2,) along which a pusher moves, in its own frame at the start."""
     drive = pusher.drive
     if isinstance(drive, LineDrive):
         along = drive.direction
@@ -152,7 +152,7 @@ def direction_of(pusher: Pusher) -> FloatArray:
 
 
 def _behind(pusher: Pusher, start: float, length: float, width: float) -> FloatArray:
-    """(4, 2) a bar behind a pusher, from so far behind its middle [m]."""
+    """Corners (4, 2) of a bar behind a pusher, from `start` behind its middle [m]."""
     x = direction_of(pusher)
     y = np.array([-x[1], x[0]])
     near, far, half = -start * x, -(start + length) * x, 0.5 * width * y
@@ -170,7 +170,7 @@ def _pieces(shape: Shape) -> tuple[FloatArray, ...]:
 
 
 def _capsule(tip: ArrayLike, root: ArrayLike, radius: float) -> FloatArray:
-    """(n, 2) round about two points, counter-clockwise."""
+    """Outline (n, 2) of a capsule around two points, counter-clockwise."""
     a, b = np.asarray(tip), np.asarray(root)
     along = a - b
     heading = float(np.arctan2(along[1], along[0]))

@@ -1,4 +1,4 @@
-"""From films to trajectories: tags, stickers, silhouettes."""
+"""Tracking of parts in films, by tags, stickers or silhouettes."""
 
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting
 from fixel.vision.tracking.follow import AUTO, METHODS, track

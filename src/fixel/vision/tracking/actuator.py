@@ -1,4 +1,4 @@
-"""The actuator's path: how fast, and which part of it is worth comparing."""
+"""Speed of the actuator along its path, and the steady part of its motion."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ import numpy as np
 
 from fixel.typing import FloatArray
 
-SMOOTH: Final = 0.25  # [s] to either side, that a speed is told from
-STEADY: Final = 0.05  # of the cruising speed, that a steady one may differ by
-MOVING: Final = 0.3  # of the largest speed: below, it stands
-MIN_TRAVEL: Final = 8.0  # standard deviations of a position, below which nothing moved
+SMOOTH: Final = 0.25  # [s] to either side from which a speed is computed
+STEADY: Final = 0.05  # of the cruising speed, largest deviation of a steady one
+MOVING: Final = 0.3  # of the largest speed; below it, the actuator stands
+MIN_TRAVEL: Final = 8.0  # standard deviations of a position; below it, nothing moved
 
 
 class ActuatorMotion(NamedTuple):
-    """How the actuator moved.
+    """Motion of the actuator.
 
     Attributes
     ----------
     speed : (n,) float64
-        Smoothed, along its direction [m/s].
+        Smoothed speed along the direction [m/s].
     cruise : float
-        Median while it moved [m/s]; 0 where it did not.
+        Median speed while it moved [m/s]; 0 where it did not.
     direction : (2,) float64
-        Of the whole travel [-].
+        Direction of the whole travel [-].
     travel : float
-        From the first place to the farthest [m].
+        Distance from the first place to the farthest [m].
     start, end : float
-        First instant after the start's unsteadiness, last before the final braking [s].
+        First time after the unsteady start, last time before the final braking [s].
     moved : bool
     back : (float, float) or None
-        When it went back between two pushes, if there is more than one [s].
+        Interval in which it moved back between two pushes [s]; None for a single push.
     """
 
     speed: FloatArray
@@ -45,25 +45,25 @@ class ActuatorMotion(NamedTuple):
 
 
 def motion_of(time: FloatArray, place: FloatArray, noise: float) -> ActuatorMotion:
-    """Speed of a path and its steady part.
+    """Compute the speed along a path and its steady part.
 
     Parameters
     ----------
     time : (n,) float64
-        [s].
+        Times of the places [s].
     place : (n, 2) float64
-        [m].
+        Measured places [m].
     noise : float
         Standard deviation of a place [m].
 
     Notes
     -----
-    As in the laboratory: useful data begin once the speed has come within 5 % of its median, and
-    end before it leaves it for good. Speeds are slopes of lines fitted over half a second, without
-    the lag of the Kalman filter that was used there.
+    As in the laboratory, useful data begin once the speed is within 5 % of its median, and end when
+    it leaves this range for the last time. Speeds are slopes of lines fitted over half a second,
+    without the lag of the Kalman filter used there.
     """
     away = np.hypot(*(place - place[0]).T)
-    farthest = int(np.argmax(away))  # where it ends, unless it goes home before the film ends
+    farthest = int(np.argmax(away))  # its end, unless it returns before the film ends
     way, travel = place[farthest] - place[0], float(away[farthest])
     still = ActuatorMotion(np.zeros(len(time)), 0.0, np.zeros(2), travel, time[0], time[-1], False)
     if len(time) < 8 or travel < MIN_TRAVEL * noise:
@@ -74,7 +74,7 @@ def motion_of(time: FloatArray, place: FloatArray, noise: float) -> ActuatorMoti
     moving = speed > MOVING * speed.max()
     cruise = float(np.median(speed[moving]))
     slack = np.maximum(STEADY * cruise, 3.0 * spread)
-    # A line fitted across a start or a stop tilts: half its width in from there, it no longer does.
+    # Lines fitted across a start or a stop have wrong slopes, up to half their width from there.
     steady = np.flatnonzero(moving & (np.abs(speed - cruise) <= slack))
     if not len(steady):
         return still

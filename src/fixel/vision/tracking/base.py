@@ -1,4 +1,4 @@
-"""What every method of tracking is and promises."""
+"""Abstract tracking method, and classes that all methods share."""
 
 from __future__ import annotations
 
@@ -17,18 +17,16 @@ from fixel.vision.marks import Rig
 
 Thing = Body | Pusher
 
-FORGET: Final = 0.25  # [s] without a sight after which a part may be anywhere near
-COUNTED: Final = 3  # frames likewise, where they are counted
-SAME_PREDICTION: Final = (
-    0.05  # of the way since the last sight: predictions that differ by less are one
-)
+FORGET: Final = 0.25  # [s] without a sighting after which a prediction is invalid
+COUNTED: Final = 3  # frames likewise, for predictions by number of frames
+SAME: Final = 0.05  # of the motion since the last sighting: smaller differences are ignored
 
-SEARCH_EVERY: Final = 2  # frames between two searches for what has been lost for a while
-MARGIN: Final = 40  # [px] around the last place, in which a part is searched for at first
-SPREADS: Final = 6  # [px] a frame by which that grows: 0.1 m/s at 0.55 mm a pixel, 30 frames/s
+SEARCH_EVERY: Final = 2  # frames between two searches for a part lost for a while
+MARGIN: Final = 40  # [px] around the last place that is searched at first
+SPREADS: Final = 6  # [px] per frame of growth: 0.1 m/s at 0.55 mm per pixel, 30 frames/s
 
-# Standard deviations of a pose beyond which a sight is none: a mark of which too little shows.
-VAGUE_POSITION: Final = 0.25e-3  # [m] at 0.55 mm a pixel; scaled with the pixel
+# Largest standard deviations of a pose: with more, too little of a marker is visible.
+VAGUE_POSITION: Final = 0.25e-3  # [m] at 0.55 mm per pixel; scaled with the pixel
 VAGUE_ANGLE: Final = 0.004  # [rad]
 USUAL_PIXEL: Final = 0.55e-3  # [m]
 
@@ -36,22 +34,22 @@ USUAL_PIXEL: Final = 0.55e-3  # [m]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """What one frame tells of one part.
+    """Measurement of one part in one frame.
 
     Attributes
     ----------
     pose : (3,) float64, or None
-        [m, m, rad]; none where it cannot be told, and `reason` says why.
+        Pose [m, m, rad]; None where it is unknown, with the cause in `reason`.
     residual : float
-        Root mean square distance from where the marks should be [px].
+        Root mean square distance of the markers from their places by the pose [px].
     scale : float
-        What a pixel is there [m].
+        Size of a pixel at the part [m].
     sd : (3,) float64
-        Standard deviations of the pose, from the residual [m, m, rad].
+        Standard deviations of the pose from the residual [m, m, rad].
     marks : int
-        How many marks, or edges of an outline, took part.
+        Number of markers, or of edges of an outline, used.
     share : float
-        Of what should be seen of them [-].
+        Share of the expected edges that was used [-].
     reason : str
     """
 
@@ -65,24 +63,24 @@ class Sighting:
 
 
 class AbstractFollower(ABC):
-    """Follows the parts of one film, frame by frame, in order."""
+    """Abstract follower of the parts in one film, called with its frames in order."""
 
     @abstractmethod
     def see(self, frame: Frame) -> dict[str, Sighting]:
-        """Where the parts are in the next frame, by name."""
+        """Measure the parts in the next frame; return sightings by name."""
 
 
 class AbstractTracking(ABC):
-    """A method of finding parts in pictures.
+    """Abstract method to find parts in pictures.
 
-    Final members know what they look for from the rig and the outlines; what they find are poses in
-    the plane, and a reason wherever there is none.
+    Subclasses use the rig and the outlines of the scene, and return poses in the plane, with a
+    reason where there is none.
 
     Attributes
     ----------
     name : str
     needs : str
-        What a part must have to be followed, for people.
+        Requirement on a part, for messages.
     """
 
     name: ClassVar[str]
@@ -90,42 +88,42 @@ class AbstractTracking(ABC):
 
     @abstractmethod
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
-        """Names of the parts it can follow."""
+        """Names of the parts that this method can follow."""
 
     @abstractmethod
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film of a rig with at least one part that can be followed.
+        """Create a follower for a film of a rig with at least one suitable part.
 
         Parameters
         ----------
         rig : Rig
         things : dict of str to Thing
-            Bodies and pushers of the scene, where there is one: what outlines they have, and about
-            how they lie at the start.
+            Bodies and pushers of the scene, if any, with their outlines and approximate start
+            poses.
         """
 
 
 @final
 class PartPrediction:
-    """Where a part should be now, from where it was.
+    """Prediction of the pose of a part from its last sightings.
 
-    Time stamps of arrival may be uneven where the pictures are not, so that the motion is also
-    counted in frames: `at` is called once a frame.
+    Time stamps of arrival may be uneven where the frames are not, so that the motion is also
+    predicted by number of frames: call `at` once per frame.
     """
 
     def __init__(self) -> None:
         self._last: tuple[float, FloatArray] | None = None
-        self._rate = np.zeros(3)  # a second
-        self._step = np.zeros(3)  # a frame
-        self._unseen = 0  # frames since the last sight
+        self._rate = np.zeros(3)  # per second
+        self._step = np.zeros(3)  # per frame
+        self._unseen = 0  # frames since the last sighting
 
     @property
     def pose(self) -> FloatArray | None:
-        """(3,) last seen; none if never."""
+        """Last pose (3,) seen; None before the first."""
         return None if self._last is None else self._last[1]
 
     def at(self, time: float) -> FloatArray | None:
-        """(3,) pose to be expected at an instant [s], by the time stamps."""
+        """Predict the pose (3,) at a time [s] from the time stamps; call once per frame."""
         self._unseen += 1
         if self._last is None:
             return None
@@ -133,7 +131,7 @@ class PartPrediction:
         return pose + self._rate * min(time - then, FORGET)
 
     def by_count(self, expected: FloatArray) -> FloatArray | None:
-        """(3,) pose to be expected by the number of frames; none where it is much the same."""
+        """Predict the pose (3,) from the number of frames; None if it is close to `expected`."""
         if self._last is None or self._unseen > COUNTED:
             return None
         moved = self._step * self._unseen
@@ -142,16 +140,16 @@ class PartPrediction:
         return None if alike else pose
 
     def fresh(self, time: float) -> bool:
-        """Whether it was seen so lately that it must be about where it is expected."""
+        """Whether the part was seen so recently that predictions are valid."""
         return self._last is not None and (time - self._last[0] < FORGET or self._unseen <= COUNTED)
 
     def seen(self, time: float, pose: FloatArray) -> None:
-        """Store a sight."""
+        """Store a sighting."""
         self._rate, self._step = np.zeros(3), np.zeros(3)
         if self._last is not None and self.fresh(time):
             then, before = self._last
             step = pose - before
-            step[2] = wrapped(step[2])  # angles that were read anew know of no turns
+            step[2] = wrapped(step[2])  # angles read from a tag are modulo 2 pi
             self._step = step / max(self._unseen, 1)
             if time - then < FORGET:
                 self._rate = step / (time - then)
@@ -160,19 +158,19 @@ class PartPrediction:
 
 
 def worth_a_search(lost: int) -> bool:
-    """Whether to search for a part again that was not seen in the last `lost` frames."""
+    """Whether to search for a part that was not seen in the last `lost` frames."""
     return lost < 3 or lost % SEARCH_EVERY == 0
 
 
 def search_margin(lost: int) -> int:
-    """Distance [px] from its last place at which a part may be after `lost` frames.
+    """Largest distance [px] of a part from its last place after `lost` frames.
 
-    It may have been pushed on while it was covered; the whole picture is searched much more rarely.
+    It may have moved while it was covered; the whole picture is searched much more rarely.
     """
     return MARGIN + SPREADS * lost
 
 
 def vague(sd: FloatArray, scale: float) -> bool:
-    """Whether too little shows to tell a pose."""
+    """Whether the standard deviations of a pose are too large to accept it."""
     most = VAGUE_POSITION * scale / USUAL_PIXEL
     return bool(np.hypot(sd[0], sd[1]) > most or sd[2] > VAGUE_ANGLE)

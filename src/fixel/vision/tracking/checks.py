@@ -1,4 +1,4 @@
-"""Whether a film is of the rig it is said to be of."""
+"""Checks that a film matches its rig: size, orientation, light and place of the camera."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges
 
-MOVED: Final = 1.5  # [px] by which tags on the plate may be off their places
-CERTAIN: Final = 1.6  # times the radius of 95 %: four standard deviations
-FOUND: Final = 15.0  # [px] within which a plate tag is where it should be, roughly
-ABOVE: Final = 0.03  # [m], about where marks are
-MIN_TAGS: Final = 3  # each tells where it lies in the plane: three numbers of the six wanted
-DARK, WHITE = 45.0, 234.0  # of brightness; videos may have 16 for black, and 235 for white
-PLATE_EVERY: Final = 15  # frames between two looks at the plate
+MOVED: Final = 1.5  # [px] largest offset of tags on the plate
+CERTAIN: Final = 1.6  # times the radius of 95 %, four standard deviations
+FOUND: Final = 15.0  # [px] largest offset of a plate tag that is roughly in place
+ABOVE: Final = 0.03  # [m], approximate height of the markers
+MIN_TAGS: Final = 3  # each gives three numbers for the six parameters of the camera's place
+DARK, WHITE = 45.0, 234.0  # of brightness; video has 16 for black and 235 for white
+PLATE_EVERY: Final = 15  # frames between two checks of the plate
 UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera has moved"
-VAGUE: Final = 0.5e-3  # [m] that a camera registered anew may be wrong by up there
+VAGUE: Final = 0.5e-3  # [m] largest error of a registered camera at that height
 
 
 def refuse_size(rig: Rig, frame: Frame) -> None:
-    """Refuse pictures of another size than the rig's camera has."""
+    """Raise for pictures of another size than that of the rig's camera."""
     wanted, found = tuple(rig.camera.lens.image_size), frame.size
     if found == wanted:
         return
@@ -50,7 +50,7 @@ def refuse_size(rig: Rig, frame: Frame) -> None:
 
 
 def bad_light(frame: Frame) -> str:
-    """What to do about a picture that is nearly all dark, or white; empty where it is neither."""
+    """Return a remedy for a picture that is nearly all dark or white; empty for others."""
     level = np.percentile(frame.luma[::8, ::8], (50.0, 95.0))
     if level[1] < DARK:
         return f"95 of 100 pixels are darker than {level[1]:.0f} of 255: more light, or exposure"
@@ -62,7 +62,7 @@ def bad_light(frame: Frame) -> str:
 
 
 def refuse_flipped(rig: Rig, picture: Gray) -> None:
-    """Refuse pictures whose tags can be read only when they are flipped."""
+    """Raise for pictures whose tags are readable only in the mirrored picture."""
     tags = [m for part in rig.parts.values() for m in part.marks if isinstance(m, Tag)]
     tags += rig.plate
     if not tags:
@@ -82,24 +82,24 @@ def refuse_flipped(rig: Rig, picture: Gray) -> None:
 
 @final
 class PlateWatch:
-    """Looks now and then, and at the end, whether the camera is still where it was."""
+    """Monitor that checks regularly, and at the end of a film, whether the camera has moved."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         pixel = rig.camera.metres_per_pixel()
         limits = [moved_limit(rig, tag, MOVED * pixel) / pixel for tag in rig.plate]
         self._limit = max(limits, default=MOVED)  # [px]
-        self._looks: list[tuple[float, float]] = []  # when [s], and how far off [px]
+        self._looks: list[tuple[float, float]] = []  # time [s] and offset [px]
         self._last: Frame | None = None
 
     def see(self, frame: Frame, index: int) -> None:
-        """Take note of a frame of the film, the number of which is `index`."""
+        """Process frame number `index` of the film."""
         self._last = frame
         if index % PLATE_EVERY == 0:
             self._look(frame)
 
     def doubted(self, time: FloatArray) -> BoolArray:
-        """(n,) at which instants [s] it may have been elsewhere: not in place before or after."""
+        """Return (n,) bool: times [s] for which the check before or after found a movement."""
         if self._last is not None and (not self._looks or self._looks[-1][0] < self._last.time):
             self._look(self._last)
         when, off = np.array(self._looks).reshape(-1, 2).T
@@ -111,12 +111,12 @@ class PlateWatch:
 
     @property
     def in_place(self) -> bool:
-        """Whether nothing spoke against it at the last look."""
+        """Whether the camera was in place at the last check."""
         return not self._looks or self._looks[-1][1] <= self._limit
 
     @property
     def remarks(self) -> list[str]:
-        """What was noticed first, once all frames were seen."""
+        """First movement found, as a sentence, once all frames were processed."""
         return [
             f"camera or plate moved during the film: {off:.1f} px off at {when:.2f} s"
             for when, off in self._looks
@@ -126,15 +126,15 @@ class PlateWatch:
     def _look(self, frame: Frame) -> None:
         edges = [_by_its_edges(self._rig, frame, tag) for tag in self._rig.plate]
         off = [each for each in edges if each is not None]
-        if not off or np.median(off) > self._limit:  # else there is no need to read them
+        if not off or np.median(off) > self._limit:  # else they need not be read
             off = [straight for straight, _ in _plate(self._rig, frame).values()]
         if off:
             self._looks.append((frame.time, float(np.median(off))))
 
 
 def _plate(rig: Rig, frame: Frame) -> dict[int, tuple[float, float]]:
-    """How far tags of the plate that can be read are off their places, by id, and how far they
-    would be in a picture turned by half a turn [px]."""
+    """Offsets of readable plate tags from their places, by id, and their offsets if the picture
+    is turned by half a turn [px]."""
     if not rig.plate:
         return {}
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
@@ -154,7 +154,7 @@ def _plate(rig: Rig, frame: Frame) -> dict[int, tuple[float, float]]:
 
 
 def _by_its_edges(rig: Rig, frame: Frame, tag: Tag) -> float | None:
-    """How far a tag of the plate is off its place [px], to a few hundredths."""
+    """Offset of a plate tag from its place [px], accurate to a few hundredths."""
     edges, pose = tag_edges(tag, 0), np.zeros(3)
     window = window_of(frame, rig.camera, edges, pose, FOUND)
     if window is None:
@@ -166,12 +166,12 @@ def _by_its_edges(rig: Rig, frame: Frame, tag: Tag) -> float | None:
 
 
 def refuse_moved(rig: Rig, frame: Frame) -> bool:
-    """Refuse pictures in which the plate's own tags are not where they should be.
+    """Raise for pictures in which tags of the plate are not in their places.
 
     Returns
     -------
     bool
-        Whether any of them is seen, so that it would have been noticed.
+        Whether any of them is visible, without which a movement cannot be noticed.
     """
     offsets = _plate(rig, frame)
     if not offsets:
@@ -200,10 +200,10 @@ def refuse_moved(rig: Rig, frame: Frame) -> bool:
 
 
 def moved_limit(rig: Rig, tag: Tag, least: float) -> float:
-    """Distance [m] of a plate tag from its place beyond which the camera or the plate was moved.
+    """Largest offset [m] of a plate tag for which camera and plate count as unmoved.
 
-    A camera that never moved shows a tag off its place by the errors of its own calibration: the
-    limit is `least` [m] and these errors together, `CERTAIN` times the radius that holds 95 %.
+    An unmoved camera shows offsets due to the errors of its calibration. The limit combines
+    `least` [m] with these errors, `CERTAIN` times the radius of 95 %.
     """
     if rig.measured is None:
         return least
@@ -213,12 +213,12 @@ def moved_limit(rig: Rig, tag: Tag, least: float) -> float:
 
 
 def registered(rig: Rig, frame: Frame) -> Rig:
-    """The rig with its camera where it must be, for its plate's tags to be where they show.
+    """Return the rig with the camera's place determined from the tags of the plate.
 
     Raises
     ------
     InvalidInput
-        Fewer than three tags of the plate in the picture, or tags that fit no place of the camera.
+        Fewer than three plate tags are visible, or the tags fit no place of the camera.
     """
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
     rough = {
@@ -251,7 +251,7 @@ def registered(rig: Rig, frame: Frame) -> Rig:
 
 
 def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> FloatArray:
-    """(4, 2) corners of a tag of the plate, to a few hundredths of a pixel."""
+    """Corners (4, 2) of a plate tag, accurate to a few hundredths of a pixel."""
     fit = fit_pose(frame.luma, camera, tag_edges(tag, 0), np.zeros(3), reach=5.0)
     if fit is None:
         return rough
@@ -259,7 +259,7 @@ def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> Floa
 
 
 def _points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) corners of tags in the world [m], and (n, 2) where they are seen [px]."""
+    """Corners of tags in the world (n, 3) [m] and in the picture (n, 2) [px]."""
     points = [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
     return np.concatenate(points), np.concatenate(list(seen.values()))
 
@@ -267,7 +267,7 @@ def _points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
 def _placed(
     camera: Camera, seen: Mapping[Tag, FloatArray], *, exact: bool = False
 ) -> tuple[Camera, float]:
-    """The camera where its tags show as they do, and how far they are off then [px]."""
+    """Fit the camera's place to tags; return also the root mean square residual [px]."""
     points, pixels = _points(seen)
 
     def at(unknown: FloatArray) -> Camera:
@@ -295,7 +295,7 @@ def _refuse_vague(
     slope: FloatArray,
     scatter: float,
 ) -> None:
-    """Refuse a camera whose tags leave open where something above the plate is."""
+    """Raise if tags determine the camera too badly for places above the plate."""
     middle = (np.array(found.lens.image_size) - 1.0) / 2.0
     here = found.on_plane(middle, ABOVE)
     step = 1e-6

@@ -1,4 +1,4 @@
-"""Round patches of one colour: finding them anywhere, and where exactly they lie."""
+"""Detection of round stickers by colour, and measurement of their places."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fixel.vision.tracking.loops import box_of
 from fixel.vision.tracking.optics import optics_of, seen_at
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose
 
-# Hues of the names of colours [deg]. Light changes brightness first, saturation next, hue last.
+# Hues of colours [deg]. Light changes brightness most, then saturation, and hue least.
 HUES: Final = {
     "red": 0.0,
     "orange": 25.0,
@@ -30,13 +30,13 @@ HUES: Final = {
 HUE_SLACK: Final = 30.0  # [deg]
 MIN_SATURATION: Final = 75  # of 255
 MIN_BRIGHTNESS: Final = 35  # of 255
-AREA: Final = (0.45, 1.8)  # of what it should be, for what might be a sticker
-ROUND: Final = 0.6  # least share of its box, and of the box's sides, of something round
-RIM: Final = 14.0  # [px] around a sticker that is looked at
+AREA: Final = (0.45, 1.8)  # of the expected area, for a sticker
+ROUND: Final = 0.6  # least filling of its box, and ratio of the box's sides, for a disk
+RIM: Final = 14.0  # [px] margin of the window around a sticker
 
 
 class Patch(NamedTuple):
-    """Something of the right colour and size."""
+    """Patch of the right colour and size."""
 
     pixel: FloatArray  # (2,) of its middle [px]
     area: float  # [px^2]
@@ -49,7 +49,7 @@ def find_patches(
     camera: Camera,
     corner: FloatArray,
 ) -> dict[str, list[Patch]]:
-    """All patches that might be the wanted stickers, by colour.
+    """Find all patches that may be the wanted stickers, by colour.
 
     Parameters
     ----------
@@ -57,10 +57,10 @@ def find_patches(
         A window of the camera's picture.
     wanted : tuple of Sticker
     stickers : tuple of Sticker
-        Every colour of the rig: a pixel is of the one whose hue is nearest.
+        All stickers of the rig; a pixel belongs to the one with the nearest hue.
     camera : Camera
     corner : (2,) float64
-        Where the window begins [px].
+        Upper left corner of the window [px].
     """
     cv2 = opencv()
     hue, saturation, value = np.moveaxis(
@@ -84,7 +84,7 @@ def find_patches(
 
 
 def _nearest_hue(colours: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """(256,) which colour each of OpenCV's hues is of; -1 for none."""
+    """Indices (256,) of the nearest colour for OpenCV's hues; -1 for none."""
     degrees = 2.0 * np.arange(256)[:, None]
     apart = np.abs((degrees - [HUES[c] for c in colours] + 180.0) % 360.0 - 180.0)
     return np.where(apart.min(1) <= HUE_SLACK, apart.argmin(1), -1)
@@ -98,12 +98,12 @@ def _round(box: np.ndarray[tuple[int], np.dtype[np.int32]]) -> bool:
 def fit_sticker(
     frame: Frame, camera: Camera, sticker: Sticker, place: FloatArray, reach: float
 ) -> PoseFit | str:
-    """Where a sticker lies, from the edge of what it covers.
+    """Measure the place of a sticker from its edge.
 
-    Its colour and that of what is around it are read where it is expected, so that it does not
-    matter what the light is. Every pixel then has a share that the sticker covers, and a circle at
-    the sticker's height, seen through the camera, is fitted to the edge of that: exact under
-    perspective, and from the part that shows where the rest is covered.
+    The colours of the sticker and its surroundings are read from the picture, so that the light
+    does not matter. They give the share of every pixel that the sticker covers. A circle at the
+    sticker's height, projected by the camera, is fitted to the edge of the covered area. This is
+    exact under perspective, and works for a partly hidden sticker.
 
     Parameters
     ----------
@@ -111,9 +111,9 @@ def fit_sticker(
     camera : Camera
     sticker : Sticker
     place : (2,) float64
-        Where it is expected in the world [m].
+        Expected place in the world [m].
     reach : float
-        How far from there it may be [px].
+        Largest distance from the expected place [px].
 
     Returns
     -------
@@ -151,7 +151,7 @@ def _rim(radius: float, height: float) -> OutlineEdges:
 
 
 def _in_pixels(camera: Camera, edges: OutlineEdges, place: FloatArray) -> float:
-    """Radius of a circle at a place, as the picture has it on average [px]."""
+    """Mean radius in the picture of a circle at a place [px]."""
     box = np.empty((2, 2))
     if not box_of(optics_of(camera), edges.thing, np.append(place, 0.0), box):
         return 1.0
@@ -166,5 +166,5 @@ def _window(
     right, bottom = min(int(middle[0] + half) + 1, width), min(int(middle[1] + half) + 1, height)
     if right - left < half or bottom - top < half:
         return None, (0, 0)
-    # Always a copy: of each kind of array the loops would be compiled anew.
+    # Always a copy: the loops would be recompiled for each memory layout.
     return np.array(frame.colour(slice(top, bottom), slice(left, right))), (left, top)

@@ -1,4 +1,4 @@
-"""How much of each pixel a sticker covers, compiled."""
+"""Coverage of pixels by a sticker, compiled."""
 
 import math
 
@@ -7,20 +7,20 @@ import numpy as np
 from fixel.kernels.jit import entry
 from fixel.vision.frame import Gray, Picture
 
-CORE, RING = 0.55, (1.35, 1.75)  # of the radius: surely inside, surely outside
-CONTRAST = 25.0  # of 255 between a sticker and what is around it
+CORE, RING = 0.55, (1.35, 1.75)  # of the radius: certainly inside, certainly outside
+CONTRAST = 25.0  # of 255 between a sticker and its surroundings
 COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
-MIN_INSIDE, MIN_AROUND = 4, 8  # pixels that tell a colour
+MIN_INSIDE, MIN_AROUND = 4, 8  # pixels needed for a mean colour
 
 
 @entry
 def cover(window: Picture, u: float, v: float, radius: float, covered: Gray) -> bool:
-    """Write how much of each pixel a sticker covers that is expected about (u, v), as a picture.
+    """Write the coverage of each pixel by a sticker near (u, v) as a picture.
 
     Returns
     -------
     bool
-        Whether anything stands out there.
+        Whether a sticker is visible there.
     """
     height, width = covered.shape
     inside, around = np.zeros(3), np.zeros(3)

@@ -1,8 +1,8 @@
-"""Edges in a picture, to a few hundredths of a pixel.
+"""Edge detection in a picture, accurate to a few hundredths of a pixel.
 
-Where an edge is expected is known from the frame before. Brightness is read along its normal, and
-the edge is put at the centre of its rise: an estimate that blur, defocus and noise do not push to
-either side, as they do with the refinement of corners.
+The expected place of an edge is known from the previous frame. Brightness is read along the normal,
+and the edge is the centre of its rise. Blur, defocus and noise do not bias this estimate, in
+contrast to the refinement of corners.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from fixel.vision.tracking.loops import edges_along
 
 
 class EdgeLine(NamedTuple):
-    """Places where an edge is expected.
+    """Expected places of edges.
 
     Attributes
     ----------
     pixel : (n, 2) float64
-        On it [px].
+        Points on the edge [px].
     normal : (n, 2) float64
-        From its dark side to its bright one, of length 1.
+        Unit vectors from the dark side to the bright one.
     """
 
     pixel: FloatArray
@@ -32,16 +32,16 @@ class EdgeLine(NamedTuple):
 
 
 class EdgePoints(NamedTuple):
-    """What was found there.
+    """Edges found at expected places.
 
     Attributes
     ----------
     offset : (n,) float64
-        Of the edge along its normal [px].
+        Offset of the edge along its normal [px].
     dark, bright : (n,) float64
-        Brightness a little to either side of it.
+        Brightness near the edge, on either side.
     clear : (n,) bool
-        Whether there is an edge at all, well inside what was read.
+        Whether there is an edge, well within reach.
     """
 
     offset: FloatArray
@@ -51,15 +51,15 @@ class EdgePoints(NamedTuple):
 
 
 def find_edges(picture: Gray, line: EdgeLine, reach: float) -> EdgePoints:
-    """Where edges are along their normals.
+    """Find edges along their normals.
 
     Parameters
     ----------
     picture : (height, width) uint8
     line : EdgeLine
-        Where they are expected.
+        Expected places.
     reach : float
-        How far from there they are looked for [px].
+        Largest distance from the expected places [px].
     """
     n = len(line.pixel)
     found = np.empty((n, 3))

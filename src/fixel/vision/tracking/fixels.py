@@ -1,4 +1,4 @@
-"""Where the fixels stand, from the rims of their tops."""
+"""Measurement of the places of fixels from the rims of their tops."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from fixel.vision.marks import Rig
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.tracked import FoundFixel
 
-REACH_FIRST: Final = 10.0  # [px] from where the scene has it
-FIXEL_REACH: Final = 4.0
-# Radii of what one sees of a top, as shares of the fixel's: a turned end has rings, all about one
-# middle. How wide the one is that shows best is measured with its place: where the side of the
-# cylinder hides some of it, a wrong radius would push the middle away from there.
+REACH_FIRST: Final = 10.0  # [px] from its place in the scene
+REACH: Final = 4.0
+# Radii of visible rings as shares of the fixel's radius: a turned end has concentric rings. The
+# radius of the clearest one is fitted with its place, since a wrong radius would bias the place
+# where the side of the cylinder hides part of the ring.
 RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
 WIDEST, NARROWEST = 1.1, 0.5
-LOOKS: Final = 4  # at a ring, each with the radius of the one before
-SAME_RADIUS: Final = 0.02  # [px] of a radius, below which another look adds nothing
+LOOKS: Final = 4  # fits of a ring, each with the radius of the one before
+SAME: Final = 0.02  # [px] change of radius at which the fits have converged
 MIN_SHARE: Final = 0.45  # of a ring
 MAX_RESIDUAL: Final = 0.5  # [px]
-MIN_FRAMES: Final = 3  # frames that a place is worth something from
+LEAST: Final = 3  # least number of frames for a place
 
-Ring = tuple[float, bool]  # share of the radius, whether it is dark inside
+Ring = tuple[float, bool]  # share of the radius, and whether it is dark inside
 
 
 @final
 class FixelFinder:
-    """Measures fixels in some frames of a film.
+    """Measurement of fixels in some frames of a film.
 
-    Which ring of the top shows best, and whether it is dark or bright, is found out where a fixel
-    is first seen. Where the side of the cylinder shows, its edge is another one, and is left out.
+    The clearest ring of the top, dark or bright inside, is chosen where a fixel is first seen. The
+    edge of the cylinder's side differs from it, and is left out.
     """
 
     def __init__(self, rig: Rig, fixels: Sequence[Fixel]) -> None:
@@ -47,7 +47,7 @@ class FixelFinder:
         self._rings: dict[str, Ring] = {}
 
     def see(self, frame: Frame) -> None:
-        """Measure what shows in a frame."""
+        """Measure the visible fixels in a frame."""
         for fixel in self._fixels:
             places = self._found[fixel.name]
             if places:
@@ -65,7 +65,7 @@ class FixelFinder:
     def _fit(
         self, frame: Frame, fixel: Fixel, ring: Ring, start: FloatArray, reach: float
     ) -> tuple[PoseFit, Ring] | None:
-        """Where a ring is, and how wide."""
+        """Fit place and radius of a ring; None where it is not clear."""
         assert isinstance(fixel.shape, Disk)
         share, dark = ring
         pose, fit = np.append(start, 0.0), None
@@ -91,7 +91,7 @@ class FixelFinder:
         return fit, (share, dark)
 
     def found(self) -> tuple[FoundFixel, ...]:
-        """Fixels that were measured often enough."""
+        """Return the fixels that were measured often enough."""
         result = []
         for name, places in self._found.items():
             if len(places) < MIN_FRAMES:
@@ -103,6 +103,6 @@ class FixelFinder:
 
 
 def _wider(edges: OutlineEdges, fit: PoseFit) -> float:
-    """How far the edges of a circle lie beyond it, wherever its middle is [px]."""
+    """Excess of the radius found over that of `edges`, for any middle [px]."""
     slope = np.column_stack((np.ones(len(edges.outward)), edges.outward))[fit.used]
     return float(np.linalg.lstsq(slope, fit.found[fit.used, 0], rcond=None)[0][0])

@@ -1,4 +1,4 @@
-"""From a film to trajectories."""
+"""Tracking of all parts in a film."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ METHODS: Final[Mapping[str, AbstractTracking]] = {
 AUTO: Final = "auto"
 
 FIXELS_EVERY: Final = 15  # frames
-UNEVEN: Final = 3e-3  # [s] of scatter of time stamps from which on it is said
-KNOTS: Final = 9  # poses of a track at which the camera's part of their errors is computed
+UNEVEN: Final = 3e-3  # [s] scatter of time stamps from which it is reported
+KNOTS: Final = 9  # poses of a track at which the errors due to the camera are computed
 
 
 def track(
@@ -56,22 +56,22 @@ def track(
     Parameters
     ----------
     frames : iterable of Frame
-        In order of time.
+        Frames in order of time.
     rig : Rig
     scene : Scene, optional
-        Outlines for silhouettes, and about where fixels stand.
+        Scene with outlines for silhouettes, and approximate places of fixels.
     method : str or AbstractTracking
-        `auto` takes tags where a part has any, else stickers, else its outline.
+        Tracking method; `auto` uses tags where a part has any, else stickers, else its outline.
     register : bool
-        Find the camera's place anew, from the tags on the plate.
+        Whether to determine the camera's place from the tags on the plate.
     progress : callable, optional
         Called with the number of frames done.
 
     Raises
     ------
     InvalidInput
-        Pictures of another size than the rig's camera, mirrored or turned ones, a camera that was
-        moved, a part that shows in no frame, or no frame at all.
+        Pictures have another size than the rig's camera, are mirrored or turned; the camera was
+        moved; a part is visible in no frame; or there are no frames.
     """
     things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []
@@ -120,7 +120,7 @@ def track(
 
 
 def _with_camera(rig: Rig, part: PartTrack, things: Mapping[str, Thing]) -> PartTrack:
-    """A track with what the camera's errors add to the uncertainty of its poses."""
+    """Add the uncertainty due to the camera's errors to a track."""
     rows = np.flatnonzero(part.good)
     points = _points_of(rig, part.name, things)
     if rig.measured is None or points is None or not len(rows):
@@ -137,7 +137,7 @@ def _with_camera(rig: Rig, part: PartTrack, things: Mapping[str, Thing]) -> Part
 
 
 def _uneven(time: FloatArray) -> list[str]:
-    """A sentence about time stamps that are scattered much about an even frame rate."""
+    """Return a remark if time stamps scatter much about an even frame rate."""
     scatter = float(np.median(stamp_scatter(time)))
     if scatter < UNEVEN:
         return []
@@ -148,7 +148,7 @@ def _uneven(time: FloatArray) -> list[str]:
 
 
 def _points_of(rig: Rig, name: str, things: Mapping[str, Thing]) -> FloatArray | None:
-    """(n, 2) points of a part by which it is measured [m]: its marks, or else its outline."""
+    """Points (n, 2) by which a part is measured [m]: its markers, or else its outline."""
     points = [
         tag_corners(mark) if isinstance(mark, Tag) else mark.place[None]
         for mark in rig.parts[name].marks
@@ -159,13 +159,13 @@ def _points_of(rig: Rig, name: str, things: Mapping[str, Thing]) -> FloatArray |
 
 
 def things_of(scene: Scene) -> dict[str, Thing]:
-    """Bodies and pushers, by name."""
+    """Bodies and pushers of a scene by name."""
     bodies: dict[str, Thing] = {body.name: body for body in scene.bodies}
     return bodies | {pusher.name: pusher for pusher in scene.pushers}
 
 
 def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
-    """The rig, with its camera where it is now."""
+    """Check the first frame; return the rig, with its camera registered, and remarks."""
     refuse_size(rig, frame)
     if not register:
         watched = refuse_moved(rig, frame) or not rig.plate
@@ -179,7 +179,7 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
 def followers_of(
     rig: Rig, things: Mapping[str, Thing], method: str | AbstractTracking
 ) -> tuple[tuple[str, ...], list[AbstractFollower]]:
-    """Which parts are followed, and by what."""
+    """Choose the parts to follow, and create their followers."""
     members = list(METHODS.values()) if method == AUTO else [_chosen(method)]
     names: list[str] = []
     followers = []

@@ -1,4 +1,4 @@
-"""Which poses of a track to believe."""
+"""Outlier detection in tracks."""
 
 from __future__ import annotations
 
@@ -13,38 +13,35 @@ from fixel.typing import BoolArray, FloatArray
 from fixel.vision.tracking.base import Sighting
 from fixel.vision.tracking.tracked import PartTrack
 
-NEIGHBOURS: Final = 5  # frames to either side that a pose must agree with, on one side at least
-SCATTERS: Final = 8.0  # of the usual disagreement, beyond which a pose is an outlier
-MIN_DISAGREEMENT: Final = (
-    0.3e-3,
-    0.008,
-)  # [m] at 0.55 mm a pixel, [rad]: smaller disagreements are none
-JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm a pixel, [rad]: nothing on the plate moves so at once
+NEIGHBOURS: Final = 5  # frames to either side; a pose must agree with one side at least
+SCATTERS: Final = 8.0  # times the usual deviation, beyond which a pose is an outlier
+LEAST: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm per pixel, [rad]: smaller deviations are ignored
+JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm per pixel, [rad]: impossible change between frames
 USUAL_PIXEL: Final = 0.55e-3  # [m]
 ELSEWHERE: Final = "the camera or the plate was moved"
-BESIDE: Final = 3  # steps to either side that tell a speed
+BESIDE: Final = 3  # steps to either side from which a speed is computed
 AT_END: Final = 4  # poses likewise, at the end of a piece
-NEARBY: Final = 7  # frames to either side that tell an even frame rate
+NEARBY: Final = 7  # frames to either side for the even frame rate
 EVEN: Final = (
     0.06  # of the frame period: milliseconds of a container at 30 frames a second are even
 )
-SPREAD: Final = 2.0  # standard deviations of a time stamp that a pose may be early or late
+SPREAD: Final = 2.0  # standard deviations of a time stamp by which a pose may be early or late
 
 
 def judged(
     name: str, time: FloatArray, sightings: Sequence[Sighting], doubted: BoolArray | None = None
 ) -> PartTrack:
-    """The track of a part, with poses that cannot be marked as such.
+    """Return the track of a part, with impossible poses marked.
 
     Parameters
     ----------
     name : str
     time : (n,) float64
-        [s].
+        Times of the frames [s].
     sightings : sequence of Sighting
-        One a frame.
+        One sighting per frame.
     doubted : (n,) bool, optional
-        When the camera may have been elsewhere.
+        Frames during which the camera may have been moved.
     """
     seen = np.array([s.pose is not None for s in sightings], dtype=bool)
     nothing = np.full(3, np.nan)
@@ -87,7 +84,7 @@ def judged(
 
 
 def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
-    """(n,) angles that go on from one good one to the next [rad], others nearest to the last."""
+    """Unwrap good angles of (n,) [rad]; put others within half a turn of the last good one."""
     rows = np.flatnonzero(good)
     if not len(rows):
         return angle
@@ -99,30 +96,29 @@ def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
 
 
 class _MotionTimes(NamedTuple):
-    """Times by which motion is judged.
+    """Times of frames with their uncertainty.
 
     Attributes
     ----------
     time : (n,) float64
-        [s].
+        Times [s].
     slack : (n,) float64
-        Uncertainty of each [s].
+        Uncertainty of each time [s].
     """
 
     time: FloatArray
     slack: FloatArray
 
     def only(self, rows: NDArray[np.int64]) -> _MotionTimes:
-        """The clock at some of the frames."""
+        """Return the times of some of the frames."""
         return _MotionTimes(self.time[rows], self.slack[rows])
 
 
 def _clocks(time: FloatArray) -> tuple[_MotionTimes, ...]:
-    """The time stamps with their uncertainty, and where they are uneven a count of the frames.
+    """Return the time stamps with their uncertainty, and where they are uneven, even times too.
 
-    Stamps of arrival come late by what the computer did meanwhile, and then the frames were taken
-    evenly; or the camera left frames out, and the stamps are right. A pose that fits the motion by
-    either of the clocks is believed.
+    Either the computer delayed the stamps of evenly taken frames, or the camera left frames out
+    and the stamps are right. A pose is accepted if it fits the motion by either of these times.
     """
     scatter = stamp_scatter(time)
     stamps = _MotionTimes(time, SPREAD * scatter)
@@ -133,7 +129,7 @@ def _clocks(time: FloatArray) -> tuple[_MotionTimes, ...]:
 
 
 def stamp_scatter(time: FloatArray) -> FloatArray:
-    """(n,) root mean square distance of time stamps (n,) from an even frame rate nearby [s].
+    """Root mean square distance (n,) of time stamps (n,) from a locally even frame rate [s].
 
     The even rate is a line through the stamps of `NEARBY` frames to either side. A scatter of less
     than `EVEN` of the frame period, such as that of rounded stamps, counts as 0.
@@ -155,7 +151,7 @@ def stamp_scatter(time: FloatArray) -> FloatArray:
 
 
 def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
-    """(n,) which poses agree with their neighbours neither before nor after nor around."""
+    """Return (n,) bool: poses that disagree with the neighbours before, after and around them."""
     n = len(pose)
     if n < 2 * NEIGHBOURS + 1:
         return np.zeros(n, dtype=bool)
@@ -173,7 +169,7 @@ def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> Bo
 def _disagreement(
     clock: _MotionTimes, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
 ) -> FloatArray:
-    """(n, 2) distance [m] and angle [rad] of poses from a robust line through some neighbours."""
+    """Distance [m] and angle [rad] (n, 2) of poses from a robust line through neighbours."""
     time = clock.time
     n = len(time)
     index = np.arange(n)[:, None] + offsets
@@ -193,10 +189,10 @@ def _disagreement(
 
 
 def _within(off: FloatArray, rate: FloatArray, slack: FloatArray) -> FloatArray:
-    """(n, 3) the part of offsets (n, 3) that no error of the time by up to `slack` [s] explains.
+    """Part (n, 3) of offsets (n, 3) that no error of the time up to `slack` [s] explains.
 
-    A pose that moves at `rate` is seen early or late: it lies off along that rate, in position and
-    angle at once.
+    A part that moves at `rate` is seen early or late: the offset is along that rate, in position
+    and angle together.
     """
     if not slack.any():
         return off
@@ -207,14 +203,14 @@ def _within(off: FloatArray, rate: FloatArray, slack: FloatArray) -> FloatArray:
 
 
 def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
-    """(n,) which poses lie on pieces of a track that do not go on from the longest one."""
+    """Return (n,) bool: poses on pieces of a track that do not continue the longest one."""
     n = len(pose)
     bad = np.zeros(n, dtype=bool)
     if n < 3:
         return bad
     limit = np.array([JUMP[0] * scale, JUMP[1]])
     rates = [_rates(clock, pose) for clock in clocks]
-    # Stamps that nearly coincide make speeds too high: the lower ones of the clocks are right.
+    # Nearly coinciding stamps make speeds too high: use the lower speeds of the two clocks.
     fastest = np.min([np.max([_sizes(r) for r in _beside(rate)], axis=0) for rate in rates], axis=0)
     jump = np.ones(n - 1, dtype=bool)
     for clock, rate in zip(clocks, rates, strict=True):
@@ -239,25 +235,25 @@ def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: floa
 
 
 def _lasted(clock: _MotionTimes) -> FloatArray:
-    """(n - 1,) durations of steps, none much shorter than the usual one [s]."""
+    """Durations (n - 1,) of steps, at least a quarter of the median [s]."""
     step = np.diff(clock.time)
     return np.asarray(np.maximum(step, 0.25 * np.median(step)))
 
 
 def _rates(clock: _MotionTimes, pose: FloatArray) -> FloatArray:
-    """(n - 1, 3) speeds from pose to pose [m/s, rad/s]."""
+    """Speeds (n - 1, 3) from pose to pose [m/s, rad/s]."""
     return np.asarray(np.diff(pose, axis=0) / _lasted(clock)[:, None])
 
 
 def _jumps(
     clock: _MotionTimes, rate: FloatArray, limit: FloatArray, fastest: FloatArray
 ) -> BoolArray:
-    """(n - 1,) which steps are farther than the speeds before and after explain."""
+    """Return (n - 1,) bool: steps longer than the speeds before and after explain."""
     step = np.diff(clock.time)
     off = _beyond(rate, *_beside(rate)) * _lasted(clock)[:, None]
     slack = np.maximum(clock.slack[1:], clock.slack[:-1])
     far = (off > limit + slack[:, None] * fastest).any(axis=1)
-    # Over a gap it may have gone anywhere it had time for.
+    # During a long gap any motion is possible.
     return np.asarray(far & (step < 4.0 * np.median(step) + slack))
 
 
@@ -269,9 +265,9 @@ def _goes_on(
     limit: FloatArray,
     size: FloatArray,
 ) -> bool:
-    """Whether a piece goes on, forwards or backwards, from the last pose of another.
+    """Whether a piece continues the last pose of another, forwards or backwards.
 
-    Its speed there is `speed` (3,), and its size as far as it is sure `size` (2,).
+    `speed` (3,) is the speed of the other piece there, `size` (2,) the reliable size of it.
     """
     time = clock.time
     there, own = pieces
@@ -279,24 +275,24 @@ def _goes_on(
     its_own = _speed(time, pose, own[:AT_END]) if len(own) >= AT_END else speed
     passed = time[here] - time[there]
     off = _beyond((pose[here] - pose[there]) / passed, speed, its_own) * abs(passed)
-    # The longer it was away, the less its speed then says.
+    # The longer the gap, the less certain the motion in it.
     unsure = max(0.5 * abs(float(passed)), float(clock.slack[[here, there]].max()))
     return bool((off < limit + unsure * size).all())
 
 
 def _sizes(rate: FloatArray) -> FloatArray:
-    """(..., 2) sizes of speeds (..., 3) [m/s, rad/s]."""
+    """Sizes (..., 2) of speeds (..., 3) [m/s, rad/s]."""
     return np.stack((np.hypot(rate[..., 0], rate[..., 1]), np.abs(rate[..., 2])), axis=-1)
 
 
 def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) usual speeds over the steps before each, and over those after it; at ends, both."""
+    """Median speeds (n, 3) over the steps before each and after it; at ends, both from one side."""
     before, after = _usual(rate)[:-1], _usual(rate[::-1])[::-1][1:]
     return np.concatenate((after[:1], before)), np.concatenate((after, before[-1:]))
 
 
 def _usual(rate: FloatArray) -> FloatArray:
-    """(n, 3) medians of each speed (n, 3) and those before it, `BESIDE` of them at most."""
+    """Running medians (n, 3) of speeds (n, 3): each with up to two before it."""
     first = [np.median(rate[: k + 1], axis=0) for k in range(min(BESIDE - 1, len(rate)))]
     if len(rate) < BESIDE:
         return np.array(first)
@@ -305,10 +301,10 @@ def _usual(rate: FloatArray) -> FloatArray:
 
 
 def _beyond(rate: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
-    """(..., 2) how far speeds (..., 3) are from lying between two others [m/s, rad/s].
+    """Distance (..., 2) of speeds (..., 3) from the range between two others [m/s, rad/s].
 
-    What is hit, let go or turns back has one speed before and another after, and between them any
-    mixture of the two.
+    A part that is hit, released or reversed has one speed before and another after, and any
+    mixture of the two in between.
     """
     way = other - one
     length = np.maximum((way[..., :2] ** 2).sum(-1), 1e-30)
@@ -319,7 +315,7 @@ def _beyond(rate: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _speed(time: FloatArray, pose: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
-    """(3,) usual speed over some poses; none of a single one."""
+    """Median speed (3,) over some poses; 0 for a single one."""
     if len(rows) < 2:
         return np.zeros(3)
     rates = np.diff(pose[rows], axis=0) / np.diff(time[rows])[:, None]

@@ -1,6 +1,6 @@
-"""The loops of tracking that are run thousands of times a second, compiled.
+"""Inner loops of tracking, called thousands of times a second, compiled.
 
-As for the kernels: arrays and numbers only, a status in place of exceptions.
+As in the kernels, arguments are arrays and numbers, and errors a status instead of exceptions.
 """
 
 import math
@@ -12,17 +12,17 @@ from fixel.typing import BoolArray, FloatArray
 from fixel.vision.frame import Gray
 
 STEP = 0.5  # [px] between readings along a normal
-WINDOW = 2.6  # [px] to either side of an edge that its rise is looked for in
-SHIFTS = 4  # of that window onto the centre of what is in it
-BESIDE = 2.5  # [px] from an edge to where its dark and its bright side are judged
-MIN_RISE = 12.0  # of brightness, of 255, below which nothing is an edge
+WINDOW = 2.6  # [px] half width of the window of an edge's rise
+SHIFTS = 4  # of that window onto the centroid of its content
+BESIDE = 2.5  # [px] from an edge to the readings of its dark and bright side
+MIN_RISE = 12.0  # of brightness, of 255, least rise of an edge
 
-NUDGE = 1e-5  # [m], for derivatives of pixels by places
+NUDGE = 1e-5  # [m] step for derivatives of pixels by places
 
 
 @kernel
 def _bilinear(picture: Gray, u: float, v: float) -> float:
-    """Brightness at a place; beyond the picture, as at its border."""
+    """Bilinear brightness at a place; beyond the picture, as at its border."""
     height, width = picture.shape
     u = min(max(u, 0.0), width - 1.0)
     v = min(max(v, 0.0), height - 1.0)
@@ -128,7 +128,7 @@ def pixel_of(optics: FloatArray, x: float, y: float, z: float) -> tuple[float, f
 
 @entry
 def box_of(optics: FloatArray, thing: FloatArray, pose: FloatArray, box: FloatArray) -> bool:
-    """Write the least and largest pixel (2, 2) of a thing, and tell whether the camera has one."""
+    """Write the bounding box (2, 2) of a thing in pixels; return whether it is in front."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     box[0, :], box[1, :] = math.inf, -math.inf
     for i in range(len(thing)):
@@ -152,14 +152,14 @@ def edges_expected(
     normal: FloatArray,
     slope: FloatArray,
 ) -> bool:
-    """Write where edges are expected, and (n, m) how they move along their normals with the pose.
+    """Write expected edges, and the derivative (n, m) of their offsets along normals by the pose.
 
-    `thing` (n, 5) holds points, directions from dark to bright, and heights.
+    `thing` (n, 5) contains points, directions from dark to bright, and heights.
 
     Returns
     -------
     bool
-        Whether all of it lies before the camera.
+        Whether all points lie in front of the camera.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(thing)):
@@ -175,12 +175,12 @@ def edges_expected(
             return False
         u_x, v_x = (u_x - u) / NUDGE, (v_x - v) / NUDGE
         u_y, v_y = (u_y - u) / NUDGE, (v_y - v) / NUDGE
-        # Along the edge itself, in the picture; and across it.
+        # Normal to the edge in the picture.
         n_u, n_v = out_x * v_y - out_y * v_x, out_y * u_x - out_x * u_y
         length = math.hypot(n_u, n_v)
         if not length > 0.0:
             return False
-        # The picture is mirrored against the plane; the normal has to point as `outward` does.
+        # The picture is mirrored with respect to the plane: orient the normal like `outward`.
         if n_u * (u_x * out_x + u_y * out_y) + n_v * (v_x * out_x + v_y * out_y) < 0.0:
             length = -length
         n_u, n_v = n_u / length, n_v / length
@@ -204,7 +204,7 @@ def cells_right(
     pose: FloatArray,
     contrast: float,
 ) -> float:
-    """Share of the cells (n, 2) of a tag that are as black and white as they should be."""
+    """Share of the cells (n, 2) of a tag with the right colour, black or white."""
     n = len(middle)
     level, dark, bright = np.empty(n), np.empty(n), np.empty(n)
     n_dark = n_bright = 0
@@ -244,9 +244,9 @@ def cells_shown(
     bright: float,
     slack: float,
 ) -> tuple[int, int]:
-    """How many cells (n, 2) of a tag are as black and white as they should be, and how many show.
+    """Count the cells (n, 2) of a tag with the right colour, and those visible.
 
-    What is within `slack` of its black or its white shows; what is neither covers it.
+    A cell is visible if its brightness is within `slack` of black or white; else it is covered.
     """
     right = shown = 0
     c, s = math.cos(pose[2]), math.sin(pose[2])

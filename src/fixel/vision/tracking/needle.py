@@ -1,4 +1,4 @@
-"""The needle of a probe, which comes in over the border and ends in a blunt tip."""
+"""Tracking of a probe's needle, which enters over the border and ends in a blunt tip."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import PartPrediction, Sighting
 from fixel.vision.tracking.edges import EdgeLine, find_edges
 
-STATIONS: Final = 24  # places along the needle at which its two sides are looked for
-NEAREST, FARTHEST = 5.0, 75.0  # [px] of these from the tip
-SIDE_REACH: Final = 5.0  # [px] from where a side is expected
-REACH_TIP: Final = 12.0  # [px] from where the tip is expected
-ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] beside the axis, where the end is looked for
-TOUCHING: Final = 1.0  # [px] below which a gap cannot be told from none: blur fills it
-MIN_STATIONS: Final = 8  # stations that must show
+STATIONS: Final = 24  # places along the needle at which its two sides are measured
+NEAREST, FARTHEST = 5.0, 75.0  # [px] distances of these from the tip
+REACH: Final = 5.0  # [px] from the expected side
+REACH_TIP: Final = 12.0  # [px] from the expected tip
+ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] offsets from the axis at which the end is measured
+TOUCHING: Final = 1.0  # [px] gaps below this cannot be seen: blur fills them
+LEAST: Final = 8  # stations that must be visible
 MAX_RESIDUAL: Final = 0.6  # [px]
-BRIGHT: Final = 0.6  # of the contrast at the sides, that the end must have to be one
+BRIGHT: Final = 0.6  # of the contrast at the sides, least contrast of the end
 
 
 class Needle(NamedTuple):
-    """What stays the same from frame to frame.
+    """Direction and width of a needle, nearly the same in all frames.
 
     Attributes
     ----------
     axis : (2,) float64
-        In the picture, towards the tip [-].
+        Direction in the picture, towards the tip [-].
     half, taper : float
-        Half of its width at the tip [px], and how that grows with the distance from there [-].
+        Half the width at the tip [px], and its growth with the distance from there [-].
     """
 
     axis: FloatArray
@@ -47,19 +47,19 @@ class Needle(NamedTuple):
 @final
 @dataclass(slots=True, kw_only=True)
 class NeedleFollower:
-    """Follows the tip of a probe.
+    """Follower of the tip of a probe.
 
-    The axis is fitted to both sides of the needle. Along it, the tip is where dark ends; or, where
-    the needle runs into the part without a gap, where the outline of the part is.
+    The axis is fitted to both sides of the needle. The tip is the end of dark along it or, where
+    the needle meets the part without a gap, the outline of the part.
 
     Parameters
     ----------
     camera : Camera
     name : str
     shape : Shape
-        Of the pusher, whose foremost point is the tip.
+        Shape of the pusher, whose foremost point is the tip.
     height : float
-        Above the plane [m].
+        Height above the plane [m].
     """
 
     camera: Camera
@@ -72,15 +72,15 @@ class NeedleFollower:
     def see(
         self, frame: Frame, part: FloatArray | None, dark: NDArray[np.uint8] | None
     ) -> Sighting:
-        """Where the probe is.
+        """Measure the probe in a frame.
 
         Parameters
         ----------
         frame : Frame
         part : (n, 2) float64, optional
-            Outline of the part in the picture [px]; none where it is not known.
+            Outline of the part in the picture [px]; None where it is unknown.
         dark : (height, width) uint8, optional
-            What is dark and not the part: to look for the probe in.
+            Mask of dark pixels outside the part, in which to search for the probe.
         """
         expected = None if self._prediction is None else self._prediction.at(frame.time)
         if expected is not None:
@@ -134,18 +134,18 @@ class NeedleFollower:
         )
 
     def _ahead(self, needle: Needle, tip: FloatArray) -> FloatArray:
-        """(2,) from the pusher's origin to its foremost point, in the world [m]."""
+        """Vector (2,) from the pusher's origin to its foremost point, in the world [m]."""
         behind, at = self.camera.on_plane(np.array([tip - 20.0 * needle.axis, tip]), self.height)
         direction = (at - behind) / np.hypot(*(at - behind))
         return np.asarray(float((self.shape.outline @ direction).max()) * direction)
 
     def _front(self, needle: Needle) -> FloatArray:
-        """(n, 2) places on the pusher's front, along the axis and across, from the tip [px]."""
+        """Points (n, 2) of the pusher's front, along the axis and across, from the tip [px]."""
         scale = self.camera.metres_per_pixel(self.height)
         tip = self.camera.project_at(np.zeros(2), self.height)
         ahead = self.camera.on_plane(tip + 20.0 * needle.axis, self.height)
         along = ahead / np.hypot(*ahead)
-        aside = np.array([along[1], -along[0]])  # the picture is mirrored to the plane
+        aside = np.array([along[1], -along[0]])  # the picture is mirrored
         outline = np.column_stack((self.shape.outline @ along, self.shape.outline @ aside)) / scale
         outline[:, 0] -= outline[:, 0].max()
         return np.asarray(outline[outline[:, 0] > -0.5 * np.ptp(outline[:, 1])])
@@ -160,7 +160,7 @@ class NeedleFollower:
         return self.camera.project_at(pose[:2] + self._ahead(self._needle, rough), self.height)
 
     def _found(self, dark: NDArray[np.uint8]) -> FloatArray | None:
-        """(2,) the tip [px], roughly: the farthest place of what reaches in over the border."""
+        """Find the tip (2,) [px] roughly, as the farthest point of the dark area at the border."""
         cv2 = opencv()
         n, labels, boxes, _ = cv2.connectedComponentsWithStats(dark)
         height, width = dark.shape
@@ -182,7 +182,7 @@ class NeedleFollower:
         near = behind < FARTHEST
         aside = (pixels - tip) @ np.array([-axis[1], axis[0]])
         tip = tip + np.median(aside[behind < 10.0]) * np.array([-axis[1], axis[0]])
-        # Its width at distances from the tip, from how many pixels there are.
+        # Width against distance from the tip, from the number of pixels.
         count, edges = np.histogram(behind[near], bins=np.arange(2.0, FARTHEST, 4.0))
         taper, half = np.polyfit(0.5 * (edges[1:] + edges[:-1]), count / 8.0, 1)
         self._needle = Needle(axis, max(float(half), 1.0), max(float(taper), 0.0))
@@ -192,7 +192,7 @@ class NeedleFollower:
 def _sides(
     picture: Gray, needle: Needle, tip: FloatArray
 ) -> tuple[float, float, float, float, float] | None:
-    """Shift across and tilt of the axis, residual [px], its leverage at the tip, and contrast."""
+    """Fit shift and tilt of the axis; return also residual [px], leverage at the tip, contrast."""
     behind = np.linspace(NEAREST, FARTHEST, STATIONS)
     height, width = picture.shape
     middle = tip - behind[:, None] * needle.axis
@@ -232,12 +232,12 @@ def _end(
     front: FloatArray,
     contrast: float,
 ) -> float | None:
-    """How far the end is from where it is expected, along the axis [px]."""
+    """Offset of the end from the expected tip along the axis [px]; None where it is not visible."""
     across = np.array([-needle.axis[1], needle.axis[0]])
     pixel = tip + np.array(ACROSS)[:, None] * across
     found = find_edges(picture, EdgeLine(pixel, np.tile(needle.axis, (len(pixel), 1))), REACH_TIP)
     open_ = found.clear & (found.bright - found.dark > BRIGHT * contrast)
-    # A blunt end meets a slanting side beside its middle: where the pusher's outline touches.
+    # A blunt end touches a slanting side away from its middle: use the pusher's outline.
     walls = [_wall(part, tip + a * needle.axis + c * across, needle.axis) for a, c in front]
     met = [wall for wall in walls if wall is not None]
     wall = min(met) if met else None
@@ -251,7 +251,7 @@ def _end(
 
 
 def _wall(part: FloatArray | None, tip: FloatArray, axis: FloatArray) -> float | None:
-    """Distance along the axis from the tip to where it enters an outline [px]."""
+    """Distance along the axis from the tip to the intersection with an outline [px]."""
     if part is None:
         return None
     start = tip - 2.0 * REACH_TIP * axis

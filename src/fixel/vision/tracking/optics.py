@@ -1,4 +1,4 @@
-"""A camera as the compiled loops take it."""
+"""Camera parameters as an array, for the compiled loops."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fixel.vision.tracking.loops import pixel_of
 
 MAX_KEPT: Final = 64
 
-# A camera is asked for thousands of times a second, and its hash takes longer than a projection:
-# by identity, with the camera itself, which thus stays the one of that identity.
+# Arrays by the identity of their camera, since its hash takes longer than a projection. Storing the
+# camera too ensures that its identity is not reused.
 _kept: dict[int, tuple[Camera, FloatArray]] = {}
 
 
 def optics_of(camera: Camera) -> FloatArray:
-    """(26,) rotation, translation, focal lengths, centre, skew, fisheye or not, distortion."""
+    """Array (26,): rotation, translation, focal lengths, centre, skew, fisheye, distortion."""
     kept = _kept.get(id(camera))
     if kept is None:
         lens = camera.lens
@@ -41,7 +41,7 @@ def optics_of(camera: Camera) -> FloatArray:
 
 
 def seen_at(camera: Camera, place: FloatArray, height: float) -> tuple[float, float]:
-    """Pixel of one place [m] at a height above the plane [m]; as `Camera.project_at`, but fast."""
+    """Project one place [m] at a height above the plane [m]; a fast `Camera.project_at`."""
     u, v, there = pixel_of(optics_of(camera), float(place[0]), float(place[1]), float(height))
     if not there or not math.isfinite(u + v):
         raise InvalidInput(

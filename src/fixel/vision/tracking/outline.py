@@ -1,8 +1,8 @@
-"""Where a flat rigid thing lies, from the edges it shows.
+"""Planar pose of a flat rigid thing from its edges in a picture.
 
-One engine for tags, silhouettes and cylinders: points on the thing's edges, a pose to start from,
-edges looked for along their normals, and least squares for the pose that puts the points there.
-The pose is planar: what moves on the plate cannot flip.
+Common to tags, silhouettes and cylinders: from a start pose, edges are found along the normals of
+points on the thing, and least squares give the pose that fits the points to them. The pose is
+planar, so that it cannot flip.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from fixel.vision.tracking.loops import box_of, edges_along, edges_expected
 from fixel.vision.tracking.optics import optics_of
 from fixel.vision.tracking.solver import plausible, solve_robustly
 
-ROBUST: Final = 3.0  # scatters beyond which an edge counts for nothing
-MIN_SCATTER: Final = 0.06  # [px] of edges that are as good as they get
-MIN_SHARE: Final = 0.25  # of all points that must show an edge
-BESIDE_IT: Final = 6.0  # [px] beside what is looked for, for brightness next to it
-MIN_WINDOW: Final = 4  # [px] of a window
-NEAR: Final = 3.2  # [px] that edges are looked for once the pose is known roughly
-FORESEEN: Final = 0.2  # [px] likewise, of the first look, which reaches farther
+ROBUST: Final = 3.0  # scatters beyond which an edge is left out
+MIN_SCATTER: Final = 0.06  # [px] of the best edges
+MIN_SHARE: Final = 0.25  # of all points that must have an edge
+BESIDE_IT: Final = 6.0  # [px] margin for the brightness next to edges
+SMALLEST: Final = 4  # [px] of a window
+NEAR: Final = 3.2  # [px] reach once the pose is known roughly
+FORESEEN: Final = 0.2  # [px] likewise after the first round, which reaches farther
 MAX_SPREAD: Final = 1.0  # [px] of dark into bright, or of bright into dark
-WHOLE: Final = 0.8  # of the edges: where fewer show, a spread cannot be told from a shift
-SETTLED: Final = 0.35  # [px] of movement below which a second look at the same place adds nothing
+WHOLE: Final = 0.8  # of the edges: with fewer, spread and shift are indistinguishable
+SETTLED: Final = 0.35  # [px] of movement at which the rounds end
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineEdges(Comparable):
-    """Points on the edges of a thing.
+    """Points on the edges of a flat thing.
 
     Attributes
     ----------
     point : (n, 2) float64
-        In the frame of the thing [m].
+        Points in the frame of the thing [m].
     outward : (n, 2) float64
-        From the dark side to the bright one, in the same frame [-].
+        Unit vectors from the dark side to the bright one, in the same frame [-].
     height : (n,) float64
-        Above the plane [m].
+        Heights above the plane [m].
     group : (n,) int64
-        Which edge, or which mark, each belongs to: levels of brightness are shared within a group.
+        Edge or marker of each point: levels of brightness are common to a group.
     """
 
     point: FloatArray
@@ -60,24 +60,24 @@ class OutlineEdges(Comparable):
 
 
 class PoseFit(NamedTuple):
-    """A pose and how far to believe it.
+    """Fitted pose with its uncertainty.
 
     Attributes
     ----------
     pose : (3,) float64
-        [m, m, rad].
+        Fitted pose [m, m, rad].
     covariance : (3, 3) float64
-        Of it, from the scatter of the edges.
+        Covariance of the pose, from the scatter of the edges.
     residual : float
         Root mean square distance of the edges used [px].
     share : float
-        Of the points that show an edge [-].
+        Share of the points whose edge was used [-].
     used : (n,) bool
-        Which these are.
+        Mask of these points.
     found : (n, 3) float64
-        Offset, darkness and brightness of each in the last look.
+        Offset and brightness on the dark and the bright side of each, in the last round.
     spread : float
-        How far dark reaches over into bright, all along the edges [px].
+        Distance by which dark extends into bright along all edges [px].
     """
 
     pose: FloatArray
@@ -90,7 +90,7 @@ class PoseFit(NamedTuple):
 
     @property
     def deviations(self) -> FloatArray:
-        """(3,) standard deviations of the pose [m, m, rad]."""
+        """Standard deviations (3,) of the pose [m, m, rad]."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -106,7 +106,7 @@ def fit_pose(
     corner: tuple[int, int] = (0, 0),
     spread: float | None = 0.0,
 ) -> PoseFit | None:
-    """Move a pose until the edges lie where the picture has them.
+    """Fit a pose to the edges in a picture.
 
     Parameters
     ----------
@@ -114,22 +114,22 @@ def fit_pose(
     camera : Camera
     edges : OutlineEdges
     pose : (3,) float64
-        To start from.
+        Start of the fit.
     reach : float
-        How far the edges may be from there [px].
+        Largest distance of edges from the start [px].
     turns : bool
-        Whether the angle is looked for too.
+        Whether to fit the angle too.
     rounds : int
-        Looks at the picture, at most.
+        Largest number of rounds of edge detection.
     corner : (int, int)
-        Where the upper left of `picture` is in the camera's, if it is a window of that [px].
+        Upper left corner of `picture` in the camera's, if it is a window of that [px].
     spread : float, optional
-        How far dark reaches over into bright [px]; None, to find that too. Ink runs, and a camera
-        whose grey levels are not in proportion to light makes all that is dark smaller.
+        Distance by which dark extends into bright [px]; None to fit it too. Ink runs, and a camera
+        whose grey levels are not proportional to light makes dark areas smaller.
 
     Returns
     -------
-    PoseFit, or None where too few edges are to be seen to tell a pose.
+    PoseFit, or None where too few edges are visible.
     """
     n, m = len(edges.point), 3 if turns else 2
     free = m + (spread is None)
@@ -176,7 +176,7 @@ def fit_spread(
     rounds: int = 4,
     corner: tuple[int, int] = (0, 0),
 ) -> PoseFit | None:
-    """As `fit_pose`, and how far dark spreads: as far as last time [px], where not all shows."""
+    """Call `fit_pose` with a free spread; with that of the `last` fit [px] if parts are hidden."""
     fit: PoseFit | None = None
     for spread in (None, last):
         fit = fit_pose(
@@ -190,25 +190,25 @@ def fit_spread(
 def window_of(
     frame: Frame, camera: Camera, edges: OutlineEdges, pose: FloatArray, reach: float
 ) -> tuple[Gray, tuple[int, int]] | None:
-    """What a fit may look at, and its corner in the picture; None where that is out of it."""
+    """Return the window for a fit and its corner in the picture; None outside the picture."""
     box = np.empty((2, 2))
     if not box_of(optics_of(camera), edges.thing, pose, box):
         return None
-    beyond = 2.0 * reach + BESIDE_IT  # the first look may move it by its reach
+    beyond = 2.0 * reach + BESIDE_IT  # the first round may move it by its reach
     width, height = frame.size
     left, top = (max(int(low - beyond), 0) for low in box[0])
     right = min(int(box[1, 0] + beyond) + 1, width)
     bottom = min(int(box[1, 1] + beyond) + 1, height)
     if right - left < MIN_WINDOW or bottom - top < MIN_WINDOW:
         return None
-    # Always a copy: of each kind of array the loops would be compiled anew.
+    # Always a copy: the loops would be recompiled for each memory layout.
     return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)
 
 
 def circle_edges(
     radius: float, height: float, *, dark_inside: bool, points: int = 40
 ) -> OutlineEdges:
-    """Points on a circle about the origin."""
+    """Create edges on a circle about the origin."""
     angle = 2.0 * np.pi * np.arange(points) / points
     outward = np.column_stack((np.cos(angle), np.sin(angle)))
     return OutlineEdges(

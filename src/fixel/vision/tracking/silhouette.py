@@ -1,4 +1,4 @@
-"""Outlines against a bright field, as under the microscope: no marks at all."""
+"""Tracking of outlines without markers against a bright field, as under a microscope."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ from fixel.vision.tracking.needle import NeedleFollower
 from fixel.vision.tracking.outline import OutlineEdges, fit_spread
 
 POINTS: Final = 160  # on an outline
-CORNER: Final = 2.0  # [px] beside a corner that is left out: corners are never sharp
-OUTLINE_REACH: Final = 8.0  # [px] from where an outline is expected
-REACH_FIRST: Final = 20.0  # [px] from where moments put it
+CORNER: Final = 2.0  # [px] left out near corners, which are never sharp
+REACH: Final = 8.0  # [px] from the expected outline
+REACH_FIRST: Final = 20.0  # [px] from the start by moments
 MAX_RESIDUAL: Final = 0.7  # [px]
 MIN_SHARE: Final = 0.3
-DOUBTFUL: Final = 0.8  # of an outline: where less shows it may be elsewhere, and is looked for
-ALIKE: Final = 0.1  # [-] of shares and [px] of residuals, that do not tell two poses apart
-NEEDLE: Final = 0.3  # of the part's narrower side: what is thinner is taken for the probe
+DOUBTFUL: Final = 0.8  # of an outline: where less is visible, the part is searched for
+ALIKE: Final = 0.1  # difference of shares [-] or residuals [px] at which poses fit alike
+NEEDLE: Final = 0.3  # of the part's narrower side: thinner areas are taken for the probe
 CONTRAST: Final = 25.0  # of 255 between part and field
-AREA: Final = (0.6, 1.5)  # of what it should be, for what might be the part
+AREA: Final = (0.6, 1.5)  # of the expected area, for the part
 DARK = np.uint8
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Silhouette(AbstractTracking):
-    """Dark parts on a bright field, by their outlines.
+    """Tracking of dark parts on a bright field by their outlines.
 
-    A threshold splits dark from bright, an opening takes off the needle of the probe, an ellipse
-    with the moments of what is left gives the pose to start from, as in the paper. Then the
-    outline of the scene is fitted to the edge itself, to a fraction of a pixel; where the probe
-    covers it, it shows no edge, and counts for nothing. What is dark beside the part and reaches
-    the border is the probe; its tip is fitted likewise, without turning.
+    A threshold separates dark from bright, an opening removes the needle of the probe, and an
+    ellipse with the moments of the rest gives the start pose, as in the paper. Then the outline of
+    the scene is fitted to the edge, to a fraction of a pixel; where the probe covers it, there is
+    no edge. The dark area outside the part that reaches the border is the probe; its tip is fitted
+    likewise, without rotation.
 
     Source
     ------
@@ -64,12 +64,12 @@ class Silhouette(AbstractTracking):
     needs: ClassVar[str] = "no marks, and an outline in the scene under its name"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
-        """Those without marks whose outline is known; the larger one is the part."""
+        """Parts without markers whose outline is known, largest first."""
         bare = [name for name in rig.parts if not rig.parts[name].marks and name in things]
         return tuple(sorted(bare, key=lambda name: -things[name].shape.area))
 
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film; see `AbstractTracking.follow`."""
+        """Create a follower; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
         if len(names) > 2:
             raise InvalidInput(
@@ -115,7 +115,7 @@ class _SilhouetteFollower(AbstractFollower):
 
 @final
 class _OutlineTrack:
-    """One outline, from frame to frame."""
+    """Follower of one outline from frame to frame."""
 
     def __init__(self, rig: Rig, name: str, thing: Thing) -> None:
         self.name = name
@@ -167,7 +167,7 @@ class _OutlineTrack:
         )
 
     def found(self, frame: Frame, dark: NDArray[np.uint8], followed: Sighting) -> Sighting:
-        """The part, looked for in the whole picture, where it could not be followed well."""
+        """Search the whole picture for a part that could not be followed well."""
         blob, reason = self._blob(dark)
         if blob is None:
             return Sighting(reason=reason) if followed.pose is None else followed
@@ -185,7 +185,7 @@ class _OutlineTrack:
         return best
 
     def _better(self, sight: Sighting, best: Sighting) -> bool:
-        """Whether a pose fits better; of two that fit alike, the one nearer to the scene's."""
+        """Whether a pose fits better, or equally well and is nearer to the scene's angle."""
         if best.pose is None or sight.pose is None:
             return best.pose is None
         gain = (sight.share - sight.residual) - (best.share - best.residual)
@@ -195,11 +195,11 @@ class _OutlineTrack:
         return off[0] < off[1]
 
     def in_picture(self, pose: FloatArray) -> FloatArray:
-        """(n, 2) the outline at a pose [px]."""
+        """Project the outline at a pose to pixels (n, 2)."""
         return self._camera.project_at(placed(self._shape.outline, pose), self._height)
 
     def _blob(self, dark: NDArray[np.uint8]) -> tuple[NDArray[np.bool_] | None, str]:
-        """Pixels of the part, without those of a needle."""
+        """Return the mask of the part without a needle, or None and the reason."""
         cv2 = opencv()
         outline = self._shape.outline
         narrow = float(min(cv2.minAreaRect(outline.astype(np.float32) / self._scale)[1]))
@@ -216,7 +216,7 @@ class _OutlineTrack:
         return labels == own[0], ""
 
     def _starts(self, blob: NDArray[np.bool_]) -> list[FloatArray]:
-        """Poses that give the outline the same ellipse: two, half a turn apart."""
+        """Two start poses with the ellipse of a mask, half a turn apart."""
         rows, columns = np.nonzero(blob)
         step = max(len(rows) // 4000, 1)
         pixels = np.column_stack((columns, rows))[::step].astype(np.float64)
@@ -232,7 +232,7 @@ class _OutlineTrack:
 
 
 def outline_edges(shape: Shape, height: float, corner: float) -> OutlineEdges:
-    """Points on an outline, dark inside, none within `corner` [m] of a corner."""
+    """Create edges of an outline, dark inside, none within `corner` [m] of a corner."""
     if isinstance(shape, Disk):
         angle = 2.0 * np.pi * np.arange(POINTS) / POINTS
         outward = np.column_stack((np.cos(angle), np.sin(angle)))
@@ -262,7 +262,7 @@ def _along(outline: FloatArray, corner: float) -> tuple[FloatArray, FloatArray]:
 
 
 def filled(shape: Shape, about: int) -> FloatArray:
-    """(n, 2) points of a grid over a shape, about so many [m]."""
+    """Points (n, 2) of a grid over a shape, approximately `about` of them [m]."""
     import shapely
 
     polygon = shapely.Polygon(shape.outline)
@@ -280,7 +280,7 @@ def _axis(points: FloatArray) -> float:
 
 
 def _dark(picture: Gray) -> NDArray[np.uint8]:
-    """255 where it is dark, by Otsu's threshold; nothing where it is all the same."""
+    """Mask dark pixels by Otsu's threshold (255); all 0 without contrast."""
     cv2 = opencv()
     contiguous = np.ascontiguousarray(picture)
     low, high = np.percentile(contiguous[::4, ::4], (1.0, 99.0))
@@ -291,7 +291,7 @@ def _dark(picture: Gray) -> NDArray[np.uint8]:
 
 
 def _without(dark: NDArray[np.uint8], outline: FloatArray) -> NDArray[np.uint8]:
-    """What is dark beside an outline."""
+    """Remove the area inside an outline from a mask of dark pixels."""
     cv2 = opencv()
     rest = dark.copy()
     corners = np.rint(outline).astype(np.int32)

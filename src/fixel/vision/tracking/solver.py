@@ -1,6 +1,6 @@
-"""From edges to a pose: which of them count, and robust least squares; compiled.
+"""Selection of edges and robust least squares for a pose, compiled.
 
-As for the kernels: arrays and numbers only, a status in place of exceptions.
+As in the kernels, arguments are arrays and numbers, and errors a status instead of exceptions.
 """
 
 import math
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from fixel.kernels.jit import entry, kernel
 from fixel.typing import BoolArray, FloatArray
 
-LEVEL = 0.35  # how far from the usual, as a share of the contrast, brightness may be
-MIN_LEVELS = 4  # edges of a group below which nothing is usual
+LEVEL = 0.35  # largest deviation of brightness from the median, as a share of the contrast
+MIN_LEVELS = 4  # edges that a group needs for a median
 
-ROUNDS = 12  # of weighting, at most
-CONVERGED_PX = 0.005  # [px] of change between them that ends it
-OPEN = 1e-3  # least over largest pivot, below which the edges tell no pose
+ROUNDS = 12  # largest number of weightings
+SAME = 0.005  # [px] change between them at convergence
+OPEN = 1e-3  # least over largest pivot, below which the pose is undetermined
 
 
 @kernel
 def _ranked(values: FloatArray, n: int, rank: int) -> float:
-    """Which of the first n values has a rank from below, by Hoare's selection; reorders them."""
+    """Select the value of a rank from below among the first n, by Hoare's method; reorders them."""
     first, last = 0, n - 1
     while first < last:
         pivot = values[(first + last) // 2]
@@ -48,10 +48,10 @@ def _ranked(values: FloatArray, n: int, rank: int) -> float:
 def plausible(
     found: FloatArray, group: NDArray[np.int64], clear: BoolArray, usable: BoolArray
 ) -> int:
-    """Write which edges are as dark and as bright beside them as others of their group.
+    """Write which edges have the same dark and bright levels as others of their group.
 
-    What covers a mark shows edges of its own; they rarely are from the mark's black to its white.
-    Returns how many these are.
+    Edges of an object that covers a marker rarely have the marker's black and white. Returns the
+    number of edges selected.
     """
     n = len(group)
     dark, bright = np.empty(n), np.empty(n)
@@ -87,7 +87,7 @@ def _solve(
     factor: FloatArray,
     step: FloatArray,
 ) -> bool:
-    """Weighted least squares by Cholesky's factor of the normal equations, which it writes too."""
+    """Solve weighted least squares by a Cholesky factor of the normal equations, also written."""
     n, m = slope.shape
     factor[:] = 0.0
     step[:] = 0.0
@@ -127,7 +127,7 @@ def _solve(
 
 @kernel
 def _inverse(factor: FloatArray, column: FloatArray, inverse: FloatArray) -> None:
-    """Of the matrix whose Cholesky factor this is."""
+    """Write the inverse of the matrix with this Cholesky factor."""
     m = len(factor)
     for c in range(m):
         for j in range(m):
@@ -156,17 +156,17 @@ def solve_robustly(
     room: FloatArray,
     square: FloatArray,
 ) -> float:
-    """Least squares of `slope @ step = offset` without what does not agree.
+    """Solve `slope @ step = offset` by least squares without outliers.
 
     The offsets are the first column of `found`.
-    Weights of Cauchy find the rows that agree, whatever the others are; these alone then count.
+    Cauchy's weights identify the rows that agree; only these are used in the final solution.
     Writes the step (m,), its covariance (m, m), and which rows were used (n,); `room` (4, n) and
-    `square` (m + 2, m) are to work in.
+    `square` (m + 2, m) are workspace.
 
     Returns
     -------
     float
-        Root mean square of what is left over [px], or -1 where the rows leave something open.
+        Root mean square residual [px], or -1 where the rows do not determine the step.
     """
     n, m = slope.shape
     offset = found[:, 0]

@@ -1,4 +1,4 @@
-"""Coloured stickers, as in the thesis."""
+"""Tracking of parts by coloured stickers, as in the thesis."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from fixel.vision.tracking.base import (
 from fixel.vision.tracking.colour import find_patches, fit_sticker
 from fixel.vision.tracking.tags import rigid
 
-STICKER_REACH: Final = 6.0  # [px] from where a sticker is expected
-APART: Final = 0.6e-3  # [m] at 0.55 mm a pixel: how far distances of stickers may be off
+REACH: Final = 6.0  # [px] from the expected sticker
+APART: Final = 0.6e-3  # [m] at 0.55 mm per pixel: largest error of distances between stickers
 MAX_RESIDUAL: Final = 0.7  # [px]
-SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
-WIDER: Final = 20  # [px] around the last place, beyond what a part without stickers needs
+SEARCH_ALL: Final = 16  # lost frames between two searches of the whole picture
+WIDER: Final = 20  # [px] added to the search margin around the last place
 MIN_SHARE: Final = 0.35  # of a sticker's edge
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Stickers(AbstractTracking):
-    """Round stickers of one colour each, two or more a part.
+    """Tracking by round stickers of one colour each, two or more per part.
 
-    They are found by hue and followed by their edges; see `colour.fit_sticker`. Their distances
-    must be as in the rig, else something else was taken for one of them.
+    Stickers are found by hue and followed by their edges; see `colour.fit_sticker`. Distances that
+    differ from those in the rig show that another object was taken for a sticker.
 
     Source
     ------
@@ -52,11 +52,11 @@ class Stickers(AbstractTracking):
     needs: ClassVar[str] = "two stickers, since one tells no angle"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
-        """Those with at least two stickers."""
+        """Parts with at least two stickers."""
         return tuple(name for name in rig.parts if len(_stickers(rig, name)) >= 2)
 
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film; see `AbstractTracking.follow`."""
+        """Create a follower; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
         return _StickerFollower(rig, names)
 
@@ -79,7 +79,7 @@ class _StickerFollower(AbstractFollower):
 
 @final
 class _StickeredPart:
-    """One part, from frame to frame."""
+    """Follower of one part from frame to frame."""
 
     def __init__(
         self, camera: Camera, own: tuple[Sticker, ...], everything: tuple[Sticker, ...]
@@ -113,7 +113,7 @@ class _StickeredPart:
         return sight
 
     def _fitted(self, frame: Frame, places: FloatArray) -> Sighting:
-        """The pose, from stickers near places (n, 2) [m]."""
+        """Measure the pose from stickers near places (n, 2) [m]."""
         fits = [
             fit_sticker(frame, self._camera, sticker, place, STICKER_REACH)
             for sticker, place in zip(self._own, places, strict=True)
@@ -160,7 +160,7 @@ class _StickeredPart:
         return ""
 
     def _found(self, frame: Frame) -> tuple[FloatArray | None, str]:
-        """(n, 2) places of the stickers [m], looked for by colour; or why there are none."""
+        """Search for the stickers by colour; return places (n, 2) [m], or None and the reason."""
         rows, columns = self._where(frame)
         corner = np.array([columns.start or 0, rows.start or 0], dtype=np.float64)
         patches = find_patches(
@@ -202,7 +202,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def spread_of(seen: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:
-    """(3,) standard deviations of a pose from places (n, 2) and their covariances (2, 2)."""
+    """Standard deviations (3,) of a pose from places (n, 2) and their covariances (2, 2)."""
     information = np.zeros((3, 3))
     for (x, y), covariance in zip(seen - seen.mean(0), covariances, strict=True):
         row = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])

@@ -1,4 +1,4 @@
-"""Tags: finding and reading them anywhere in a picture."""
+"""Detection and reading of tags in a picture, with OpenCV."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ DICTIONARIES: Final = {
     "aruco-4x4-50": "DICT_4X4_50",
     "aruco-5x5-100": "DICT_5X5_100",
 }
-# Those that others print, to name what is there.
+# With families in common use, to name tags that do not belong to the rig.
 KNOWN: Final = DICTIONARIES | {
     "aruco-6x6-250": "DICT_6X6_250",
     "aruco-7x7-250": "DICT_7X7_250",
     "apriltag-25h9": "DICT_APRILTAG_25h9",
     "apriltag-36h10": "DICT_APRILTAG_36h10",
 }
-MAX_NAMED: Final = 6  # tags of a family
-# Corners of a tag of side 1, as they are found: clockwise in the picture from the upper left.
+MAX_NAMED: Final = 6  # tags per family
+# Corners of a tag of side 1, in OpenCV's order: clockwise in the picture from the upper left.
 CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 TagName = tuple[str, int]
 
 
 def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArray]]:
-    """All tags in a picture.
+    """Read all tags in a picture.
 
     Returns
     -------
     dict from (family, id) to list of (4, 2) float64
-        Corners [px], clockwise from the upper left of the tag; rough, to half a pixel. More than
-        one of an id is a sign of a second tag like it.
+        Corners [px], clockwise from the upper left of the tag, accurate to half a pixel. More than
+        one set of corners for an id indicates a second tag with it.
     """
     found: dict[TagName, list[FloatArray]] = {}
     contiguous = np.ascontiguousarray(picture)
@@ -52,7 +52,7 @@ def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArra
 
 
 def other_families(picture: Gray, families: set[str]) -> str:
-    """Tags of other families in a picture, in words; empty where there are none."""
+    """Describe tags of other families in a picture; empty where there are none."""
     found = read_tags(picture, set(KNOWN) - families)
     by_family: dict[str, list[int]] = {}
     for family, id_ in sorted(found):
@@ -79,7 +79,7 @@ def _dictionary(family: str) -> Any:
 
 @functools.cache
 def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
-    """Middles of the cells of a tag of side 1, border included, (n, 2), and which are white."""
+    """Middles (n, 2) of the cells of a tag of side 1, with its border, and which are white."""
     dictionary = _dictionary(family)
     if id_ >= len(dictionary.bytesList):
         raise InvalidInput(
@@ -94,12 +94,12 @@ def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
 
 
 def tag_corners(tag: Tag) -> FloatArray:
-    """(4, 2) corners of a tag in the frame of its part, as `read_tags` orders them [m]."""
+    """Corners (4, 2) of a tag in the frame of its part, in the order of `read_tags` [m]."""
     return on_tag(tag, CORNERS)
 
 
 def on_tag(tag: Tag, points: FloatArray) -> FloatArray:
-    """(n, 2) points of a tag of side 1 in the frame of its part [m]."""
+    """Convert points (n, 2) of a tag of side 1 to the frame of its part [m]."""
     x, y, angle = tag.pose
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(tag.size * points @ np.array([[c, s], [-s, c]]) + (x, y))

@@ -1,4 +1,4 @@
-"""Tags: read once, then followed by their edges."""
+"""Tracking of parts by tags, which are read once and then followed by their edges."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, win
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
-FROM_CORNERS: Final = 0.08  # of a side, at either end, that is left out: corners are rounded
-TAG_REACH: Final = 7.0  # [px] from where a tag is expected
-REACH_READ: Final = 5.0  # [px] from where it was read
-AGREES: Final = 0.72  # of the cells of a tag; half of them do by chance
-# Of a tag that is half covered, and was seen a moment ago:
-MIN_ON_SIDE: Final = 5  # edges on a side, and on one across
-SHOWS: Final = 0.3  # of the contrast that a cell may be off black or white
-MIN_SHOWN: Final = 0.3  # of its cells
-AGREES_PARTLY: Final = 0.8  # of those
-NEAR_BY: Final = 3.0  # [px] from where it is expected
-PARTLY: Final = 3.0  # how much wider its standard deviations are taken
+FROM_CORNERS: Final = 0.08  # of a side, left out at either end: corners are rounded
+REACH: Final = 7.0  # [px] from the expected tag
+REACH_READ: Final = 5.0  # [px] from the tag as read
+AGREES: Final = 0.72  # of the cells of a tag; half of them agree by chance
+# For a tag that is half covered, and was seen a moment ago:
+MIN_ON_SIDE: Final = 5  # edges on a side, and on an adjacent one
+SHOWS: Final = 0.3  # of the contrast, largest deviation of a cell from black or white
+MIN_SHOWN: Final = 0.3  # visible cells, as a share of all
+AGREES_PARTLY: Final = 0.8  # of the visible cells
+NEAR_BY: Final = 3.0  # [px] from the expected place
+PARTLY: Final = 3.0  # factor on its standard deviations
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MAX_RESIDUAL: Final = 0.6  # [px]
-SEARCH_ALL: Final = 16  # lost frames between two looks at the whole picture
-WRONG_SIZE: Final = 0.06  # of its side, by which a tag may differ from what the rig says
+SEARCH_ALL: Final = 16  # lost frames between two searches of the whole picture
+WRONG_SIZE: Final = 0.06  # of its side, largest deviation of a tag from the rig
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Tags(AbstractTracking):
-    """AprilTag or ArUco tags on the parts.
+    """Tracking by AprilTag or ArUco tags on the parts.
 
-    All edges of all tags of a part are fitted by one pose in the plane, through the camera's whole
-    model at the height of the tags: no pose is taken from a tag by itself, so that nothing flips.
-    Tags are read where a film starts and where they were lost; in between, their edges are
-    followed, and their cells compared with what they should be in every frame.
+    One planar pose is fitted to all edges of all tags of a part, with the full camera model at the
+    height of the tags. No pose comes from a single tag, so that none flips. Tags are read at the
+    start of a film and after they were lost. In between, their edges are followed, and their cells
+    are compared with the code in every frame.
 
     Sources
     -------
@@ -70,13 +70,13 @@ class Tags(AbstractTracking):
     needs: ClassVar[str] = "a tag"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
-        """Those with at least one tag."""
+        """Parts with at least one tag."""
         return tuple(
             name for name, part in rig.parts.items() if any(isinstance(m, Tag) for m in part.marks)
         )
 
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
-        """Begin a film; see `AbstractTracking.follow`."""
+        """Create a follower; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
         tags = {
             name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag)) for name in names
@@ -95,7 +95,7 @@ class _TagFollower(AbstractFollower):
 
 @final
 class _TaggedPart:
-    """One part, from frame to frame."""
+    """Follower of one part from frame to frame."""
 
     def __init__(self, camera: Camera, name: str, tags: Sequence[Tag]) -> None:
         self._camera = camera
@@ -170,7 +170,7 @@ class _TaggedPart:
         )
 
     def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: PoseFit) -> int:
-        """How many tags read as they should, at a pose."""
+        """Number of tags whose cells agree with their code at a fitted pose."""
         optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
         agreeing = 0
         for k, (tag, (middle, white)) in enumerate(zip(self._tags, self._cells, strict=True)):
@@ -182,7 +182,7 @@ class _TaggedPart:
         return agreeing
 
     def _agreeing_partly(self, picture: Gray, corner: tuple[int, int], fit: PoseFit) -> int:
-        """How many tags read as they should where they show, of two sides that meet at least."""
+        """Number of tags, visible from two adjacent sides at least, that agree with their code."""
         optics, origin = optics_of(self._camera), np.array(corner, dtype=np.float64)
         agreeing = 0
         for k, (tag, (middle, white)) in enumerate(zip(self._tags, self._cells, strict=True)):
@@ -199,13 +199,13 @@ class _TaggedPart:
         return agreeing
 
     def _near(self, fit: PoseFit, pose: FloatArray) -> bool:
-        """Whether a fit is so near where the part was expected that it is no other thing."""
+        """Whether a fit is so near the expected pose that it must be the same part."""
         x, y, angle = fit.pose - pose
         off = np.hypot(x, y) + abs(angle) * max(tag.size for tag in self._tags)
         return bool(off < NEAR_BY * self._scale)
 
     def _read(self, frame: Frame) -> tuple[FloatArray | None, str]:
-        """Pose from tags that are read, roughly; or why not."""
+        """Estimate the pose roughly by reading tags; return None and the reason if it fails."""
         window, corner = self._window(frame)
         found = read_tags(window, self._families)
         own, seen = [], []
@@ -222,7 +222,7 @@ class _TaggedPart:
         return rigid(np.concatenate(own), np.concatenate(seen)), ""
 
     def _window(self, frame: Frame) -> tuple[Gray, FloatArray]:
-        """Where to read: near the last place, and now and then everywhere."""
+        """Return the window to read: near the last place, and regularly the whole picture."""
         last = self._prediction.pose
         if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
             return frame.luma, np.zeros(2)
@@ -243,7 +243,7 @@ class _TaggedPart:
 
 
 def tag_edges(tag: Tag, group: int) -> OutlineEdges:
-    """Points on the sides of a tag's black square."""
+    """Create edges on the sides of a tag's black square."""
     along = np.linspace(FROM_CORNERS, 1.0 - FROM_CORNERS, POINTS)[:, None]
     sides = [
         corner + along * (following - corner)
@@ -259,7 +259,7 @@ def tag_edges(tag: Tag, group: int) -> OutlineEdges:
 
 
 def joined(edges: Sequence[OutlineEdges]) -> OutlineEdges:
-    """All edges of a part."""
+    """Concatenate the edges of a part."""
     return OutlineEdges(
         point=np.concatenate([e.point for e in edges]),
         outward=np.concatenate([e.outward for e in edges]),
@@ -269,13 +269,13 @@ def joined(edges: Sequence[OutlineEdges]) -> OutlineEdges:
 
 
 def _cells_on(tag: Tag) -> tuple[FloatArray, BoolArray]:
-    """Middles of its cells in the frame of its part (n, 2) [m], and which are white."""
+    """Middles (n, 2) of a tag's cells in the frame of its part [m], and which are white."""
     middle, white = cells(tag.family, tag.id)
     return on_tag(tag, middle), white
 
 
 def rigid(own: FloatArray, seen: FloatArray) -> FloatArray:
-    """(3,) pose that brings points (n, 2) of a part onto places (n, 2), by least squares."""
+    """Fit the pose (3,) that maps points (n, 2) of a part onto places (n, 2)."""
     a, b = own - own.mean(0), seen - seen.mean(0)
     cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
     angle = math.atan2(cross, float((a * b).sum()))
@@ -297,5 +297,5 @@ def _refuse_size(part: str, tag: Tag, corners: FloatArray) -> None:
 
 
 def names_of(tags: Sequence[Tag]) -> set[TagName]:
-    """What `read_tags` calls these."""
+    """Keys of tags in the result of `read_tags`."""
     return {(tag.family, tag.id) for tag in tags}

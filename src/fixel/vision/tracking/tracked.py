@@ -1,4 +1,4 @@
-"""What tracking a film gives."""
+"""Results of tracking a film."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from fixel.vision.marks import Rig
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PartTrack(Comparable):
-    """Where one part was, frame by frame.
+    """Measured poses of one part, frame by frame.
 
     Attributes
     ----------
     name : str
     time : (n,) float64
-        Of all frames [s].
+        Times of all frames [s].
     pose : (n, 3) float64
-        [m, m, rad], angles continuous; NaN where it was not seen.
+        Poses [m, m, rad], with continuous angles; NaN where it was not seen.
     seen : (n,) bool
         Whether there is a pose.
     good : (n,) bool
-        Whether it is to be believed: seen, and no outlier.
+        Whether the pose is seen and no outlier.
     residual : (n,) float64
-        Root mean square distance of marks from where the pose puts them [px]; NaN where not seen.
+        Root mean square distance of markers from their places by the pose [px]; NaN where not seen.
     residual_m : (n,) float64
         The same on the plane [m].
     sd : (n, 3) float64
-        Standard deviations of the poses by that residual [m, m, rad]; independent from frame to
+        Standard deviations of the poses from that residual [m, m, rad]; independent from frame to
         frame.
-    camera_sd : (n, 3) float64, or None
-        Standard deviations by the errors of the camera [m, m, rad], much the same in all frames;
-        None where nothing is known of them.
-    marks : (n,) int64
-        How many took part.
-    share : (n,) float64
-        Of what should show of them [-].
+        camera_sd : (n, 3) float64, or None
+        Standard deviations due to errors of the camera [m, m, rad], much the same in all frames;
+        None where these are unknown.
+        marks : (n,) int64
+        Number of markers used.
+        share : (n,) float64
+        Share of the expected edges that was used [-].
     reason : tuple of str
         Why there is no good pose; empty where there is.
     """
@@ -64,17 +64,17 @@ class PartTrack(Comparable):
 
     @property
     def total_sd(self) -> FloatArray:
-        """(n, 3) standard deviations by the marks and, as far as known, the camera [m, m, rad]."""
+        """Standard deviations (n, 3) by markers and, where known, camera [m, m, rad]."""
         return self.sd if self.camera_sd is None else np.hypot(self.sd, self.camera_sd)
 
     @property
     def trajectory(self) -> Trajectory:
-        """The good poses.
+        """Trajectory of the good poses.
 
         Raises
         ------
         InvalidInput
-            There are none.
+            There are no good poses.
         """
         if not self.good.any():
             raise InvalidInput(
@@ -84,7 +84,7 @@ class PartTrack(Comparable):
 
     @property
     def gaps(self) -> tuple[tuple[float, float, str], ...]:
-        """First and last instant without a good pose [s], and why, one a gap."""
+        """First and last time without a good pose [s] and the reason, for each gap."""
         bad = np.flatnonzero(~self.good)
         runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1) if len(bad) else []
         return tuple(
@@ -94,24 +94,24 @@ class PartTrack(Comparable):
 
     @property
     def n_outliers(self) -> int:
-        """Poses that were seen and are not believed."""
+        """Number of poses that were seen and rejected."""
         return int((self.seen & ~self.good).sum())
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundFixel(Comparable):
-    """A fixel as the camera saw it.
+    """Measured place of a fixel.
 
     Attributes
     ----------
     name : str
     place : (2,) float64
-        Median over the frames it was measured in [m].
+        Median over the frames in which it was measured [m].
     scatter : float
-        Root mean square distance from that, frame by frame [m].
+        Root mean square distance of single frames from the median [m].
     n : int
-        Of frames.
+        Number of these frames.
     """
 
     name: str
@@ -126,20 +126,20 @@ class FoundFixel(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilmTracks(Comparable):
-    """What one film shows.
+    """Tracks of all parts in one film.
 
     Attributes
     ----------
     method : str
     rig : Rig
-        With its camera where the film has it, see `--register`.
+        Rig with the place of the camera in the film, see `--register`.
     time : (n,) float64
-        Of all frames [s].
+        Times of all frames [s].
     parts : dict of str to PartTrack
     fixels : tuple of FoundFixel
-        Those that could be measured.
+        Fixels that could be measured.
     remarks : tuple of str
-        What one should know before using it.
+        Remarks on the quality of the tracks.
     """
 
     method: str
