@@ -1,1 +1,1 @@
-"""Numbers: arrays in, arrays and status codes out; numpy and numba only."""
+"""Compiled numerical kernels: arrays in, arrays and status codes out; numpy and numba only."""

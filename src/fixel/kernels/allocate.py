@@ -1,4 +1,4 @@
-"""Empty problems and workspaces: the only allocations of a rollout, made once before its first
+"""Allocation of problems and workspaces: the only one of a rollout, made before its first
 step."""
 
 import numpy as np
@@ -15,8 +15,8 @@ SPARE = 2  # entries behind the last degree of freedom, so that every block may 
 
 @allocating_kernel
 def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
-    """Problem with room for so many degrees of freedom, contacts and friction elements; none in
-    use."""
+    """Allocate a problem with room for these numbers of degrees of freedom, contacts and friction
+    elements, none of them in use."""
     wide = n_dof + SPARE
     return Problem(
         size=np.zeros(4, np.int64),
@@ -52,7 +52,7 @@ def empty_workspace(
     n_body: int,
     n_pair: int,
 ) -> Workspace:
-    """Scratch for a problem of these sizes in a scene of these sizes."""
+    """Allocate the workspace for a problem and a scene of these sizes."""
     wide = n_dof + SPARE
     n_row = 4 * min(n_contact, MOST_CONTACTS) + 2 * MOST_DRIVES
     # Islands are for large problems only.

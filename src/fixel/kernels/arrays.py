@@ -1,9 +1,9 @@
-"""The NamedTuples that cross the border between Python and the kernels.
+"""NamedTuples of arrays that Python passes to the kernels.
 
-`Model` is constant during a rollout, `State` is what moves, `Problem` is the mixed
+`Model` is constant during a rollout, `State` changes from step to step, `Problem` is the mixed
 complementarity problem of one step, `Workspace` is scratch. All arrays are C-ordered float64 or
-int64, in scaled units (length, mass and time measured in the scene's own characteristic values).
-Something absent is an array of length zero, never None.
+int64, in scaled units (length, mass and time in units of the scene's characteristic values).
+Absent data are arrays of length zero, never None.
 
 Bodies are numbered free first, then driven, then fixed. Degrees of freedom are numbered three for
 each free body (vx, vy, omega at its centre of mass), then one for each driven body (its speed
@@ -17,7 +17,7 @@ from fixel.typing import FloatArray, IntArray
 
 
 class Model(NamedTuple):
-    """Constant during a rollout."""
+    """Quantities that are constant during a rollout."""
 
     mass: FloatArray  # (n_free,)
     inertia: FloatArray  # (n_free,) about the centre of mass
@@ -50,7 +50,7 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """What moves."""
+    """Quantities that change from step to step."""
 
     pose: FloatArray  # (n_body, 3) of the centre of mass (free) or shape frame (driven, fixed)
     velocity: FloatArray  # (n_dof + 2,)
@@ -121,7 +121,7 @@ class Workspace(NamedTuple):
 
 
 class StepMethod(NamedTuple):
-    """How to step: the same for every rollout of a batch."""
+    """Method of stepping, the same for every rollout of a batch."""
 
     motion: int  # codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER
     solver: int  # codes.NEWTON or GAUSS_SEIDEL
@@ -143,7 +143,7 @@ class TimeSettings(NamedTuple):
 
 
 class RolloutRecord(NamedTuple):
-    """What a rollout leaves behind."""
+    """Samples and counts of a rollout."""
 
     time: FloatArray  # (n_sample,) in: when to sample; out where `every_step`: when a step ended
     pose: FloatArray  # (n_sample, n_moving, 3)
@@ -157,7 +157,7 @@ class RolloutRecord(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Many rollouts: the arrays of their models end to end, and where each rollout's rows begin.
+    """Many rollouts: the concatenated arrays of their models, and the first rows of each rollout.
 
     Rollouts may share rows (one shape, many parameters). Indices stored in the rows
     (`piece_body`, `piece_start`, `path_start`, `element_body`, `drive_dof`) count from each
@@ -173,11 +173,11 @@ class Batch(NamedTuple):
     sides: IntArray  # (n_rollout,)
     pose: FloatArray  # (body rows, 3) at time zero
     velocity: FloatArray  # (free rows, 3) at time zero
-    pace: FloatArray  # (n_rollout, 5) fields of Pace
+    pace: FloatArray  # (n_rollout, 5) fields of TimeSettings
 
 
 class BatchRecord(NamedTuple):
-    """What a batch of rollouts leaves behind: a Record each, stacked."""
+    """Samples and counts of a batch of rollouts: a stacked `RolloutRecord` of each."""
 
     time: FloatArray  # (n_rollout, n_sample)
     pose: FloatArray  # (n_rollout, n_sample, n_moving, 3)

@@ -1,4 +1,4 @@
-"""Writes the mixed complementarity problem of one step, for each of the three motion models.
+"""Assembly of the mixed complementarity problem of one step, for the three motion models.
 
 The rows are taken at a configuration reached `lead` after the step's start by the predicted
 velocities (lead 0: at the start, Stewart & Trinkle 1996; half a step: the midpoint, Moreau 1988),
@@ -27,7 +27,7 @@ from fixel.typing import FloatArray
 def assemble_bodies(
     model: Model, state: State, motion: int, step: float, pose: FloatArray, problem: Problem
 ) -> None:
-    """Inertia and momentum of every free body, at the configuration `pose`."""
+    """Write inertia and momentum of every free body, at the configuration `pose`."""
     n_free = model.mass.size
     for b in range(n_free):
         o = 3 * b
@@ -63,7 +63,7 @@ def assemble_bodies(
 
 @kernel
 def _rotate_drag(model: Model, b: int, step: float, angle: float, problem: Problem) -> None:
-    """``step * R D R^T`` of body b, with R the rotation of the plane and the spin left alone."""
+    """Write ``step * R D R^T`` of body b, where R rotates the plane and leaves the spin."""
     c = math.cos(angle)
     s = math.sin(angle)
     d = model.drag[b]
@@ -86,8 +86,8 @@ def _rotate_drag(model: Model, b: int, step: float, angle: float, problem: Probl
 
 @kernel
 def plane_factor(model: Model, x: float, y: float) -> float:
-    """The friction map at a point of the plane, bilinear between its nodes and level beyond its
-    border."""
+    """Interpolate the friction map at a point of the plane: bilinear between nodes, constant beyond
+    the border."""
     n_row, n_column = model.map_factor.shape
     if n_row == 0:
         return 1.0
@@ -109,8 +109,8 @@ def plane_factor(model: Model, x: float, y: float) -> float:
 def assemble_elements(
     model: Model, motion: int, step: float, pose: FloatArray, problem: Problem
 ) -> int:
-    """Rows and limits of every support friction element; returns their number (none in first
-    order).
+    """Write rows and limits of every support friction element; returns their number, 0 in first
+    order.
 
     Anisotropic friction is an ellipse of impulses; rows scaled by its half-axes turn it into a
     disc.
@@ -161,7 +161,7 @@ def assemble_elements(
 
 @kernel
 def set_stiffness(problem: Problem, n_element: int) -> None:
-    """Impulse per unit velocity that each block typically needs: its inertia and its friction
+    """Write the typical impulse per unit velocity of each block: its inertia plus its friction
     limits."""
     n_free_dof = problem.size[3]
     n_dof = problem.size[0]
@@ -190,8 +190,8 @@ def assemble_contact(
     drive_y: float,
     drive_turn: float,
 ) -> None:
-    """Rows of contact i. A driven second body moves along (drive_x, drive_y, drive_turn) at unit
-    speed."""
+    """Write the rows of contact i. A driven second body moves along (drive_x, drive_y, drive_turn)
+    at unit speed."""
     a = problem.contact_body[i, 0]
     b = problem.contact_body[i, 1]
     nx = problem.contact_place[i, 1]

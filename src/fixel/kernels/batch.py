@@ -1,10 +1,10 @@
-"""Many rollouts in one call: each alone, so that the bits do not depend on who ran which."""
+"""Many rollouts in one call, independent of each other and bit for bit of the threads."""
 
 from fixel.kernels.arrays import Batch, BatchRecord, Model, RolloutRecord, StepMethod, TimeSettings
 from fixel.kernels.jit import allocating_kernel, entry, spliced_kernel
 from fixel.kernels.rollout import rollout
 
-# Families: arrays whose rows begin together.
+# Families: arrays with common first rows.
 FREE = 0  # mass, inertia, wrench, spring, drag, velocity
 BODY = 1  # pose
 PAIR = 2  # friction, restitution
@@ -21,7 +21,7 @@ N_FAMILY = 11
 
 @allocating_kernel
 def select(batch: Batch, r: int) -> Model:
-    """The model of rollout r: views of the batch's arrays."""
+    """Return the model of rollout r, as views of the batch's arrays."""
     a = batch.begin[r]
     z = a + batch.count[r]
     m = batch.model
@@ -96,6 +96,6 @@ def select_one(batch: Batch, r: int) -> Model:
 def roll(
     batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, first: int, last: int
 ) -> None:
-    """Simulate rollouts `first` to ``last - 1``. Holds no lock: threads may each take a range."""
+    """Simulate rollouts `first` to ``last - 1`` without Python's lock, for use in threads."""
     for r in range(first, last):
         _rollout(batch, method, record, every_step, r)

@@ -1,4 +1,4 @@
-"""Integers the kernels understand, with the sentences that go with them."""
+"""Integer codes of the kernels, with their messages."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
 THROWN: Final = 7
 
-# What a stepper answers when it wants its last step taken back.
+# Status of a stepper that takes its last step back.
 UNDO: Final = -2
 
 STATUS_NAMES: Final = (
@@ -41,7 +41,7 @@ STATUS_ADVICE: Final = (
     "Look for a deep overlap at the start, or make the step smaller.",
 )
 
-# A motion model or solver of somebody else's, which only the plain Python loop can run.
+# A motion model or solver of a plug-in, which only the plain Python loop can run.
 EXTERNAL: Final = -1
 
 # Which equations move the bodies.

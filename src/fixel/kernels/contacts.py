@@ -1,8 +1,8 @@
-"""Contacts of a whole configuration: which pieces are near, and where they meet.
+"""Contacts of a whole configuration: broad phase, narrow phase and warm start.
 
-Sweep and prune along x gives the pairs whose bounding circles come within a reach; the list is kept
-until some body has moved half that reach (a Verlet list), so most steps look only at the few pairs
-that matter.
+Sweep and prune along x gives the pairs whose bounding circles come within a reach. The list is
+valid until a body has moved half that reach (a Verlet list), so that most steps check only a few
+pairs.
 """
 
 import math
@@ -15,7 +15,7 @@ from fixel.typing import FloatArray, IntArray
 
 @kernel
 def place_body(model: Model, pose: FloatArray, body: int, first: int, work: Workspace) -> int:
-    """Put one body, whose pieces start at `first`, into the world; returns the next piece."""
+    """Write world coordinates of a body whose pieces start at `first`; returns the next piece."""
     c = math.cos(pose[body, 2])
     s = math.sin(pose[body, 2])
     x = pose[body, 0]
@@ -37,7 +37,7 @@ def place_body(model: Model, pose: FloatArray, body: int, first: int, work: Work
 
 @kernel
 def place_bodies(model: Model, pose: FloatArray, n_body: int, work: Workspace) -> None:
-    """Put the vertices of the first `n_body` bodies into the world."""
+    """Write the world coordinates of the first `n_body` bodies."""
     piece = 0
     for body in range(n_body):
         piece = place_body(model, pose, body, piece, work)
@@ -45,7 +45,7 @@ def place_bodies(model: Model, pose: FloatArray, n_body: int, work: Workspace) -
 
 @kernel
 def moved(model: Model, pose: FloatArray, anchor: FloatArray, n_moving: int) -> float:
-    """Farthest any point of a moving piece can have travelled since the anchor poses, at most."""
+    """Upper bound of the travel of any point of a moving piece since the anchor poses."""
     farthest = 0.0
     for piece in range(model.piece_body.size):
         body = model.piece_body[piece]
@@ -64,9 +64,9 @@ def moved(model: Model, pose: FloatArray, anchor: FloatArray, n_moving: int) -> 
 def find_near_pairs(
     model: Model, pose: FloatArray, n_free: int, n_moving: int, reach: float, work: Workspace
 ) -> int:
-    """List the pairs of pieces within `reach`, one of them or both on free bodies; how many.
+    """List the pairs of pieces within `reach`, at least one on a free body; returns their number.
 
-    Pairs come out sorted by (first piece, second piece). -1 where the list is too short.
+    Pairs are sorted by (first piece, second piece). Returns -1 where the list is too short.
     """
     n_piece = model.piece_body.size
     order = work.order
@@ -163,7 +163,7 @@ def warm_start(
     n_old: int,
     ratio: float,
 ) -> None:
-    """Give every contact the impulse its features had in the step before, times `ratio`.
+    """Set the impulse of every contact to that of its features in the previous step, times `ratio`.
 
     Both lists are sorted by pair of pieces; within a pair there are one or two.
     """

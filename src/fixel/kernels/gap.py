@@ -1,13 +1,13 @@
-"""Signed gap, witness points and normals of one pair of convex pieces in world coordinates.
+"""Signed gap, witness points and normals of a pair of convex pieces in world coordinates.
 
 A piece is a strictly convex polygon, counter-clockwise (no straight corners), or a disk: one vertex
 with a radius. The gap is the distance of the outlines, negative in overlap (then the least
 translation that parts them). `contact_pair` writes one or two contacts: two where edges face each
 other.
 
-Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Whatever is
-nearest to a seam, or to a corner from beyond a seam that ends there, has the neighbouring piece in
-between, which gives the true contact; so those contacts are left out.
+Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Where a seam is
+the nearest feature, or a corner seen across a seam that ends there, the neighbouring piece lies in
+between and gives the true contact; so those contacts are left out.
 
 Source: separating axes and reference-edge clipping as in Gregorius, "Robust contact creation" (GDC
 2015); the contacts themselves are exact vertex-edge pairs, so that their rows are the true
@@ -22,14 +22,14 @@ from fixel.kernels.jit import kernel
 from fixel.typing import FloatArray, IntArray
 
 # Feature codes. The vertex of the second piece counts from 0, the vertex of the first from
-# FIRST_VERTEX; two corners are named by the second piece's, from VERTEX_VERTEX. Room for 2**18
-# vertices a piece.
+# FIRST_VERTEX; two corners are named by the second piece's, from VERTEX_VERTEX. At most 2**18
+# vertices per piece.
 VERTEX_VERTEX = 1 << 18
 FIRST_VERTEX = 1 << 19
 FEATURES = 1 << 20
 
-# Length below which two corners are one point: their difference has no direction to speak of, and
-# the edge gives the normal. World coordinates are of order one, so this is some thousand roundings.
+# Length below which two corners are one point: their difference has no reliable direction, and the
+# edge gives the normal. World coordinates are of order one, so this is some thousand roundings.
 COINCIDENT = 1e-12
 # Share of the reference edge below which the two ends of an overlap are one contact.
 NARROW = 1e-9
@@ -50,7 +50,7 @@ def contact_pair(
     key: IntArray,
     at: int,
 ) -> int:
-    """Write the contacts of one pair of pieces with gaps below `margin`; returns how many, 0 to 2.
+    """Write the contacts of two pieces with gaps below `margin`; returns their number, 0 to 2.
 
     Piece 1 owns ``world[s1:e1]`` and has radius `r1`, which only disks may have. Row ``at`` onward
     of `place` gets gap, normal x, y (from the second piece into the first) and the contact point
@@ -97,7 +97,7 @@ def _write(
     py: float,
     code: int,
 ) -> None:
-    """One contact, from the witness point (px, py) on the second outline."""
+    """Write one contact, from the witness point (px, py) on the second outline."""
     place[at, 0] = gap
     place[at, 1] = nx
     place[at, 2] = ny
@@ -108,7 +108,7 @@ def _write(
 
 @kernel
 def _point_to_point(dx: float, dy: float) -> tuple[float, float, float]:
-    """Length and direction of a vector; concentric disks part along x."""
+    """Length and direction of a vector; x for zero length, as for concentric disks."""
     distance = math.sqrt(dx * dx + dy * dy)
     if distance < COINCIDENT:
         return 0.0, 1.0, 0.0
@@ -121,7 +121,7 @@ def _point_to_polygon(
 ) -> tuple[float, float, float]:
     """Signed distance and outward normal from a convex polygon to a point.
 
-    (most, 0, 0) where the distance is at least `most`, or where the way leads through a seam.
+    Returns (most, 0, 0) where the distance is at least `most`, or the shortest way crosses a seam.
     """
     best = -math.inf  # over all edges
     edge = start
@@ -171,9 +171,9 @@ def _point_to_polygon(
 def _beyond_seam(
     world: FloatArray, real: IntArray, start: int, end: int, corner: int, px: float, py: float
 ) -> bool:
-    """Whether a point that sees a corner of a piece sees it past a seam that ends there.
+    """Whether the line from a point to a corner of a piece crosses a seam that ends there.
 
-    Both pieces at a seam compute the same number here, but for the sign, so never do both give way.
+    Both pieces at a seam compute the same number except for its sign: never do both return True.
     """
     x = world[corner, 0]
     y = world[corner, 1]
@@ -192,9 +192,9 @@ def _beyond_seam(
 def separating_edge(
     world: FloatArray, s1: int, e1: int, s2: int, e2: int, margin: float
 ) -> tuple[float, int, int]:
-    """Edge of the first polygon that is farthest from the second: separation, edge, nearest vertex.
+    """Find the edge of polygon 1 farthest from polygon 2: separation, edge, nearest vertex.
 
-    Returns the first edge found where the separation reaches `margin`.
+    Returns the first edge whose separation reaches `margin`.
     """
     best = -math.inf
     edge = s1
@@ -237,22 +237,22 @@ def _contact_polygons(
     key: IntArray,
     at: int,
 ) -> int:
-    """Contacts of two polygons: of the edge that separates best and the one that faces it."""
+    """Write contacts of two polygons: of the best separating edge and the edge that faces it."""
     sep1, edge1, support1 = separating_edge(world, s1, e1, s2, e2, margin)
     if sep1 >= margin:
         return 0
     sep2, edge2, support2 = separating_edge(world, s2, e2, s1, e1, margin)
     if sep2 >= margin:
         return 0
-    # The reference edge belongs to the polygon that separates better; ties go to the second, unless
-    # that is a seam.
+    # The reference edge is the one of larger separation; ties go to the second polygon, unless its
+    # edge is a seam.
     on_first = sep1 > sep2 or (sep1 == sep2 and real[edge2] == 0)
     if on_first:
         sep, rs, re, fs, fe, edge, support = sep1, s1, e1, s2, e2, edge1, support1
     else:
         sep, rs, re, fs, fe, edge, support = sep2, s2, e2, s1, e1, edge2, support2
     if real[edge] == 0:
-        # All that is near is behind a seam: the piece on its other side has the contacts.
+        # The piece on the other side of the seam has the contacts.
         return 0
     flip = -1.0 if on_first else 1.0
     x0 = world[edge, 0]
@@ -336,7 +336,7 @@ def _contact_polygons(
 def _corner_to_edge(
     world: FloatArray, corner: int, i1: int, i2: int
 ) -> tuple[float, float, float, int]:
-    """From a corner to the edge i1 to i2, or to its nearer end: gap, direction, that end or -1."""
+    """Gap and direction from a corner to the edge i1 to i2 or its nearer end; that end or -1."""
     dx = world[corner, 0] - world[i1, 0]
     dy = world[corner, 1] - world[i1, 1]
     ex = world[i2, 0] - world[i1, 0]
@@ -357,7 +357,7 @@ def _corner_to_edge(
 def _facing_edge(
     world: FloatArray, start: int, end: int, support: int, nx: float, ny: float
 ) -> tuple[int, int]:
-    """The edge at the support vertex, of its two, that leans more against the normal."""
+    """Choose the edge at the support vertex that is more nearly opposite to the normal."""
     before = support - 1 if support > start else end - 1
     after = support + 1 if support + 1 < end else start
     ax = world[support, 0] - world[before, 0]

@@ -1,9 +1,8 @@
-"""Projected Gauss-Seidel, contact by contact: slow to the last digit, sure of foot on the way
-there.
+"""Projected Gauss-Seidel, contact by contact: robust, but slow to converge to the last digit.
 
-A block without inertia (quasi-static bodies, drives) is given one equal to its stiffness and
-pulled towards where it was one sweep before, a proximal-point iteration: at rest it has vanished,
-so the fixed points are exactly the solutions of the problem.
+A block without inertia (quasi-static bodies, drives) gets an inertia equal to its stiffness, and a
+pull towards its velocity of the previous sweep, a proximal-point iteration. The pull vanishes at a
+fixed point, so that the fixed points are exactly the solutions of the problem.
 
 Source: Jourdan, Alart & Jean (1998) for the contacts; Rockafellar (1976) for the proximal pull.
 """
@@ -33,7 +32,7 @@ def gauss_seidel(problem: Problem, work: Workspace, tolerance: float, max_sweeps
 
 @kernel
 def _prepare(problem: Problem, work: Workspace) -> None:
-    """Invert every block of the inertia, and make the velocities agree with the impulses."""
+    """Invert every block of the inertia, and compute the velocities from the impulses."""
     n_dof = problem.size[0]
     n_free = problem.size[3]
     v = problem.velocity
@@ -115,7 +114,7 @@ def _pull(problem: Problem, work: Workspace) -> float:
 def _compliance(
     problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int
 ) -> float:
-    """Velocity along a row of block o that a unit impulse along it gives."""
+    """Velocity along a row of block o per unit impulse along it."""
     n_free = problem.size[3]
     total = 0.0
     if o >= n_free:
@@ -215,7 +214,7 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
 
 @kernel
 def friction_answer(problem: Problem, e: int, stiffness: float) -> tuple[float, float, float]:
-    """Impulse of element e after a spring of this stiffness has met its slip, held to its limit."""
+    """Impulse of element e after a step of a spring against its slip, projected to its limit."""
     row = problem.element_row
     p = problem.element_impulse
     v = problem.velocity

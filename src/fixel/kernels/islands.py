@@ -1,10 +1,10 @@
-"""Large problems, island by island.
+"""Solution of large problems island by island.
 
-Bodies that press on each other form an island; islands do not feel each other and are solved one
-at a time, as problems of their own. Contacts that carried no impulse and open at the guessed
-velocity are left out at first; those that the answer would violate are then put in, and the
-islands they join are solved again. Within an island the bodies are numbered by reverse
-Cuthill-McKee, so that the linear systems have a narrow band.
+Bodies that press on each other form an island. Islands are independent and are solved one at a
+time, as separate problems. Contacts that carried no impulse and open at the guessed velocity are
+left out at first; those that the solution violates are then added, and the islands that they join
+are solved again. Within an island the bodies are numbered by reverse Cuthill-McKee, so that the
+linear systems have a narrow band.
 
 Source: George & Liu (1981), section 4.3, for the numbering.
 """
@@ -16,11 +16,11 @@ from fixel.kernels.jit import kernel
 from fixel.kernels.view import view
 from fixel.typing import FloatArray, IntArray
 
-ROUNDS = 12  # of putting contacts in, before all are
+ROUNDS = 12  # of adding contacts, before all are added
 
 
 class Islands(NamedTuple):
-    """The pieces of `work.island_floats` and `work.island_indices`. Blocks are bodies, then
+    """Views of `work.island_floats` and `work.island_indices`. Blocks are bodies, then
     drives."""
 
     part: Problem  # one island
@@ -36,13 +36,13 @@ class Islands(NamedTuple):
 
 @kernel
 def island_room(wide: int, n_contact: int, n_element: int) -> tuple[int, int]:
-    """Numbers and indices that `islands_of` needs, for ``wide = n_dof + 2``."""
+    """Sizes of the two buffers that `islands_of` needs, for ``wide = n_dof + 2``."""
     return 7 * wide + 17 * n_contact + 16 * n_element, 4 + 5 * wide + 5 * n_contact + 2 * n_element
 
 
 @kernel
 def islands_of(problem: Problem, work: Workspace) -> Islands:
-    """The arrays of `Islands`, one behind the other."""
+    """Return the arrays of `Islands`, as consecutive views of the buffers."""
     x = work.island_floats
     i = work.island_indices
     wide = problem.momentum.size
@@ -89,9 +89,9 @@ def islands_of(problem: Problem, work: Workspace) -> Islands:
 
 @kernel
 def choose_contacts(problem: Problem, islands: Islands, everything: bool) -> int:
-    """Put in the contacts that press or close; returns how many were out before.
+    """Add the contacts that press or close; returns the number of contacts added.
 
-    `islands.contact_in` is 1 for contacts that take part, and 2 for those put in by this call.
+    `islands.contact_in` is 1 for contacts that take part, and 2 for those added by this call.
     """
     added = 0
     v = problem.velocity
@@ -115,7 +115,7 @@ def choose_contacts(problem: Problem, islands: Islands, everything: bool) -> int
 
 @kernel
 def block_of(n_free: int, dof: int) -> int:
-    """Number of the block a degree of freedom belongs to: bodies first, then drives."""
+    """Index of the block of a degree of freedom: bodies first, then drives."""
     return dof // 3 if dof < n_free else n_free // 3 + dof - n_free
 
 
@@ -161,8 +161,8 @@ def find_islands(problem: Problem, islands: Islands) -> int:
 
 @kernel
 def _list_neighbours(problem: Problem, islands: Islands, n_body: int) -> None:
-    """``islands.neighbour[first[b]:first[b + 1]]``: the bodies that body b touches, some of them
-    twice."""
+    """Write ``islands.neighbour[first[b]:first[b + 1]]``: the bodies that body b touches, some of
+    them twice."""
     first = islands.first
     first[0] = 0
     for b in range(n_body):
@@ -182,8 +182,8 @@ def _list_neighbours(problem: Problem, islands: Islands, n_body: int) -> None:
 
 @kernel
 def _number(islands: Islands, n_body: int) -> None:
-    """Breadth first from a body of least degree, neighbours of least degree first; then
-    backwards."""
+    """Number the bodies breadth first from one of least degree, neighbours of least degree first;
+    then reverse the order."""
     seen = islands.place
     sequence = islands.sequence
     degree = islands.degree
@@ -221,7 +221,7 @@ def _number(islands: Islands, n_body: int) -> None:
 
 @kernel
 def mark_changed(problem: Problem, islands: Islands, n_block: int, everything: bool) -> None:
-    """Set ``islands.first`` to 1 for the islands to solve: those with contacts newly put in, or
+    """Set ``islands.first`` to 1 for the islands to solve: those with newly added contacts, or
     all."""
     for b in range(n_block):
         islands.first[b] = 1 if everything else 0
@@ -327,7 +327,7 @@ def _gather_elements(problem: Problem, islands: Islands, island: int) -> None:
 
 @kernel
 def scatter(problem: Problem, islands: Islands, island: int) -> None:
-    """Copy the answer of one island back."""
+    """Copy the solution of one island back into the problem."""
     part = islands.part
     n_body = problem.size[3] // 3
     for b in range(n_body):

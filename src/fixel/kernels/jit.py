@@ -1,10 +1,10 @@
-"""The decorators of the kernels, their flags, and where compiled code is kept.
+"""Decorators of the kernels, their flags, and the cache of compiled code.
 
-`entry` compiles a function that Python calls and keeps the machine code on disk; all others
+`entry` compiles a function that Python calls and caches the machine code on disk; all others
 compile helpers, which Python cannot call: without `NUMBA_DISABLE_JIT` it would crash. No fastmath
-anywhere: it moves results. The cache folder is named by a digest of all kernel sources, because
-Numba looks only at the file of the entry function and would keep running an edited callee's old
-code.
+anywhere, since it changes results. The name of the cache folder contains a digest of all kernel
+sources, because Numba checks only the file of the entry function and would run the old code of an
+edited callee.
 
 Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs every kernel as
 plain Python.
@@ -22,24 +22,24 @@ from fixel.kernels.linking import KNOWN_NUMBA, HelperCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Not all that is used of Numba is in its type information.
+# Numba's type information is incomplete.
 _njit: Any = numba.njit
 _config: Any = numba.config
 
-# error_model="numpy": division by zero follows IEEE and is never tested for; the kernels guard
-# their own.
+# error_model="numpy": division by zero follows IEEE without a test; the kernels have their own
+# guards.
 _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 
-# The code that would unpack NamedTuples for calls from Python is longer than most helpers: without
-# it the first simulation ever waits 46 s in place of 64 s.
+# The code that unpacks NamedTuples for calls from Python is longer than most helpers: without it
+# the first simulation after installation takes 46 s instead of 64 s.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_FLAGS}
-# Where Numba is not the one that `linking` was written for, helpers compile as any function does.
+# With other versions of Numba than `linking` was written for, helpers are compiled as usual.
 if numba.version_info.short in KNOWN_NUMBA:
     _INNER["pipeline_class"] = HelperCompiler
 
 
 def source_digest() -> str:
-    """Digest of every source file of this package, twelve hexadecimal digits."""
+    """Compute the digest of all source files of this package, twelve hexadecimal digits."""
     folder = os.path.dirname(os.path.abspath(__file__))
     digest = hashlib.sha256(numba.__version__.encode())
     for name in sorted(os.listdir(folder)):
@@ -50,7 +50,7 @@ def source_digest() -> str:
 
 
 def cache_folder() -> str:
-    """Folder that holds the compiled kernels of exactly these sources."""
+    """Path of the folder with the compiled kernels of exactly these sources."""
     base = os.environ.get("FIXEL_CACHE_DIR") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "fixel"
     )
@@ -61,10 +61,10 @@ _CACHE_FOLDER = cache_folder()
 
 
 def _inner(function: Function, **flags: Any) -> Function:
-    """Compile once for each combination of types.
+    """Compile a helper once for each combination of types.
 
-    Numba by itself would compile anew for every constant among the arguments; inlining makes as
-    much of constants, and the first simulation ever waits 35 s in place of 46 s.
+    Numba would by default compile again for every constant argument. Inlining uses constants
+    equally well, and the first simulation after installation takes 35 s instead of 46 s.
     """
     compiled = _njit(**flags, **_INNER)(function)
     if not _config.DISABLE_JIT:
@@ -76,37 +76,37 @@ def _inner(function: Function, **flags: Any) -> Function:
 
 
 def kernel(function: Function) -> Function:
-    """Compile a helper that allocates nothing; its machine code lives inside the entries that
-    call it.
+    """Compile a helper that allocates nothing; its machine code is part of the entries that call
+    it.
 
-    Without Numba's run time (`_nrt=False`) arrays are passed without counting references, and
-    always inlined the NamedTuples are never copied: one step of a grasp takes 0.7 us in place of
-    10 us (measured 2026-11, two-core AMD EPYC).
+    Without Numba's run time (`_nrt=False`) arrays are passed without reference counts, and with
+    inlining NamedTuples are never copied: one step of a grasp takes 0.7 us instead of 10 us
+    (measured 2026-11, two-core AMD EPYC).
     """
     return _inner(function, _nrt=False, forceinline=True)
 
 
 def large_kernel(function: Function) -> Function:
-    """As `kernel`, but called in place of inlined: for long functions, once a step at most."""
+    """Compile a helper like `kernel`, not inlined: for long functions, at most once per step."""
     return _inner(function, _nrt=False)
 
 
 def allocating_kernel(function: Function) -> Function:
-    """Compile a helper that allocates arrays: once a rollout, never in a step."""
+    """Compile a helper that allocates arrays: once per rollout, never in a step."""
     return _inner(function)
 
 
 def spliced_kernel(function: Function) -> Function:
-    """A helper that becomes part of its caller before anything is compiled.
+    """Mark a helper that becomes part of its caller before compilation.
 
-    For the few levels between an entry and the loop of steps. Not for more than that: long
-    functions take Numba longer than the short ones they are made of.
+    Only for the few levels between an entry and the loop of steps: Numba takes longer for a long
+    function than for the short ones it consists of.
     """
     return _inner(function, _nrt=False, inline="always")
 
 
 def _cached(function: Function, **flags: Any) -> Function:
-    # Numba reads its cache folder once, while decorating, so it is set for that moment only.
+    # Numba reads its cache folder only while decorating, so it is set for that time only.
     before = _config.CACHE_DIR
     _config.CACHE_DIR = _CACHE_FOLDER
     try:
@@ -116,9 +116,9 @@ def _cached(function: Function, **flags: Any) -> Function:
 
 
 def entry(function: Function) -> Function:
-    """Compile a function that Python calls, and keep its machine code on disk.
+    """Compile a function that Python calls, and cache its machine code on disk.
 
-    It releases Python's lock while it runs, so that plain threads can share the work of a batch: no
-    threading layer, nothing to break in a forked process, and Ctrl-C between ranges.
+    It releases Python's lock while it runs, so that ordinary threads can share a batch. This needs
+    no threading layer, works in forked processes, and allows Ctrl-C between ranges.
     """
     return _cached(function, nogil=True)

@@ -1,11 +1,11 @@
 """Newton's method for generalised equations: contacts by pivoting, friction elements linearised.
 
-Newton on the natural map guesses anew in each iteration which contacts press, slide and stick, and
-may go round in circles where one answer excludes the other: a part that seats between a pusher and
-a peg is held by forces a hundred times those of a moment before. Here only the support friction is
-linearised; for what is left, a linear complementarity problem in the few contacts and drives,
-Lemke's method follows a path to an answer. One or two turns are the rule, each tens of pivots of
-a small tableau.
+In each iteration Newton on the natural map chooses which contacts press, slide and stick. It may
+cycle where these choices exclude each other: a part that seats between a pusher and a fixel is held
+by forces a hundred times those of the step before. Here only the support friction is linearised.
+The rest is a linear complementarity problem in the few contacts and drives, which Lemke's method
+solves along a path. One or two iterations are usual, each with tens of pivots of a small
+tableau.
 
 Source: Josephy (1979) for the method; Stewart & Trinkle (1996) for the linear problem, copositive,
 so that Lemke's method ends with an answer wherever prescribed motions do not squeeze a body.
@@ -27,18 +27,18 @@ MAX_UNKNOWNS = 36
 COMPLIANCE = 1e-5  # of an element that sticks, relative to its block's
 PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, where a body
 LIGHT = 1e-3  # has less inertia than this
-SMALL = 1e-11  # of the largest entry of a pivot column: no pivot
-PIVOTS = 8  # a row, at most
-WHOLE_STEPS = 8  # turns before steps are shortened
-ARRIVED = 1e-10  # change of velocity
+SMALL = 1e-11  # of the largest entry of a column: smaller entries are no pivots
+PIVOTS = 8  # largest number per row
+WHOLE_STEPS = 8  # iterations before steps are shortened
+ARRIVED = 1e-10  # change of velocity at convergence
 
 
 @large_kernel
 def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
-    """Take one step of the method, the `turn`-th; False where there is no use in another.
+    """Take iteration number `turn` of the method; returns False where another would not help.
 
-    Several answers of the linear problem may lead to each other in a circle: another `way` looks
-    for others, and later turns go part of the way only.
+    Solutions of the linear problem may lead to each other in a cycle. Another `way` finds other
+    solutions, and later iterations take part of the step only.
     """
     n_contact = problem.size[1]
     n_element = problem.size[2]
@@ -52,7 +52,7 @@ def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
     for o in range(0, problem.size[3], 3):
         if problem.inertia[o, 0] < LIGHT * problem.stiffness[o]:
             pull = PULL
-    # Without contacts and drives: every body by itself on its supports.
+    # Without contacts and drives: every body separately on its supports.
     problem.size[1] = 0
     problem.size[2] = n_support
     linearise_any(problem, work, COMPLIANCE, pull, False, False)
@@ -72,7 +72,7 @@ def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
 
 @kernel
 def is_small(problem: Problem) -> bool:
-    """Whether there are few enough contacts, drives and unknowns."""
+    """Whether a problem has few enough contacts, drives and unknowns for this method."""
     n_drive = problem.size[0] - problem.size[3]
     return (
         problem.size[0] <= MAX_UNKNOWNS
@@ -85,7 +85,7 @@ def is_small(problem: Problem) -> bool:
 def _coupling(
     problem: Problem, work: Workspace, first: FloatArray, i: int, second: FloatArray, j: int
 ) -> float:
-    """Velocity along row i of `first` that a unit impulse along row j of `second` gives."""
+    """Velocity along row i of `first` per unit impulse along row j of `second`."""
     total = 0.0
     for side in range(2):
         o = problem.contact_dof[i, side]
@@ -105,11 +105,11 @@ def _coupling(
 
 @kernel
 def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) -> None:
-    """The linear complementarity problem, as Lemke's method begins.
+    """Write the linear complementarity problem as the initial tableau of Lemke's method.
 
     Unknowns of contact i from 4 i: normal impulse, tangential impulse forwards and backwards, slip
-    speed. Of drive d from 4 n + 2 d: how much slower, and how much faster, than commanded. Rows of
-    a drive: what is left of its force. Where there are several answers, the `way` decides which.
+    speed. Unknowns of drive d from 4 n + 2 d: speed below, and above, the commanded one. Rows of
+    a drive: unused part of its force limit. The `way` selects among several solutions.
     """
     n_contact = problem.size[1]
     n_free = problem.size[3]
@@ -194,8 +194,8 @@ def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) 
 def _couple_drive(
     problem: Problem, t: FloatArray, i: int, r: int, side: int, n: int, scale: float
 ) -> None:
-    """The contact feels how the drive's speed departs from the commanded; the drive, its impulses,
-    in a unit of its own."""
+    """Couple a contact and a drive: the contact to the deviation of the drive's speed, the drive to
+    the contact's impulses, scaled."""
     along = problem.normal[i, 3 * side]
     across = problem.tangent[i, 3 * side]
     c = 4 * i
@@ -211,7 +211,7 @@ def _couple_drive(
 
 @kernel
 def _lemke(t: FloatArray, basis: FloatArray, n: int) -> bool:
-    """Pivot the tableau ``w - M z - z0 = q`` until z0 leaves; lexicographic, so it never circles.
+    """Pivot the tableau ``w - M z - z0 = q`` until z0 leaves; lexicographic, so it never cycles.
 
     ``basis[r]`` is the column that row r stands for: w from 0, z from n, z0 is 2 n.
     """
@@ -252,7 +252,7 @@ def _lemke(t: FloatArray, basis: FloatArray, n: int) -> bool:
 def _comes_first(
     t: FloatArray, r: int, row: int, column: int, basis: FloatArray, n: int, scale: float
 ) -> bool:
-    """Whether row r blocks before `row` does: by the quotients of q, then of the first columns."""
+    """Whether row r blocks before `row`: by the quotients of q, then of the first columns."""
     q = 2 * n + 1
     a = t[r, q] / t[r, column]
     b = t[row, q] / t[row, column]
@@ -286,15 +286,15 @@ def _pivot(t: FloatArray, row: int, column: int, n: int) -> None:
         if r != row and factor != 0.0:
             for c in range(2 * n + 2):
                 t[r, c] -= factor * t[row, c]
-    # Exactly, where rounding would leave a trace.
+    # Set exactly, without rounding errors.
     for r in range(n):
         t[r, column] = 1.0 if r == row else 0.0
 
 
 @kernel
 def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float) -> float:
-    """Impulses of the tableau's answer, and this share of the way to its velocities; returns the
-    largest change of velocity."""
+    """Take the impulses of the tableau's solution and a share of the change to its velocities;
+    returns the largest change of velocity."""
     n_contact = problem.size[1]
     n_free = problem.size[3]
     n_drive = problem.size[0] - n_free
@@ -358,14 +358,14 @@ def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float
             right[o + k] *= share
     for o in range(n_free, problem.size[0]):
         right[o] = 0.0
-    # The elements' impulses follow their velocities; the contacts' are there already.
+    # Update the elements' impulses from their velocities; those of contacts are already set.
     problem.size[1] = 0
     problem.size[2] = n_support
     step_all(problem, work, COMPLIANCE)
     problem.size[1] = n_contact
     problem.size[2] = n_element
-    # Linearised where it sticks, an element answers with far more than its limit; linearised there
-    # again, with next to nothing. So back to what its law allows at its slip velocity.
+    # Linearised where it sticks, an element gets an impulse far above its limit; linearised there
+    # again, nearly none. So project it to its friction law at its slip velocity.
     p = problem.element_impulse
     for e in range(n_support):
         rho = problem.stiffness[problem.element_dof[e]]

@@ -1,7 +1,7 @@
 """Lemke's method: exact pivots on linear complementarity problems.
 
-`lemke` solves any linear complementarity problem 0 <= z _|_ M z + q >= 0 or says that it ended on
-a ray; `linear_form.py` writes step problems in that form.
+`lemke` solves any linear complementarity problem 0 <= z _|_ M z + q >= 0 or reports that it ended
+on a ray; `linear_form.py` writes step problems in that form.
 
 Source: Cottle, Pang & Stone (1992), sections 4.4 (the method) and 4.9 (the lexicographic rule).
 """
@@ -18,16 +18,16 @@ from fixel.typing import FloatArray, IntArray
 SOLVED: Final = 0
 RAY: Final = 1  # ended on a ray: no solution, if M is copositive-plus; otherwise nothing is proven
 MAX_PIVOTS: Final = 2
-INACCURATE: Final = 3  # a basis was found, but rounding spoiled it
+INACCURATE: Final = 3  # a basis was found, but rounding errors are too large
 
 # Natural-map residual of every SOLVED answer, relative to the row's |q| where that is above one.
 ACCURACY = 1e-10
-PIVOT = 1e-11  # of the largest entry of a column: below it an entry is no pivot
-TIE = 1e-13  # of the numbers that went into a ratio: this close, two ratios are tied
+PIVOT = 1e-11  # of the largest entry of a column: smaller entries are no pivots
+TIE = 1e-13  # of the terms of a ratio: ratios as close as this are tied
 
 
 class Tableau(NamedTuple):
-    """Problem, answer and scratch of Lemke's method, with room for n rows."""
+    """Problem, solution and scratch of Lemke's method, with room for n rows."""
 
     matrix: FloatArray  # (n, n) M; kept
     vector: FloatArray  # (n,) q; kept
@@ -50,7 +50,7 @@ class Tableau(NamedTuple):
 
 @allocating_kernel
 def allocate_tableau(n: int) -> Tableau:
-    """Tableau with room for n rows; `tableau_size` counts those of a step."""
+    """Allocate a tableau with room for n rows; `tableau_size` counts those of a step."""
     return Tableau(
         matrix=np.zeros((n, n)),
         vector=np.zeros(n),
@@ -87,11 +87,11 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
     n : int
         Size of the problem.
     max_pivots : int
-        Each costs about n^2 multiplications; n to 2 n of them are the rule.
+        Largest number of pivots; each costs about n^2 multiplications, and n to 2 n are usual.
 
     Notes
     -----
-    The table keeps y + T x = rhs for the variables y in the basis and x out of it, so that the
+    The table maintains y + T x = rhs for the variables y in the basis and x out of it, so that the
     columns of w, which the lexicographic rule compares, are either in the table or unit columns.
 
     Source: Cottle, Pang & Stone (1992), algorithms 4.4.1 and 4.9.3.
@@ -122,9 +122,9 @@ def lemke(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 @kernel
 def _first_row(tableau: Tableau, n: int) -> int:
-    """Row that the artificial variable must lift first; -1 where no q is negative.
+    """Row in which the artificial variable enters first; -1 where no q is negative.
 
-    The last of equals, which is lexicographically the least.
+    Among equals it is the last, which is lexicographically the least.
     """
     row = -1
     least = 0.0
@@ -138,7 +138,7 @@ def _first_row(tableau: Tableau, n: int) -> int:
 
 @kernel
 def _fill_table(tableau: Tableau, n: int) -> None:
-    """The first table: every w in the basis, every z and the artificial variable out of it."""
+    """Write the initial table: every w in the basis, every z and the artificial variable out."""
     for i in range(n):
         for j in range(n):
             tableau.table[i, j] = -tableau.matrix[i, j]
@@ -155,7 +155,7 @@ def _fill_table(tableau: Tableau, n: int) -> None:
 
 @kernel
 def _exchange(tableau: Tableau, n: int, row: int, column: int) -> None:
-    """Pivot: the variable of `column` enters the basis in `row`, the one there leaves."""
+    """Pivot: the variable of `column` enters the basis, that of `row` leaves it."""
     table = tableau.table
     pivot = table[row, column]
     table[row, column] = 1.0
@@ -182,7 +182,7 @@ def _exchange(tableau: Tableau, n: int, row: int, column: int) -> None:
 def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
     """Row of the lexicographically least ratio; -1 for none, which is a ray.
 
-    The artificial variable leaves as soon as it may: a tie with it is a solution.
+    The artificial variable leaves as soon as possible: a tie with it is a solution.
     """
     table = tableau.table
     largest = 0.0
@@ -197,7 +197,7 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
         if best < 0:
             best = i
             continue
-        # Ratios compared crosswise; below zero there is only rounding.
+        # Ratios are compared crosswise; negative numbers are rounding errors.
         a = table[i, column]
         b = table[best, column]
         ahead = max(0.0, table[i, n + 1]) * b - max(0.0, table[best, n + 1]) * a
@@ -217,7 +217,7 @@ def _leaving_row(tableau: Tableau, n: int, column: int) -> int:
 def _is_before(tableau: Tableau, n: int, column: int, i: int, j: int) -> bool:
     """Whether row i is lexicographically less than row j, each divided by its entry in `column`.
 
-    Compared are the rows of B^-1, which are the columns of w: in the table, or unit columns.
+    The rows of B^-1 are compared. Its columns are those of w: in the table, or unit columns.
     """
     table = tableau.table
     a = table[i, column]
@@ -239,7 +239,7 @@ def _is_before(tableau: Tableau, n: int, column: int, i: int, j: int) -> bool:
 
 @kernel
 def _finish(tableau: Tableau, n: int) -> bool:
-    """Read the answer off the table, then solve its basis again from the original data."""
+    """Read the solution from the table, then solve its basis again from the original data."""
     for i in range(n):
         z = tableau.row_label[i] - n
         if z >= 0:
@@ -247,13 +247,13 @@ def _finish(tableau: Tableau, n: int) -> bool:
             tableau.answer[z] = max(0.0, tableau.table[i, n + 1])
     if resolve(tableau, n):
         return True
-    # A nearly singular basis: the table's own answer may still be the better one.
+    # For a nearly singular basis the solution from the table may be better.
     return _is_solved(tableau, tableau.answer, n)
 
 
 @kernel
 def resolve(tableau: Tableau, n: int) -> bool:
-    """Solve M z + q = 0 on the z that `active` names, by elimination and one refinement.
+    """Solve M z + q = 0 for the active z, by elimination and one refinement.
 
     `answer` is set, and True returned, only if that solves the problem. O(k^3) for k active z.
     """
@@ -292,7 +292,7 @@ def resolve(tableau: Tableau, n: int) -> bool:
 
 @kernel
 def _factor(table: FloatArray, order: IntArray, k: int) -> bool:
-    """LU factors of the leading k by k block in place, rows in `order`; False if singular."""
+    """Factor the leading k by k block into LU in place, rows in `order`; False if singular."""
     for p in range(k):
         best = p
         for i in range(p + 1, k):
@@ -315,7 +315,7 @@ def _factor(table: FloatArray, order: IntArray, k: int) -> bool:
 
 @kernel
 def _substitute(table: FloatArray, k: int, column: int) -> None:
-    """Solve with the factors in place, for the right side in `column`."""
+    """Solve with the LU factors for the right side in `column`, in place."""
     for i in range(k):
         for j in range(i):
             table[i, column] -= table[i, j] * table[j, column]

@@ -1,10 +1,10 @@
-"""Small dense and large banded linear systems, in place, always in the same order (hence the same
-bits)."""
+"""Small dense and large banded linear systems, solved in place in a fixed order of operations, so
+that results are bit for bit reproducible."""
 
 from fixel.kernels.jit import kernel
 from fixel.typing import FloatArray, IntArray
 
-DENSE_LIMIT = 12  # up to this many unknowns Gauss with row pivots; above, envelope without pivots
+DENSE_LIMIT = 12  # up to this many unknowns, Gauss with row pivots; above, envelope without pivots
 
 
 @kernel
@@ -69,7 +69,7 @@ def solve_envelope(
                 factor = matrix[i, k] * inverse
                 if factor == 0.0:
                     continue
-                # Along the rows, so that the processor works on several columns at a time.
+                # Along the rows, so that the processor can vectorise.
                 for j in range(k + 1, inner):
                     matrix[i, j] -= factor * matrix[k, j]
                 for j in range(border, n):

@@ -1,13 +1,13 @@
 """Step problems as linear complementarity problems, for Lemke's method.
 
-Polygons and intervals of friction impulses, the velocities eliminated:
+Friction impulses lie in polygons and intervals, and the velocities are eliminated:
 
     A = [ W_n'D^-1 W_n  W_n'D^-1 W_f  0 ]      z = (p_n, p_f, s)
         [ W_f'D^-1 W_n  W_f'D^-1 W_f  E ]      D inertia, W rows of the impulses,
         [ U             -E'           0 ]      U friction coefficients, s slip speeds
 
-Blocks with little inertia of their own (quasi-static bodies, drives) are given some, and pulled
-towards where they were one solve before: a proximal-point iteration, as in gauss_seidel.py.
+Blocks with little inertia (quasi-static bodies, drives) get some, and a pull towards their
+velocities of the previous solve: a proximal-point iteration, as in gauss_seidel.py.
 
 Source: Stewart & Trinkle (1996) and Anitescu & Potra (1997) for the form and why Lemke's method
 ends at a solution of it; Rockafellar (1976) for the proximal pull.
@@ -20,16 +20,16 @@ from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.lemke import MAX_PIVOTS, SOLVED, Tableau, lemke, resolve
 
-# How a solve ended, besides the codes of `lemke`.
+# Results of a solve, besides the codes of `lemke`.
 NOT_LINEAR: Final = 4  # a friction element is a ball or an unapproximated disc
 NO_ROOM: Final = 5  # the tableau has too few rows
 UNSETTLED: Final = 6  # the proximal iteration did not come to rest
 
-# Proximal mass over stiffness, tried in turn: small settles sooner, large is better scaled.
+# Proximal mass over stiffness, tried in turn: small converges sooner, large is better scaled.
 PULLS = (1e-2, 1.0, 1e-4)
 MAX_PULLS = 100
 ATTEMPTS = 2
-ENOUGH = 10  # pivots for each row with which a step may be begun; one or two are the rule
+ENOUGH = 10  # pivots per row with which a step may be begun; one or two are usual
 SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum residual
 
 
@@ -47,7 +47,7 @@ def tableau_size(problem: Problem, sides_for_discs: int) -> int:
 
 @kernel
 def _directions(problem: Problem, e: int, sides_for_discs: int) -> int:
-    """Directions that span the impulses of element e; 0 where they cannot."""
+    """Number of directions that span the impulses of element e; 0 where none can."""
     row = problem.element_row
     if row[e, 2, 0] != 0.0 or row[e, 2, 1] != 0.0 or row[e, 2, 2] != 0.0:
         return 0
@@ -62,23 +62,23 @@ def _directions(problem: Problem, e: int, sides_for_discs: int) -> int:
 def solve_linear_form(
     problem: Problem, work: Workspace, tableau: Tableau, sides_for_discs: int, max_pivots: int
 ) -> int:
-    """Solve a step whose friction is polygons and intervals; returns one of the codes above.
+    """Solve a step with friction in polygons and intervals; returns one of the codes above.
 
     Parameters
     ----------
     problem : Problem
-        In: `velocity` holds the guess, towards which blocks without inertia are pulled first.
+        In: `velocity` is the guess, towards which blocks without inertia are pulled first.
         Out: `velocity`, `impulse` and `element_impulse`, where SOLVED or UNSETTLED is returned.
     work : Workspace
         `inverse`, `pull`, `centre` and `right` are used.
     tableau : Tableau
-        With room for `tableau_size` rows.
+        Tableau with room for `tableau_size` rows.
     sides_for_discs : int
-        Sides of the polygon that stands in for an exact disc, whose answer is then a starting
-        point for another solver; 0 refuses discs with NOT_LINEAR.
+        Sides of the polygon that replaces an exact disc, whose solution is then a start for
+        another solver; with 0, discs return NOT_LINEAR.
     max_pivots : int
-        Of this step in all; `tableau.spent` counts them, and ends above by one solve of a basis at
-        most.
+        Largest number of pivots for this step; `tableau.spent` counts them and may exceed it by
+        one solve of a basis.
 
     Source: Stewart & Trinkle (1996), condensed; Anitescu & Potra (1997), theorem 3.1.
     """
@@ -108,10 +108,10 @@ def _settle(
     sides_for_discs: int,
     max_pivots: int,
 ) -> int:
-    """Solve, pull, and solve again until nothing pulls any more."""
+    """Repeat solving and updating the proximal centres until the pull vanishes."""
     for attempt in range(MAX_PULLS):
         _write_vector(problem, work, tableau, n)
-        # Between pulls only q changes, and soon the basis does not: try the last one first.
+        # Between solves only q changes, and the basis rarely does: try the last basis first.
         if attempt == 0 or not resolve(tableau, n):
             code = _insist(tableau, n, max_pivots)
             if code != SOLVED:
@@ -126,15 +126,15 @@ def _settle(
 
 @kernel
 def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
-    """`lemke`, and where it fails once more with an uneven covering vector.
+    """Call `lemke`, and where it fails once more with an uneven covering vector.
 
-    A step with a solution ends on a ray only by rounding, when ties between symmetric rows go
-    wrong; an uneven vector has other ties. A step without one (a seated grasp) ends on a ray twice.
+    A step with a solution ends on a ray only by rounding errors in ties between symmetric rows; an
+    uneven vector has other ties. A step without one (a seated grasp) ends on a ray twice.
     """
     code = SOLVED
     for attempt in range(ATTEMPTS):
         for i in range(n):
-            # Multiples of the golden ratio modulo one: spread evenly, no two alike.
+            # Multiples of the golden ratio modulo one: evenly spread, all different.
             tableau.cover[i] = (
                 1.0 if attempt == 0 else 0.5 + (0.6180339887498949 * (i + attempt)) % 1.0
             )
@@ -146,7 +146,7 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
 
 @kernel
 def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
-    """Proximal masses, whether there are any, and the inverse of every block with them."""
+    """Write proximal masses and the inverse of every block; returns whether any mass is used."""
     n_free = problem.size[3]
     d = problem.inertia
     pulled = False
@@ -185,7 +185,7 @@ def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
 
 @kernel
 def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
-    """Lever, block and bias of every row: normal, two tangents, slip; or directions, slip."""
+    """Write lever, block and bias of every row: normal, two tangents, slip; or directions, slip."""
     for i in range(problem.size[1]):
         r = 4 * i
         for side in range(2):
@@ -225,10 +225,10 @@ def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> Non
 def _write_matrix(
     problem: Problem, work: Workspace, tableau: Tableau, n: int, sides_for_discs: int
 ) -> None:
-    """The matrix A, scaled from both sides: the block of each contact or element has size one.
+    """Write the matrix A, scaled from both sides: the block of each contact has size one.
 
-    Impulses are measured in 1 / sqrt(compliance) and slips in its inverse, so that the coupling
-    entries (one, minus one, friction) stay what they are.
+    The unit of impulses is 1 / sqrt(compliance) and that of slips its inverse, so that the coupling
+    entries (one, minus one, friction) do not change.
     """
     for r in range(n):
         for c in range(r, n):
@@ -258,7 +258,7 @@ def _write_matrix(
 
 @kernel
 def _write_compliance(problem: Problem, work: Workspace, tableau: Tableau, n: int, r: int) -> None:
-    """Row r of W' D^-1 W: the velocity along every row that a unit impulse along row r gives."""
+    """Write row r of W' D^-1 W: the velocity along every row per unit impulse along row r."""
     lever = tableau.lever
     for side in range(2):
         o = tableau.block[r, side]
@@ -292,7 +292,7 @@ def _respond(
 
 @kernel
 def _scale_group(tableau: Tableau, start: int, m: int) -> None:
-    """One unit for the m impulses of a contact or element, from its largest compliance."""
+    """Set the unit of the m impulses of a contact or element from its largest compliance."""
     largest = 0.0
     for j in range(start, start + m):
         largest = max(largest, tableau.matrix[j, j])
@@ -304,7 +304,7 @@ def _scale_group(tableau: Tableau, start: int, m: int) -> None:
 
 @kernel
 def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> None:
-    """The vector b: velocities along every row without impulses, and the limits."""
+    """Write the vector b: velocities along every row without impulses, and the limits."""
     n_free = problem.size[3]
     v = problem.velocity
     right = work.right
@@ -326,7 +326,7 @@ def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -
 
 @kernel
 def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
-    """Impulses of contacts and elements from the answer."""
+    """Compute the impulses of contacts and elements from the solution."""
     z = tableau.answer
     for i in range(problem.size[1]):
         r = 4 * i
@@ -348,7 +348,7 @@ def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> 
 
 @kernel
 def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> float:
-    """Velocities from the answer; moves the proximal centres there, returns the largest pull."""
+    """Compute velocities from the solution, also as new centres; returns the largest pull."""
     n_free = problem.size[3]
     v = problem.velocity
     right = work.right

@@ -1,21 +1,21 @@
-"""Compile helpers into intermediate code that others link, and no further.
+"""Compilation of helpers to intermediate code only, which their callers link.
 
-Numba takes each function it meets all the way to machine code, in case Python calls it, and
-optimises what it calls once more at every level above. Our helpers are called by kernels only. They
-stop at unoptimised intermediate code; the entry that contains them is optimised once and becomes
-machine code: the first simulation ever waits 35 s in place of 47 s, and runs the same bits as fast.
+Numba compiles each function to machine code, in case Python calls it, and optimises callees again
+at every level above. Our helpers are called by kernels only. They stop at unoptimised intermediate
+code, and the entry that contains them is optimised once. The first simulation after installation
+takes 35 s instead of 47 s, with the same speed afterwards and results equal bit for bit.
 
-This reaches into Numba: a code library of our own, put in place by a pass of our own before the
-code is generated. docs/decisions/0009 says why.
+This uses internals of Numba: a pass of our own installs a code library of our own before code is
+generated. docs/decisions/0009 gives the reasons.
 """
 
 from typing import Any
 
 from numba.core import codegen, compiler, compiler_machinery, typed_passes
 
-KNOWN_NUMBA = ((0, 68),)  # versions this was tried with
+KNOWN_NUMBA = ((0, 68),)  # tested versions
 
-# Not all that is used of Numba is in its type information.
+# Numba's type information is incomplete.
 _codegen: Any = codegen
 _compiler: Any = compiler
 _machinery: Any = compiler_machinery
@@ -23,7 +23,7 @@ _passes: Any = typed_passes
 
 
 class _NoEnvironment:
-    """The code generator, but for one thing: there is no code whose environment could be set."""
+    """Proxy of the code generator that ignores `set_env`, since no code has an environment."""
 
     def __init__(self, generator: Any) -> None:
         self._generator = generator
@@ -32,18 +32,18 @@ class _NoEnvironment:
         return getattr(self._generator, name)
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Nothing to do: only code that calls back into Python needs one."""
+        """Do nothing: only code that calls Python needs an environment."""
 
 
 class _Intermediate(_codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A code library to be linked into others; nothing in it has an address."""
+    """Code library that is linked into others; its functions have no addresses."""
 
     @property
     def codegen(self) -> _NoEnvironment:
         return _NoEnvironment(self._codegen)
 
     def _optimize_final_module(self) -> None:
-        """Leave that to whoever links it."""
+        """Do nothing: the library that links this one is optimised."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -56,7 +56,7 @@ class _Intermediate(_codegen.JITCodeLibrary):  # type: ignore[misc]
 
 @_machinery.register_pass(mutates_CFG=False, analysis_only=True)
 class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
-    """Put the library in place; the pass that generates code would make an ordinary one."""
+    """Pass that installs the library before the code generation would create an ordinary one."""
 
     _name = "fixel_take_intermediate"
 
@@ -69,7 +69,7 @@ class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
 
 
 class HelperCompiler(_compiler.CompilerBase):  # type: ignore[misc]
-    """Numba's compiler for functions that only compiled code calls."""
+    """Compiler pipeline of Numba for functions that only compiled code calls."""
 
     def define_pipelines(self) -> list[Any]:
         passes = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)

@@ -1,6 +1,6 @@
-"""Distances for Python: gaps of many pairs of shapes, contacts of many pairs of convex pieces.
+"""Entries for Python: gaps of many pairs of shapes, contacts of many pairs of convex pieces.
 
-A simulation never comes here; it finds its contacts with `contacts.find_contacts`.
+Simulations do not use them; they find contacts with `contacts.find_contacts`.
 """
 
 import math
@@ -24,7 +24,7 @@ def measure_gaps(
     first_pose: FloatArray,
     second_pose: FloatArray,
 ) -> FloatArray:
-    """Gap, normal and contact point of many pairs of shapes.
+    """Compute gap, normal and contact point of many pairs of shapes.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ def measure_gaps(
     shape_start : (n_shape + 1,) int64
         Shape i owns the pieces from ``shape_start[i]`` to ``shape_start[i + 1]``.
     first, second : (n,) int64
-        The shapes of each pair.
+        Indices of the shapes of each pair.
     first_pose, second_pose : (n, 3) float64
-        Their poses.
+        Poses of the shapes.
 
     Returns
     -------
@@ -45,12 +45,12 @@ def measure_gaps(
 
     Notes
     -----
-    Of shapes that overlap and are not convex, the deepest contact of their pieces.
+    For overlapping shapes that are not convex, this is the deepest contact of their pieces.
     """
     n = first.size
     found = np.empty((n, 5))
     world = np.empty((2 * vertex.shape[0], 2))
-    # A shape may be paired with itself, so each side of a pair has its own half of the scratch.
+    # A shape may be paired with itself, so each side of a pair uses its own half of the scratch.
     half = vertex.shape[0]
     real = np.concatenate((edge_real, edge_real))
     whole = np.ones_like(real)
@@ -69,7 +69,7 @@ def measure_gaps(
             found[i, 0] > -COINCIDENT
             and shape_start[a + 1] - shape_start[a] + shape_start[b + 1] - shape_start[b] > 2
         ):
-            # No contact on the outline overlaps. Does one shape lie within the other, on a seam?
+            # No contact on the outline overlaps. One shape may lie within the other, on a seam.
             gap = found[i, 0]
             found[i, 0] = -COINCIDENT
             _nearest_pieces(
@@ -121,7 +121,7 @@ def _nearest_pieces(
     key: IntArray,
     found: FloatArray,
 ) -> None:
-    """Write into `found` the least contact of two shapes, if below the gap that stands there."""
+    """Write the contact of least gap of two shapes into `found`, if below the gap there."""
     for p in range(shape_start[a], shape_start[a + 1]):
         for q in range(shape_start[b], shape_start[b + 1]):
             n = contact_pair(
@@ -147,7 +147,7 @@ def _nearest_pieces(
 def measure_contacts(
     world: FloatArray, real: IntArray, start: IntArray, radius: FloatArray, margin: float
 ) -> tuple[IntArray, FloatArray, IntArray]:
-    """Contacts of many pairs of convex pieces that stand in the world already.
+    """Compute contacts of many pairs of convex pieces in world coordinates.
 
     Parameters
     ----------
@@ -159,13 +159,13 @@ def measure_contacts(
     radius : (n, 2) float64
         Radius of disks, zero for polygons.
     margin : float
-        Contacts with a gap below it are written.
+        Largest gap of the contacts.
 
     Returns
     -------
     count : (n,) int64
     place : (n, 2, 5) float64
-        As `arrays.Problem.contact_place`; NaN where there are fewer than two contacts.
+        Contacts as in `arrays.Problem.contact_place`; NaN where there are fewer than two.
     key : (n, 2) int64
         Feature codes, -1 where there are none.
     """

@@ -1,4 +1,4 @@
-"""Lemke's method for callers in Python."""
+"""Entries of Lemke's method for Python."""
 
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import entry
@@ -21,7 +21,7 @@ def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[
     Returns
     -------
     (n,) float64, int
-        Answer (zeros where there is none), and one of the codes of `lemke`.
+        Solution (zeros where there is none), and one of the codes of `lemke`.
     """
     n = vector.size
     tableau = allocate_tableau(n)
@@ -37,8 +37,8 @@ def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[
 def solve_problem(
     problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int
 ) -> tuple[float, int, int]:
-    """`solve_linear_form` with a tableau of its own; returns the judge's residual, the code and the
-    pivots spent."""
+    """Call `solve_linear_form` with a new tableau; returns the natural-map residual, the code and
+    the number of pivots."""
     n = tableau_size(problem, sides_for_discs)
     if n < 0:
         return residual(problem, work.right), NOT_LINEAR, 0

@@ -1,11 +1,11 @@
 """Semismooth Newton on the natural map of one step, in velocity space.
 
 Each contact and each friction element is linearised in its present state (apart, sliding,
-sticking) and its impulse eliminated, so that a linear system in the velocities alone is left:
-three unknowns for one body however many points it rests on. Constraints enter with a compliance
-EPSILON times the block's own; as each iteration starts from the impulses of the last, the
-compliance leaves no trace in the answer, and redundant contacts (two on one edge, three supports
-that all stick) are no special case.
+sticking) and its impulse eliminated, which leaves a linear system in the velocities only: three
+unknowns for one body on any number of points. Constraints have a compliance of EPSILON times that
+of the block. Each iteration starts from the impulses of the last, so that the compliance does not
+affect the solution, and redundant contacts (two on one edge, three supports that all stick) are no
+special case.
 
 Source: Alart & Curnier (1991) for the map; the compliance is a proximal step as in Rockafellar
 (1976).
@@ -20,10 +20,10 @@ from fixel.kernels.linear import solve_dense, solve_envelope
 EPSILON = (
     1e-7  # compliance of a held constraint, relative to its block's; larger needs more iterations
 )
-FLOOR = 1e-11  # of a block's stiffness, added to its inertia: what nothing holds stays where it was
+FLOOR = 1e-11  # of a block's stiffness, added to its inertia: unconstrained blocks do not move
 
-# State of a contact in this iteration: what is held fast. With given friction limits a contact
-# that is apart may still drag.
+# State of a contact in this iteration: the constrained velocities. With given friction limits a
+# contact that is apart may still drag.
 _APART = 0
 _SLIDING = 1  # the normal velocity
 _HELD = 2  # the tangential velocity
@@ -31,7 +31,7 @@ _HELD = 2  # the tangential velocity
 
 @kernel
 def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int) -> float:
-    """Improve the problem's velocity and impulses until the map is below `tolerance`.
+    """Iterate the problem's velocity and impulses until the natural map is below `tolerance`.
 
     Returns the largest entry of the natural map at the last linearisation (impulse units of this
     module's own scaling); above `tolerance` it has failed. For at most DENSE_LIMIT unknowns.
@@ -39,7 +39,7 @@ def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: 
     worst = math.inf
     for iteration in range(max_iterations + 1):
         worst = linearise(problem, work, EPSILON, FLOOR, True, False, False)
-        # The momentum rows are linear: one full step solves them, but the guess need not.
+        # One full step solves the linear momentum rows, which the guess need not.
         if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
             break
         if not solve_linear(problem, work, True):
@@ -70,7 +70,7 @@ def linearise(
     proximal: bool,
     tresca: bool,
 ) -> float:
-    """Fill the linear system of the present iterate.
+    """Write the linear system of the present iterate.
 
     Parameters
     ----------
@@ -79,13 +79,13 @@ def linearise(
     pull : float
         Share of each block's stiffness that is added to its inertia.
     dense : bool
-        Whether to fill the whole matrix or what lies within `work.profile`.
+        Whether to write the whole matrix, or only the part within `work.profile`.
     proximal : bool
-        False: Newton's method on the natural map in velocities and impulses. True: the impulses
-        stay, and the map is the momentum left over when each constraint answers like a spring of
+        False: Newton's method on the natural map in velocities and impulses. True: the impulses are
+        constant, and the map is the momentum residual where each constraint acts like a spring of
         its own stiffness (augmented Lagrangian) and each block is pulled towards `work.centre`.
     tresca : bool
-        Friction limits from `work.contact_change`, in place of Coulomb's.
+        Whether friction limits are those in `work.contact_change` instead of Coulomb's.
 
     Returns
     -------
@@ -114,8 +114,7 @@ def linearise(
     for i in range(n_free, n_dof):
         matrix[i, i] = problem.inertia[i, 0]
         right[i] = problem.momentum[i] - problem.inertia[i, 0] * v[i]
-    # The spare entries are added to as well; no infinity of an iterate that ran away may stay
-    # there.
+    # Spare entries are added to as well, and must not retain infinities of a diverged iterate.
     right[n_dof] = 0.0
     right[n_dof + 1] = 0.0
     for i in range(n_dof):
@@ -171,7 +170,7 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
         zx = p[e, 0] - sharp * ux
         zy = p[e, 1] - sharp * uy
         zz = p[e, 2] - sharp * uz
-        # The change of impulse is c - (kx, ky, kz) slip change, with slip change taken across `d`.
+        # The change of impulse is c - (kx, ky, kz) slip change, with the slip change normal to `d`.
         dx = 0.0
         dy = 0.0
         dz = 0.0
@@ -364,7 +363,7 @@ def _add_contacts(
 
 @kernel
 def _widen(problem: Problem, work: Workspace, a: int, b: int) -> None:
-    """Let the envelope reach from one of two coupled blocks to the other."""
+    """Extend the envelope from one of two coupled blocks to the other."""
     if max(a, b) < problem.size[3]:
         last = max(a, b) + 3
         for k in range(min(a, b), min(a, b) + 3):
@@ -373,7 +372,7 @@ def _widen(problem: Problem, work: Workspace, a: int, b: int) -> None:
 
 @kernel
 def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
-    """Move the velocities by the solution in `work.right`, and the impulses with them."""
+    """Change the velocities by the solution in `work.right`, and the impulses accordingly."""
     dv = work.right
     p = problem.impulse
     for i in range(problem.size[1]):

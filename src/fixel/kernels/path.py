@@ -1,4 +1,4 @@
-"""Where a pusher is along its prescribed path."""
+"""Pose, direction and straight pieces of a pusher's prescribed path."""
 
 import math
 
@@ -8,7 +8,7 @@ from fixel.typing import FloatArray, IntArray
 
 @kernel
 def _waypoint_before(path: FloatArray, low: int, high: int, time: float) -> int:
-    """Return the last waypoint at or before a time, between two of which one is and one is not."""
+    """Bisect for the last waypoint at or before a time, from `low` (before) and `high` (after)."""
     while high - low > 1:
         middle = (low + high) // 2
         if path[middle, 0] <= time:
@@ -22,7 +22,7 @@ def _waypoint_before(path: FloatArray, low: int, high: int, time: float) -> int:
 def path_pose(
     path_start: IntArray, path: FloatArray, driven: int, time: float
 ) -> tuple[float, float, float]:
-    """Pose of a pusher at a time of its own clock: linear between samples, at rest beyond both
+    """Pose of a pusher at a time of its own clock: linear between waypoints, at rest beyond both
     ends."""
     first = path_start[driven]
     last = path_start[driven + 1] - 1
@@ -47,7 +47,7 @@ def path_direction(
     """Unit direction (x, y, turn) and commanded speed of a pusher over the next `step` of its
     clock.
 
-    Beyond the end of the path the command is to hold: speed zero along the direction it came from.
+    Beyond the end of the path the commanded speed is zero, along the last direction.
     """
     x0, y0, a0 = path_pose(path_start, path, driven, time)
     x1, y1, a1 = path_pose(path_start, path, driven, time + step)

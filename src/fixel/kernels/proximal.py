@@ -1,13 +1,13 @@
-"""Proximal Newton: slower than `newton`, and far harder to lead astray.
+"""Proximal Newton: slower than `newton`, and far more robust.
 
-Outer loop: the method of multipliers. Every constraint answers like a spring of its own
-stiffness, with the impulse known so far as its preload; once the velocities are in balance with
-the springs, their answers are the next impulses. Every block is also pulled towards where it was,
-so that nothing runs away. Inner loop: Newton on that balance, with a line search that stops where
-the left-over momentum along the direction changes sign; for given friction limits the balance is
-the gradient of a convex function and this always arrives. Where Coulomb's coupling makes it
-stray, the friction limits are taken from the last impulses instead (Tresca), and brought up to
-date in the outer loop.
+Outer loop: the method of multipliers. Every constraint acts like a spring of its own stiffness,
+preloaded with the present impulse; once the velocities balance the springs, the spring impulses are
+the next impulses. Every block is also pulled towards its previous velocity, which prevents
+divergence. Inner loop: Newton on that balance, with a line search that stops where the momentum
+residual along the direction changes sign. For given friction limits the balance is the gradient of
+a convex function, and this always converges. Where Coulomb's coupling prevents convergence, the
+friction limits are taken from the last impulses instead (Tresca), and updated in the outer
+loop.
 
 Source: Rockafellar (1976) for the multipliers, Haslinger (1983) for the friction limits, and
 Alart & Curnier (1991) for the springs.
@@ -22,7 +22,7 @@ from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_a
 
 INNER = 20  # Newton steps in search of a balance
 SEARCH = 24  # evaluations of one line search
-SLACK = 0.2  # a line search ends where no more than this part of the first slope is left
+SLACK = 0.2  # part of the first slope at which a line search ends
 STIFFEST = 1e9  # of the springs, relative to their blocks
 PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried again
 
@@ -31,14 +31,14 @@ PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried
 def linearise_any(
     problem: Problem, work: Workspace, epsilon: float, pull: float, proximal: bool, tresca: bool
 ) -> float:
-    """`linearise` for any size, out of line."""
+    """Call `linearise` for a problem of any size, not inlined."""
     dense = problem.size[0] <= DENSE_LIMIT
     return linearise(problem, work, epsilon, pull, dense, proximal, tresca)
 
 
 @large_kernel
 def solve_any(problem: Problem, work: Workspace) -> bool:
-    """`solve_linear` for any size, out of line."""
+    """Call `solve_linear` for a problem of any size, not inlined."""
     return solve_linear(problem, work, problem.size[0] <= DENSE_LIMIT)
 
 
@@ -46,7 +46,7 @@ def solve_any(problem: Problem, work: Workspace) -> bool:
 def newton_any(
     problem: Problem, work: Workspace, tolerance: float, max_iterations: int, stiffness: float
 ) -> float:
-    """`newton` for any size and for constraints at least as stiff as `stiffness`."""
+    """Iterate as `newton` for any size and constraints at least as stiff as `stiffness`."""
     epsilon = min(EPSILON, 1.0 / stiffness)
     worst = math.inf
     for iteration in range(max_iterations + 1):
@@ -70,23 +70,23 @@ def proximal_newton(
     patience: int,
     share: float,
 ) -> float:
-    """Improve velocity and impulses.
+    """Iterate velocity and impulses.
 
     Parameters
     ----------
     stiffness : float
-        Of the springs at first, relative to each block's own.
+        Initial stiffness of the springs, relative to each block's own.
     enough : float
-        The springs are made stiffer up to here, and beyond only where a round gains little.
+        Stiffness up to which the springs are stiffened; beyond only where a round gains little.
     rounds : int
-        Outer iterations, at most.
+        Largest number of outer iterations.
     tolerance : float
-        Ends where a round with stiff enough springs changes no impulse by more.
+        Largest change of an impulse in the last round, with stiff enough springs.
     patience : int
         Rounds with given friction limits before Coulomb's own are tried; negative for at once.
 
     share : float
-        How far given friction limits follow Coulomb's in a round; 1 may go round in circles.
+        Share of the change to Coulomb's friction limits in a round; with 1 they may cycle.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def proximal_newton(
         for attempt in range(2):
             tresca = attempt == 1 or wait > 0
             if attempt == 1:
-                # Coulomb's coupling led it astray.
+                # Coulomb's coupling prevented convergence.
                 wait = PATIENCE
                 for i in range(problem.size[0]):
                     problem.velocity[i] = work.centre[i]
@@ -118,7 +118,7 @@ def proximal_newton(
         if not math.isfinite(change):
             return sigma
         if not balanced:
-            # Too stiff to balance from here: softer springs, from where this got to.
+            # Too stiff to balance: continue from here with softer springs.
             sigma = max(1.0, 0.1 * sigma)
             cap = sigma
             before = math.inf
@@ -140,7 +140,7 @@ def proximal_newton(
 def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> tuple[float, bool]:
     """Newton with a line search until velocities and springs balance.
 
-    Returns the largest difference between a spring's answer and the impulse it stands for, and
+    Returns the largest difference between the impulses of a spring and of its constraint, and
     whether the balance was found.
     """
     n_dof = problem.size[0]
@@ -160,7 +160,7 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
                 along -= work.right[i] * work.search[i, 1]
             tries += 1
             if abs(along) > SLACK * abs(slope) and tries < SEARCH and (along > 0.0 or alpha < 1.0):
-                # The balance is nearly linear piece by piece: Newton's root, unless it leaves the
+                # The balance is nearly piecewise linear: Newton's root, unless it leaves the
                 # bracket.
                 bend = _curvature(problem, work)
                 if along > 0.0:
@@ -200,7 +200,7 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
 
 @kernel
 def _curvature(problem: Problem, work: Workspace) -> float:
-    """``d^T J d`` of the direction d and the matrix that `linearise` wrote."""
+    """Compute ``d^T J d`` of the search direction d and the matrix that `linearise` wrote."""
     n_dof = problem.size[0]
     n_free = problem.size[3]
     dense = n_dof <= DENSE_LIMIT
@@ -217,7 +217,7 @@ def _curvature(problem: Problem, work: Workspace) -> float:
 
 @kernel
 def _follow(problem: Problem, work: Workspace, share: float) -> None:
-    """Move the given friction limits towards Coulomb's."""
+    """Change the given friction limits towards Coulomb's by a share."""
     for i in range(problem.size[1]):
         own = problem.friction[i] * problem.impulse[i, 0]
         work.contact_change[i, 4] += share * (own - work.contact_change[i, 4])
@@ -225,7 +225,7 @@ def _follow(problem: Problem, work: Workspace, share: float) -> None:
 
 @kernel
 def _take_answers(problem: Problem, work: Workspace) -> None:
-    """Make the springs' answers the impulses."""
+    """Set the impulses to those of the springs."""
     for i in range(problem.size[1]):
         for k in range(2):
             problem.impulse[i, k] += work.contact_change[i, k]

@@ -1,4 +1,4 @@
-"""How wrong is this answer? The one judge, which shares no code with any solver."""
+"""Natural-map residual of a step problem, which shares no code with any solver."""
 
 import math
 
@@ -9,19 +9,19 @@ from fixel.typing import FloatArray
 
 @kernel
 def residual(problem: Problem, left_over: FloatArray) -> float:
-    """Largest violation of any row of the problem at its present velocity and impulses, scaled
-    units.
+    """Compute the largest violation of any row of the problem at its present velocity and impulses,
+    in scaled units.
 
-    The natural map: momentum rows as they stand, ``min(p_n, u_n)``, the tangential impulse
-    against its projection on the friction interval, each element impulse against its projection
-    on its ball or polygon. Zero if and only if the problem is solved. A number that is not finite
-    counts as infinite.
+    The natural map consists of the momentum rows, ``min(p_n, u_n)``, the tangential impulse minus
+    its projection on the friction interval, and each element impulse minus its projection on its
+    ball or polygon. It is zero if and only if the problem is solved. Numbers that are not finite
+    count as infinite.
 
     Parameters
     ----------
     problem : Problem
     left_over : (n_dof + 2,) float64
-        Scratch; on return the momentum left over in each degree of freedom.
+        Scratch; on return the momentum residual of each degree of freedom.
     """
     n_dof = problem.size[0]
     v = problem.velocity
@@ -83,14 +83,14 @@ def _off_ball(
     """Largest coordinate of p minus the projection of (x, y, z) on the ball of radius `limit`."""
     length = math.sqrt(x * x + y * y + z * z)
     if not math.isfinite(length):
-        return math.inf  # the squares overflowed; shrunk to nothing, no impulse would fit
+        return math.inf  # the squares overflowed
     shrink = limit / length if length > limit else 1.0
     return max(abs(p_x - shrink * x), abs(p_y - shrink * y), abs(p_z - shrink * z))
 
 
 @kernel
 def _off_polygon(p_x: float, p_y: float, x: float, y: float, limit: float, sides: int) -> float:
-    """As `_off_ball` for the regular polygon inscribed in the circle, first corner on +x."""
+    """Largest coordinate of p minus the projection of (x, y) on a regular polygon with `sides`."""
     wedge = 2.0 * math.pi / sides
     middle = (math.floor(math.atan2(y, x) / wedge) + 0.5) * wedge
     out_x = math.cos(middle)

@@ -1,4 +1,4 @@
-"""Entries for the plain Python loop and for tests: the parts of one step, callable one by one."""
+"""Entries for the plain Python loop and for tests: the parts of one step as functions."""
 
 from fixel.kernels import assembly as _assembly
 from fixel.kernels import rollout as _rollout
@@ -110,9 +110,9 @@ def solve_problem(
 
 @entry
 def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> float:
-    """Solve a step by `linear_form.solve_linear_form`; returns the judge's residual.
+    """Solve a step by `linear_form.solve_linear_form`; returns the natural-map residual.
 
-    That of the guess where the pivots would not be enough for so many rows.
+    Returns the residual of the guess where `max_pivots` is too small for the number of rows.
     """
     rows = tableau_size(problem, 0)
     if ENOUGH * rows <= max_pivots:

@@ -1,4 +1,4 @@
-"""Arrays within arrays, for kernels that do without Numba's run time."""
+"""Views of arrays for kernels without Numba's run time."""
 
 import math
 from typing import Any
@@ -11,7 +11,7 @@ from numba.np import arrayobj
 
 
 def _view(typing_context: Any, buffer: Any, start: Any, shape: Any) -> Any:
-    """The `shape` array that begins at entry `start` of the one-dimensional `buffer`, which must
+    """Create a view of shape `shape` from entry `start` of the one-dimensional `buffer`, which must
     outlive it."""
     result = types.Array(buffer.dtype, shape.count, "C")
 
