@@ -1,4 +1,4 @@
-"""How it moves: motion models, steppers, solvers, and the calls that put them together."""
+"""Simulation: motion models, steppers and solvers, and functions that combine them."""
 
 from fixel.simulation.batch import simulate_batch
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic

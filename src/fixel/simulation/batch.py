@@ -1,4 +1,4 @@
-"""Simulate many scenes in one call, on all cores."""
+"""Simulation of many scenes in one call, on all cores."""
 
 from __future__ import annotations
 
@@ -58,24 +58,24 @@ def simulate_batch(
     waypoints : (n, n_sample, 4) array_like, optional
         Path of the one pusher in each rollout: time [s], x, y [m], theta [rad].
     motion, stepper, solver : optional
-        `Dynamic()`, `Adaptive()` and `Newton()` where left out; built-in ones only.
+        Built-in methods; `Dynamic()`, `Adaptive()` and `Newton()` by default.
     duration : float, optional
-        [s]; the scene's where left out.
+        Simulated time [s]; the scene's by default.
     times : (n_sample,) array_like, optional
-        When to sample poses [s]; only at the end where left out.
+        Times at which poses are sampled [s]; only the end by default.
     threads : int, optional
-        All cores where left out. The results are the same bits for any number.
+        Number of threads; all cores by default. Results are bit for bit the same for any number.
     max_contacts : int
-        Room for contacts in one rollout.
+        Largest number of contacts in one rollout.
 
     Returns
     -------
-    BatchResult, or a list of one BatchResult a scene
+    BatchResult, or a list of one BatchResult per scene
 
     Raises
     ------
     InvalidInput
-        Arrays of different lengths, or a method and a scene that do not fit.
+        Arrays differ in length, or the method does not suit the scene.
     """
     motion = motion or Dynamic()
     stepper = stepper or Adaptive()
@@ -100,7 +100,7 @@ def simulate_batch(
 def simulate_packed(
     scene: Scene, packed: PackedBatch, method: StepMethod, moments: FloatArray, threads: int | None
 ) -> BatchResult:
-    """Simulate rollouts of a scene that are packed already, for callers that keep a template.
+    """Simulate packed rollouts of a scene, for callers that reuse a template.
 
     Parameters
     ----------
@@ -108,9 +108,9 @@ def simulate_packed(
     packed : PackedBatch
     method : StepMethod
     moments : (n_sample,) float64
-        When to sample poses, increasing [s].
+        Increasing times at which poses are sampled [s].
     threads : int, optional
-        All cores where left out.
+        Number of threads; all cores by default.
     """
     record = empty_record(packed, len(moments), 0, moments)
     roll(packed.batch, method, record, threads)
@@ -120,7 +120,7 @@ def simulate_packed(
 def refuse_plugins(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> None:
-    """Refuse parts of a method that the compiled loop does not know."""
+    """Raise for parts of a method that the compiled loop does not support."""
     for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
         if not is_compiled(part):
             raise InvalidInput(
@@ -151,7 +151,7 @@ def _variation(
                 )
         values = {name: np.array([own[name] for own in parameters]) for name in sorted(names)}
     for name, column in values.items():
-        # The names and ranges are those of Parameters; its own check speaks for the worst value.
+        # Parameters checks names and ranges; the smallest value is the most likely to fail.
         worst = (
             column[np.argmin(np.where(np.isfinite(column), column, -np.inf))] if column.size else 0
         )
@@ -203,7 +203,7 @@ def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
 
 
 def roll(batch: Batch, method: StepMethod, record: BatchRecord, threads: int | None) -> None:
-    """Share the rollouts among threads, in ranges small enough to end at the same time."""
+    """Distribute the rollouts among threads, in ranges small enough to balance the load."""
     n = len(record.status)
     n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
     n_threads = (n_threads or 1) if threads is None else threads
@@ -246,7 +246,7 @@ def _unpack(
 
 
 def _hold_last(record: BatchRecord) -> None:
-    """Rollouts that stopped early keep their last pose for the samples they did not reach."""
+    """Repeat the last pose of rollouts that stopped early in the samples they did not reach."""
     n_sample = record.time.shape[1]
     for r in np.nonzero(record.count[:, 0] < n_sample)[0]:
         written = record.count[r, 0]
@@ -265,7 +265,7 @@ def _simulate_scenes(
     threads: int | None,
     max_contacts: int,
 ) -> list[BatchResult]:
-    """Many scenes in one parallel call; each result is a batch of one."""
+    """Simulate many scenes in one parallel call; each result is a batch of one."""
     method = method_of(motion, stepper, solver, max_contacts)
     packed, moments = [], []
     for scene in scenes:

@@ -1,7 +1,7 @@
-"""Several scenes packed once and simulated over and over, with parameters that vary.
+"""Scenes that are packed once and simulated repeatedly with varying parameters.
 
-What a calibration needs: thousands of short calls, each a few parameter sets on many scenes. Scenes
-that differ only in where things start and how the pusher moves share one template.
+A calibration makes thousands of short calls, each with a few parameter sets on many scenes. Scenes
+that differ only in start poses and in the pusher's path share one template.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.vary import infeasible
 from fixel.typing import FloatArray, IntArray
 
-# Poses recorded in one pass, all rollouts together; more of them run in several passes.
+# Largest number of poses recorded in one pass by all rollouts; more need several passes.
 MAX_POSES = 300_000
 
 
 class RolloutCase(NamedTuple):
-    """A scene with one free body, and when to look at it."""
+    """Scene with one free body, and the times at which it is sampled."""
 
     scene: Scene
     times: FloatArray  # (n_sample,) increasing, above 0 [s]; the last is the end
 
 
 class EnsembleOutcome(NamedTuple):
-    """What the rollouts of one call came to."""
+    """Results of the rollouts of one call."""
 
-    status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where none was tried
-    pose: FloatArray  # (n, n_sample, 3) of the body; the last one held where a case has fewer
+    status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where not simulated
+    pose: FloatArray  # (n, n_sample, 3) of the body; the last one repeated where a case has fewer
     stopped_at: FloatArray  # (n,) time reached [s]
-    reasons: list[str]  # why there is no simulation, or it ended early; empty where it did not
+    reasons: list[str]  # why there is no simulation, or it ended early; empty for others
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """(n,) which simulations came to their end."""
+        """Return (n,) bool: simulations that reached their end."""
         return np.equal(self.status, codes.CONVERGED)
 
 
@@ -64,19 +64,19 @@ INFEASIBLE = -1
 
 @final
 class Ensemble:
-    """Scenes that are simulated many times.
+    """Set of scenes that are simulated many times.
 
-    Bits depend on a case, its parameters and the method only: not on which other cases there are,
-    on the order or on the number of threads.
+    Results depend bit for bit on a case, its parameters and the method only: not on other cases,
+    their order or the number of threads.
 
     Parameters
     ----------
     cases : sequence of RolloutCase
-        Each with one free body and at most one pusher.
+        Cases, each with one free body and at most one pusher.
     motion, stepper, solver : optional
-        `QuasiStatic()`, `Adaptive()` and `Newton()` where left out.
+        Method; `QuasiStatic()`, `Adaptive()` and `Newton()` by default.
     threads : int, optional
-        All cores where left out.
+        Number of threads; all cores by default.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Ensemble:
 
     @property
     def n_sample(self) -> int:
-        """Instants of the case that has the most."""
+        """Number of samples of the case that has the most."""
         return int(self._times.shape[1])
 
     def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> EnsembleOutcome:
@@ -121,7 +121,7 @@ class Ensemble:
         Parameters
         ----------
         which : (n,) int
-            Number of the case of each rollout.
+            Index of the case of each rollout.
         values : mapping of name to (n,) float64
             Parameters of each rollout.
         """
@@ -161,7 +161,7 @@ class Ensemble:
         return EnsembleOutcome(status, pose, reached, reasons)
 
     def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
-        """Why rollouts of cases `which` (n,) have no simulation; empty where they have one."""
+        """Reasons why rollouts of cases `which` (n,) are infeasible; empty for feasible ones."""
         reasons = [""] * len(which)
         if not values:
             return reasons
@@ -176,7 +176,7 @@ class Ensemble:
     def _packed(
         self, which: IntArray, values: Mapping[str, FloatArray], ready: NDArray[np.bool_]
     ) -> tuple[list[IntArray], list[PackedBatch]]:
-        """Batches template by template, and which rollouts are in each."""
+        """Pack a batch for each template; return also the rollouts in each."""
         group = self._group[which]
         rows, packed = [], []
         for g in np.unique(group[ready]):
@@ -218,7 +218,7 @@ class Ensemble:
         )
 
     def _stacked_paths(self) -> tuple[IntArray, list[FloatArray | None]]:
-        """Paths (n_case, n_waypoint, 4) of each template's cases, and each case's place in them."""
+        """Stack paths (n_case, n_waypoint, 4) of each template; return also indices of cases."""
         place = np.zeros(len(self.cases), np.int64)
         paths: list[FloatArray | None] = []
         for g in range(len(self._templates)):
@@ -250,7 +250,7 @@ def _check(case: RolloutCase) -> None:
 
 
 def _key(scene: Scene) -> tuple[Any, ...]:
-    """What scenes of one template share: all but the start of the body and the pusher's path."""
+    """Key of scenes of one template: all but the start of the body and the pusher's path."""
     body = replace(scene.bodies[0], pose=np.zeros(3))
     pushers = tuple((p.name, p.shape, p.friction, p.restitution) for p in scene.pushers)
     return (
@@ -267,15 +267,15 @@ def _key(scene: Scene) -> tuple[Any, ...]:
 
 
 def _round_speed(scene: Scene) -> float:
-    """The characteristic speed to the next power of two, so that bits do not depend on which scene
-    of a template was the first; zero where nothing moves."""
+    """Round the characteristic speed to a power of two, so that results do not depend on the first
+    scene of a template; zero where nothing moves."""
     body = scene.bodies[0]
     speed = fastest_motion(scene, math.sqrt(body.moment_of_inertia / body.mass))
     return 2.0 ** round(math.log2(speed)) if speed > 0.0 else 0.0
 
 
 def _padded(track: FloatArray, n: int) -> FloatArray:
-    """A path with waypoints at rest appended: a path holds its last pose anyway."""
+    """Append waypoints at rest, which do not change a path."""
     more = n - len(track)
     if more == 0:
         return track
@@ -285,11 +285,11 @@ def _padded(track: FloatArray, n: int) -> FloatArray:
 
 
 def _track(packed: PackedBatch, record: BatchRecord) -> FloatArray:
-    """(n, n_sample, 3) poses of the first body; the last one held where a rollout stopped early."""
+    """Poses (n, n_sample, 3) of the first body; the last one repeated after an early stop."""
     pose = shape_poses(packed, record.pose)[:, :, 0]
     written = record.count[:, 0]
     n_sample = pose.shape[1]
     for r in np.flatnonzero(written < n_sample):
-        # One that stopped before its first sample has nothing to hold; its status says so.
+        # A rollout that stopped before its first sample has none to repeat, as its status shows.
         pose[r, written[r] :] = pose[r, max(written[r] - 1, 0)]
     return pose

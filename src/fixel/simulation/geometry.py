@@ -1,4 +1,4 @@
-"""Distance between two shapes, for Python; the compiled loop uses the same kernels."""
+"""Distance between two shapes for Python, with the kernels of the compiled loop."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from fixel.model.decomposition import Piece
 from fixel.model.shape import Disk, Polygon, Shape
 from fixel.typing import FloatArray, IntArray
 
-# Sine of the turn below which a corner is straight. Smaller ones let the edges on both sides of the
-# corner tie by rounding, larger ones move the outline.
+# Sine of the turn below which a corner is straight. With smaller values the edges on both sides of
+# the corner tie by rounding; larger values change the outline.
 STRAIGHT = 1e-11
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """How far apart two shapes are, and where.
+    """Signed distance of two shapes with normal and witness points.
 
     Attributes
     ----------
     distance : float
-        Signed distance of the outlines [m]. Negative in overlap: of convex shapes the least
-        translation that parts them, of others the deepest overlap of their convex pieces.
+        Signed distance of the outlines [m]. Negative in overlap: for convex shapes the least
+        translation that separates them, for others the deepest overlap of their convex pieces.
     normal : (2,) float64
         Unit vector from the second shape into the first, world axes [-]: the direction in which the
         first moves away.
@@ -44,7 +44,7 @@ class Gap:
 
 
 class PackedShapes(NamedTuple):
-    """Convex pieces of several shapes, end to end, as `kernels.measure` reads them."""
+    """Concatenated convex pieces of several shapes, as for `kernels.measure`."""
 
     vertex: FloatArray  # (n_vertex, 2) in the shapes' frames
     edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex lies on the outline
@@ -54,7 +54,7 @@ class PackedShapes(NamedTuple):
 
 
 def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) -> Gap:
-    """Signed distance between two shapes.
+    """Compute the signed distance between two shapes.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) ->
     Raises
     ------
     InvalidInput
-        Something that is no shape, or a pose that is not three finite numbers.
+        An argument is no shape, or a pose is not three finite numbers.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) ->
     first = _is_pose(pose_a, "pose_a")
     second = _is_pose(pose_b, "pose_b")
     packed = pack_shapes((_is_shape(shape_a, "shape_a"), _is_shape(shape_b, "shape_b")))
-    # Sizes of order one about the second shape: the kernels' tolerances are meant for that.
+    # Scaled to sizes of order one about the second shape, as the kernels' tolerances require.
     size = float(max(np.abs(packed.vertex).max(), packed.piece_radius.max()))
     scaled = packed._replace(vertex=packed.vertex / size, piece_radius=packed.piece_radius / size)
     origin = second[:2]
@@ -95,7 +95,7 @@ def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) ->
 
 
 def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
-    """The convex pieces of shapes, end to end; a disk is one vertex with a radius."""
+    """Concatenate the convex pieces of shapes; a disk is one vertex with a radius."""
     shapes = tuple(shapes)
     pieces = [contact_pieces(shape) for shape in shapes]
     all_pieces = [piece for of_shape in pieces for piece in of_shape]
@@ -111,7 +111,7 @@ def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
 
 
 def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
-    """The pieces of a shape as the contact kernels want them.
+    """Return the pieces of a shape for the contact kernels.
 
     Parameters
     ----------
@@ -120,15 +120,15 @@ def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
     Returns
     -------
     tuple of ((k, 2) float64, (k,) bool)
-        Strictly convex, counter-clockwise [m], and whether the edge from vertex k to k + 1 takes
-        contacts. A disk is its centre alone.
+        Strictly convex, counter-clockwise vertices [m], and whether the edge from vertex k to k + 1
+        has contacts. A disk is its centre alone.
 
     Notes
     -----
-    Where an edge of the outline goes on straight as a seam between pieces (in an L, under the
-    upright), both become one edge that takes contacts: only what is deep in the neighbouring piece
-    meets the part that was a seam, while two edges on one line would take turns, by rounding, at
-    being the nearest.
+    Where an edge of the outline continues straight as a seam between pieces (in an L, under the
+    upright), both become one edge with contacts. Only a point deep in the neighbouring piece meets
+    the part that was a seam, while two edges on one line would alternate, by rounding, as the
+    nearest.
     """
     if isinstance(shape, Disk):
         return ((np.zeros((1, 2)), np.ones(1, dtype=np.bool_)),)
@@ -144,9 +144,9 @@ def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]
     kept = np.flatnonzero(turn > STRAIGHT * length[:-1] * length[1:])
     if len(kept) == len(corners):
         return corners, on_outline
-    if len(kept) < 3:  # a sliver without a corner to speak of
+    if len(kept) < 3:  # a sliver without real corners
         return corners, on_outline
-    # A kept corner's new edge is made of all the old ones up to the next kept corner.
+    # A new edge consists of all the old ones up to the next remaining corner.
     starts = np.roll(on_outline, -kept[0])
     return corners[kept], np.logical_or.reduceat(starts, kept - kept[0])
 

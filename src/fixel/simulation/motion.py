@@ -1,8 +1,8 @@
-"""Motion models: which equations move the bodies.
+"""Motion models: equations of motion of the bodies.
 
-Each model is the same two functions: `assemble` writes a body's own rows of the step problem,
-`move` takes the step once it is solved. The built-in three also name the integer by which the
-compiled loop knows them.
+Each model has two functions: `assemble` writes a body's own rows of the step problem, `move` takes
+the step once it is solved. The three built-in models also have an integer code for the compiled
+loop.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fixel.typing import FloatArray
 
 
 class AbstractMotionModel(abc.ABC):
-    """Writes the rows of the free bodies, and moves them."""
+    """Abstract motion model, which writes the rows of the free bodies and moves them."""
 
     name: ClassVar[str]
     kind: ClassVar[int] = codes.EXTERNAL
@@ -31,10 +31,10 @@ class AbstractMotionModel(abc.ABC):
         Parameters
         ----------
         model, state
-            Scaled, see `fixel.kernels.arrays`.
+            Scaled model and state, see `fixel.kernels.arrays`.
         step : float
-            Time over which forces act, scaled: the step, or half of it where the velocity solved
-            for is that of its middle.
+            Scaled time over which forces act: the step, or half of it where the unknown velocity is
+            that of its middle.
         pose : (n_body, 3) float64
             Configuration at which rows are taken.
         problem : Problem
@@ -50,8 +50,8 @@ class AbstractMotionModel(abc.ABC):
     def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
         """Take the step: velocities become the problem's, poses follow.
 
-        `ahead`: 0 where the problem's velocities are those of the step's end; where they are those
-        of its middle, 2 if they changed smoothly, else 1.
+        `ahead` is 0 where the problem's velocities are those of the step's end. Where they are
+        those of its middle, it is 2 if they changed smoothly, else 1.
         """
 
 
@@ -60,7 +60,7 @@ class AbstractMotionModel(abc.ABC):
 class Dynamic(AbstractMotionModel):
     """Newton's law with impulses: ``M (v' - v) = h f + impulses``.
 
-    Not the choice for slow pushing of very light parts, where inertia is a rounding error:
+    For slow pushing of very light parts, where inertia is negligible, use
     `QuasiStatic`.
 
     Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs.
@@ -82,11 +82,11 @@ class Dynamic(AbstractMotionModel):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuasiStatic(AbstractMotionModel):
-    """Balance of forces at every instant: ``0 = h f + impulses``. A body that nothing touches
-    rests.
+    """Balance of forces at every instant: ``0 = h f + impulses``. A body without contacts is at
+    rest.
 
-    Speeds, masses and the friction of the plane drop out of the path (ASME 2006). Every free body
-    needs support friction.
+    The path is independent of speeds, masses and the friction of the plane (ASME 2006). Every free
+    body needs support friction.
 
     Source: ASME 2006 paper, eqs. 1-2.
     """
@@ -108,8 +108,8 @@ class QuasiStatic(AbstractMotionModel):
 class FirstOrder(AbstractMotionModel):
     """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
 
-    The wrench is not bounded by the surface, so bodies never stick: smooth, and a good first
-    guess, where `QuasiStatic` is the law. Every free body needs support friction, whose ellipsoid
+    The wrench is not bounded by the surface, so that bodies never stick: a smooth approximation of
+    `QuasiStatic`, and a good first guess. Every free body needs support friction, whose ellipsoid
     gives the mobility.
 
     Source: Halm & Posa (2019), eq. 3, with the ellipsoid of Howe & Cutkosky (1996).

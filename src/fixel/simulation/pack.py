@@ -1,7 +1,7 @@
-"""Scenes and parameters as arrays for the kernels. The only place that casts and scales.
+"""Conversion of scenes and parameters to scaled arrays for the kernels.
 
-Every scene gets units of its own: its characteristic length, speed and mass. A part of 1.6 mm and
-a block of 107 mm then give the kernels the same numbers.
+Every scene has its own units: its characteristic length, speed and mass. Numbers in the kernels are
+then of the same size for a part of 1.6 mm and a block of 107 mm.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ from fixel.simulation.vary import (
 )
 from fixel.typing import FloatArray, IntArray
 
-# A part of the time in which the fastest body moves by one characteristic length; friction
-# impulses over such a step are of the order of one in scaled units.
+# Share of the time in which the fastest body moves by one characteristic length; friction impulses
+# over such a step are of order one in scaled units.
 TYPICAL_STEP = 0.01
 
-# [m/s] Slower is standing still: it would take a million ages of the universe to cross an atom.
+# [m/s] Slower motion counts as standing still.
 SLOWEST = 1e-34
-# Characteristic values whose squares and products are numbers.
+# Characteristic values whose squares and products do not overflow.
 SMALLEST, LARGEST = 1e-100, 1e100
 
-# Of position in one adaptive step, in characteristic lengths: with it 95 % of random grasps end
-# within 0.1 mm and 0.1 degree of converged (docs/theory/stepping.md).
+# Of position in one adaptive step, in characteristic lengths: 95 % of random grasps then end
+# within 0.1 mm and 0.1 degree of the converged result (docs/theory/stepping.md).
 TOLERANCE = 1e-5
 
 
 class Units(NamedTuple):
-    """Characteristic values of one scene [m, s, kg]; everything in the kernels is a multiple of
-    them."""
+    """Characteristic values of one scene [m, s, kg], which are the units of numbers in the
+    kernels."""
 
     length: float
     time: float
@@ -82,13 +82,13 @@ class Units(NamedTuple):
 
 
 def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
-    """Units of a scene: radius of gyration, fastest prescribed or initial motion (or a `speed`
-    given [m/s]), mass or friction.
+    """Compute the units of a scene: radius of gyration, fastest prescribed or initial motion (or a
+    given `speed` [m/s]), mass or friction.
 
     Raises
     ------
     InvalidInput
-        Speeds, sizes, masses and forces that no floating-point number can relate.
+        Products of speeds, sizes, masses and forces overflow.
     """
     try:
         units = _units(scene, speed)
@@ -115,16 +115,16 @@ def _units(scene: Scene, speed: float | None) -> Units:
     forces = [_friction_force(b, scene.gravity) + math.hypot(*b.force[:2]) for b in bodies]
     force = median(forces)
     if speed < SLOWEST:
-        # Nothing is asked to move: the speed that the forces would give over one length.
+        # Without prescribed motion: the speed that the forces would cause over one length.
         speed = math.sqrt((force / mass if force > 0.0 else 1.0) * length)
     time = length / speed
-    # Slow pushing: inertia is nothing against friction, which then sets the scale of impulses.
+    # Slow pushing: inertia is negligible against friction, which then sets the scale of impulses.
     mass = max(mass, TYPICAL_STEP * force * time**2 / length)
     return Units(length, time, mass)
 
 
 def fastest_motion(scene: Scene, length: float) -> float:
-    """Of pushers and bodies at the start [m/s]; turning counts at the given arm [m]."""
+    """Fastest motion of pushers, and of bodies at the start [m/s]; rotation at arm `length` [m]."""
     pushed = [_fastest(p, length) for p in scene.pushers]
     own = [math.hypot(*b.velocity[:2]) + abs(float(b.velocity[2])) * length for b in scene.bodies]
     return max(pushed + own)
@@ -135,7 +135,7 @@ def _fastest(pusher: Pusher, length: float) -> float:
         return pusher.drive.speed
     steps = np.diff(pusher.drive.waypoints, axis=0)
     rate = np.hypot(steps[:, 1], steps[:, 2]) + np.abs(steps[:, 3]) * length
-    # Measured paths jitter; their mean speed is the better scale.
+    # Measured paths are noisy; their mean speed is a better scale.
     return float(rate.sum() / steps[:, 0].sum()) if len(steps) else 0.0
 
 
@@ -187,7 +187,7 @@ class Pieces(NamedTuple):
 
 
 def _items(scene: Scene) -> list[Body | Pusher | Fixel]:
-    """All bodies in the order of the kernels."""
+    """List all bodies in the order of the kernels."""
     return [*scene.bodies, *scene.pushers, *scene.fixels]
 
 
@@ -219,7 +219,7 @@ def _pieces(scene: Scene) -> Pieces:
 
 
 def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """`Scene.friction` and `Scene.restitution` of all pairs at once: (n, n) tables."""
+    """Compute `Scene.friction` and `Scene.restitution` of all pairs as tables (n, n)."""
     names, free = scene.names, len(scene.bodies)
     friction = np.zeros((len(names), len(names)))
     usual = np.zeros((len(names), len(names)))
@@ -228,7 +228,7 @@ def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
         friction[:free, k] = friction[k, :free] = obstacle.friction
         usual[:free, k] = usual[k, :free] = obstacle.restitution
     restitution = usual.copy() if scene.contact_friction else usual
-    # What is written last stays: patterns give way to names, later entries to earlier ones.
+    # Later writes override: names take precedence over patterns, earlier entries over later ones.
     for entry in sorted(reversed(scene.contact_friction), key=lambda entry: entry.is_literal):
         one, other = entry.named(names)
         covered = np.outer(one, other) | np.outer(other, one)
@@ -248,8 +248,8 @@ def pusher_path(pusher: Pusher, duration: float) -> FloatArray:
     start = np.array([0.0, *pusher.pose])
     if drive.speed == 0.0 or drive.travel == 0.0:
         return start[None, :]
-    # A force-limited pusher may lag and need more of its line than the duration alone would ask
-    # for.
+    # A force-limited pusher may lag and need its line for longer than the duration
+    # requires.
     seconds = min(drive.travel / drive.speed, max(duration, 1e-9))
     end = start.copy()
     end[0] = seconds
@@ -260,11 +260,11 @@ def pusher_path(pusher: Pusher, duration: float) -> FloatArray:
 def _drag(
     elements: Elements, n_free: int, limit: FloatArray, point: FloatArray, speed: float
 ) -> FloatArray:
-    """First-order model: wrench per twist of every body, from the ellipsoid that its supports span.
+    """Drag of every body for the first-order model: wrench per twist, from its friction ellipsoid.
 
-    At the characteristic speed the ellipsoid is reached: D = diag(f, f, tau^2 / f) / speed at the
-    centre of friction, moved to the centre of mass. Shapes: limit (..., n), point (..., n, 2) ->
-    (..., n_free, 3, 3).
+    At the characteristic speed the wrench is on the ellipsoid: D = diag(f, f, tau^2 / f) / speed at
+    the centre of friction, moved to the centre of mass. Shapes: limit (..., n), point (..., n, 2)
+    -> (..., n_free, 3, 3).
     """
     lead = limit.shape[:-1]
     drag = np.zeros((*lead, n_free, 3, 3))
@@ -286,7 +286,7 @@ def _drag(
 
 
 def refuse_motion(scene: Scene, motion_kind: int) -> None:
-    """Refuse a motion model under which a body of the scene has no law."""
+    """Raise for a motion model that needs support friction if a body has none."""
     if motion_kind not in (codes.QUASI_STATIC, codes.FIRST_ORDER):
         return
     for k, body in enumerate(scene.bodies):
@@ -300,21 +300,21 @@ def refuse_motion(scene: Scene, motion_kind: int) -> None:
 
 
 class Variation(NamedTuple):
-    """What differs from rollout to rollout of one scene; None where nothing does."""
+    """Quantities that differ between rollouts of one scene; None for those that do not."""
 
     parameters: Mapping[str, FloatArray]  # name -> (n,)
     start: FloatArray | None = None  # (n, n_free, 3) poses of the free bodies' shape frames
     path: FloatArray | None = None  # (n_path, n_sample, 4) waypoints of the one pusher
-    path_of: IntArray | None = None  # (n,) which path a rollout takes; its own where left out
+    path_of: IntArray | None = None  # (n,) index of the path of a rollout; its own by default
 
 
 class PackedBatch(NamedTuple):
-    """A batch of rollouts of one scene, and what turns it back into SI."""
+    """Batch of rollouts of one scene, and the data to convert it back to SI units."""
 
     batch: Batch
     units: Units
     com: FloatArray  # (n_free, 2) centres of mass in their shape frames [m]
-    outline: FloatArray | None  # (n, 3) of the outline in the frame whose poses are meant
+    outline: FloatArray | None  # (n, 3) pose of the outline in the frame of the poses
 
 
 def pack(
@@ -328,24 +328,24 @@ def pack(
     largest: float,
     duration: float,
 ) -> PackedBatch:
-    """Arrays of `n` rollouts of a scene.
+    """Pack the arrays of `n` rollouts of a scene.
 
     Parameters
     ----------
     scene : Scene
     motion_kind : int
-        codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER.
+        Motion model: codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER.
     variation : Variation
     n : int
         Number of rollouts.
     step : float or None
         Fixed or first step [s].
     tolerance : float or None
-        Of position per step of an adaptive stepper [m].
+        Tolerance of position per step of an adaptive stepper [m].
     largest : float
         Longest step of an adaptive stepper, scaled.
     duration : float
-        [s].
+        Simulated time [s].
     """
     template = Template(scene, motion_kind, step=step, tolerance=tolerance, largest=largest)
     return template.packed(variation, n, duration)
@@ -353,15 +353,15 @@ def pack(
 
 @final
 class Template:
-    """A scene as arrays, ready to be filled with what varies from rollout to rollout.
+    """Scene as arrays, to be completed by the quantities that vary between rollouts.
 
     Parameters
     ----------
     scene : Scene
     motion_kind, step, tolerance, largest
-        As for `pack`.
+        Method as for `pack`.
     speed : float, optional
-        Characteristic speed [m/s]; the scene's own where left out.
+        Characteristic speed [m/s]; the scene's own by default.
     """
 
     def __init__(
@@ -398,7 +398,7 @@ class Template:
         )
 
     def _constant(self, restitution: FloatArray) -> Model:
-        """The model with what no parameter changes; the rest is empty or the scene's own."""
+        """Create the model with fields that no parameter changes; others are empty or nominal."""
         bodies, units = self.scene.bodies, self.units
         length, force = units.length, units.force
         pieces, elements = self._pieces, self._elements
@@ -439,14 +439,14 @@ class Template:
         )
 
     def _map(self) -> tuple[FloatArray, FloatArray]:
-        """Factors of the friction map, (0, 0) without one; its origin and cell, scaled."""
+        """Return factors of the friction map, (0, 0) without one, and scaled origin and cell."""
         own = self.scene.plane.friction_map
         if own is None:
             return np.zeros((0, 0)), np.zeros(4)
         return own.factor, np.concatenate((own.origin, own.cell)) / self.units.length
 
     def packed(self, variation: Variation, n: int, duration: ArrayLike) -> PackedBatch:
-        """Arrays of `n` rollouts, each of a duration [s] of its own or all of one."""
+        """Pack the arrays of `n` rollouts, with one duration [s] each or one for all."""
         scene, units, values = self.scene, self.units, variation.parameters
         length = units.length
         rows = _FamilyRows(n)
@@ -512,7 +512,7 @@ class Template:
     def _scaled(
         self, elements: Elements, n: int, rows: _FamilyRows, heavier: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Points, limits and arms of the supports, and the drag of the bodies on them, scaled."""
+        """Scale points, limits and arms of the supports, and compute the drag of the bodies."""
         units, n_free = self.units, len(self.scene.bodies)
         n_element = len(elements.body)
         limit = elements.load * elements.friction
@@ -538,7 +538,7 @@ class Template:
         )
 
     def _radii(self, values: Values, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
-        """Rounding radii and bounding circles of the pieces, scaled; pushers may be larger."""
+        """Return scaled rounding radii and bounding circles of pieces, with enlarged pushers."""
         grown = grown_by(self.scene, values)
         radius, bound = self._model.piece_radius, self._model.piece_bound
         rows.place(families.PIECE, len(radius), own=grown is not None)
@@ -555,7 +555,7 @@ class Template:
     def _paths(
         self, variation: Variation, duration: float, rows: _FamilyRows
     ) -> tuple[FloatArray, IntArray]:
-        """Waypoints of all pushers, and where each one's begin."""
+        """Return the waypoints of all pushers, and the index of the first of each."""
         path = variation.path
         if path is None:
             waypoints = [pusher_path(p, duration) for p in self.scene.pushers]
@@ -581,7 +581,7 @@ class Template:
         return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
 
     def _poses(self, start: FloatArray | None, rows: _FamilyRows) -> FloatArray:
-        """Poses of all bodies at time zero, of centres of mass where they are free, scaled."""
+        """Return scaled poses of all bodies at time zero; of centres of mass for free bodies."""
         scene, length = self.scene, self.units.length
         n_free = len(scene.bodies)
         own = start is not None
@@ -598,12 +598,12 @@ class Template:
 
 
 def _times(rows: FloatArray, ratio: FloatArray | None) -> FloatArray:
-    """Rows (n,) of the one free body, each times its own ratio."""
+    """Multiply rows (n,) of the one free body by their ratios."""
     return rows if ratio is None else rows * ratio
 
 
 class _FamilyRows:
-    """Which rows of each family a rollout owns, or shares with the others."""
+    """Rows of each family that a rollout owns, or shares with the others."""
 
     def __init__(self, n: int) -> None:
         self.count = np.zeros((n, families.N_FAMILY), np.int64)
@@ -611,7 +611,7 @@ class _FamilyRows:
         self.own = dict.fromkeys(range(families.N_FAMILY), False)
 
     def place(self, family: int, rows: int, own: bool = False) -> None:
-        """Every rollout has so many rows, all the same or each its own."""
+        """Assign `rows` rows of a family to every rollout, shared or its own."""
         self.count[:, family] = rows
         self.own[family] = own
         if own:
@@ -627,7 +627,7 @@ def _spring(body: Body, units: Units) -> list[float]:
 
 
 def stack(packed: Sequence[PackedBatch]) -> Batch:
-    """Several batches end to end, for scenes that share nothing."""
+    """Concatenate batches of scenes that share nothing."""
     if len(packed) == 1:
         return packed[0].batch
     family_of = {

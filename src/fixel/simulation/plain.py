@@ -1,4 +1,4 @@
-"""The plain loop: one step at a time in Python, for plug-ins and as the reference of the compiled
+"""Plain loop: one step at a time in Python, for plug-ins and as the reference of the compiled
 loop."""
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fixel.typing import FloatArray
 
 
 class _Loop:
-    """State of one plain rollout: what the seams share between calls."""
+    """State of one plain rollout, shared by its parts between calls."""
 
     def __init__(
         self,
@@ -48,8 +48,8 @@ class _Loop:
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
         self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
-        self.last_span = 0.0  # of the impulses that the problem holds
-        self.span = 0.0  # time over which forces acted up to the velocity last solved for
+        self.last_span = 0.0  # of the impulses in the problem
+        self.span = 0.0  # time over which forces acted up to the velocity of the last solve
         self.staggered = motion.kind == codes.DYNAMIC and stepper.adaptive
         self.time = 0.0
         self.fallbacks = 0
@@ -109,7 +109,7 @@ def roll_plainly(
     method: StepMethod,
     times: FloatArray | None,
 ) -> BatchRecord:
-    """The record of one rollout, step by step; the same numbers as the compiled loop's."""
+    """Simulate one rollout step by step; results equal those of the compiled loop."""
     loop = _Loop(packed, motion, stepper, solver, method.max_contacts)
     duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
     step = min(step, duration)
@@ -168,14 +168,14 @@ def roll_plainly(
         ahead = 0 if not loop.staggered else 2 if advance.smooth else 1
         motion.move(loop.model, loop.state, advance.step, loop.problem, ahead)
         n_dof = loop.problem.size[0]
-        loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # which a plug-in may not know
+        loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
         loop.time += advance.step
         steps += 1
         earlier_taken, last_taken = last_taken, taken
         step = advance.next_step
         samples.take(before, taken, loop.span)
     if status != codes.CONVERGED and steps and not samples.every_step:
-        # Without contacts and forces: the problem holds what could not be solved.
+        # Without contacts and forces, since the problem was not solved.
         samples.stop_at(loop.time)
         samples.take(before, 0.0, taken)
     return samples.finish(status, steps, worst)
@@ -191,7 +191,7 @@ def _reason(loop: _Loop, status: int, residual: float) -> int:
 
 
 class _SampleCollector:
-    """Collects samples as the compiled loop does."""
+    """Collector of samples, as in the compiled loop."""
 
     def __init__(
         self, loop: _Loop, times: FloatArray | None, duration: float, first_step: float
@@ -243,18 +243,18 @@ class _SampleCollector:
             self.done += written
 
     def undo(self) -> None:
-        """Forget the samples of the last step."""
+        """Discard the samples of the last step."""
         n = self.counts.pop()
         if n:
             self.rows.pop()
             self.done -= n
 
     def stop_at(self, time: float) -> None:
-        """Make `time` the last sample."""
+        """Set `time` as the last sample."""
         self.times = np.append(self.times[: self.done], time)
 
     def finish(self, status: int, steps: int, worst: float) -> BatchRecord:
-        """All samples, as a batch of one."""
+        """Return all samples as a batch of one."""
         joined = [np.concatenate([row[k] for row in self.rows])[None] for k in range(5)]
         count = np.array([[self.done, joined[4].shape[1], steps, self.loop.fallbacks]], np.int64)
         total = np.array([[self.loop.time, worst]])

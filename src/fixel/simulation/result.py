@@ -1,4 +1,4 @@
-"""What a simulation leaves behind."""
+"""Results of simulations."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ CONTACT_FIELDS = np.dtype(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PusherTrace:
-    """What one pusher did.
+    """Travel and force of one pusher.
 
     Attributes
     ----------
     travel : float
-        Length of the path it has covered [m].
+        Length of the path covered [m].
     force : (n_sample,) float64
-        What the bodies push back with, along its path [N].
+        Force of the bodies on it, along its path [N].
     stalled : (n_sample,) bool
-        Whether its drive was at its force limit and held by it.
+        Whether its drive was at its force limit and lagged behind.
     """
 
     travel: float
@@ -52,22 +52,22 @@ class PusherTrace:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulation:
-    """The record of one simulation: what was simulated, how, and what came of it.
+    """Record of one simulation: scene, method and results.
 
     Attributes
     ----------
     status : str
-        ``converged``, or the first thing that went wrong (`fixel.kernels.codes.STATUS_NAMES`).
+        ``converged``, or the reason of an early end (`fixel.kernels.codes.STATUS_NAMES`).
     advice : str
-        What to do about it; empty when converged.
+        Remedy for an early end; empty when converged.
     stopped_at : float or None
-        Where it went wrong [s]; everything up to there is kept.
+        Time of an early end [s], up to which results are stored.
     time : (n_sample,) float64
-        [s]
+        Times of the samples [s].
     pose, twist : mapping from name to (n_sample, 3) float64
-        Of every body's shape frame, and of its centre of mass [m, m, rad; m/s, m/s, rad/s].
+        Pose of every body's shape frame, twist of its centre of mass [m, m, rad; m/s, m/s, rad/s].
     contacts : (n_contact,) structured, see CONTACT_FIELDS
-        Every contact that touches, sample by sample.
+        Touching contacts of every sample.
     max_residual : float
         Worst natural-map residual of any step, in the scene's scaled units.
     """
@@ -99,7 +99,7 @@ class Simulation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All bodies: free, then pushers, then fixels; contacts count them so."""
+        """Names of all bodies: free, then pushers, then fixels; contacts use these indices."""
         return self.scene.names
 
     @property
@@ -109,18 +109,18 @@ class Simulation:
 
     @property
     def touching(self) -> list[tuple[str, str]]:
-        """Pairs that touch at the end."""
+        """Pairs of bodies that touch at the end."""
         last = self.contacts[self.contacts["time"] == self.time[-1]]
         pairs = sorted({(int(c["body"]), int(c["other"])) for c in last})
         names = self.names
         return [(names[a], names[b]) for a, b in pairs]
 
     def trajectory(self, name: str) -> Trajectory:
-        """Pose of one body against time."""
+        """Return the pose of one body against time."""
         return Trajectory(time=self.time, pose=self.pose[name])
 
     def summary(self) -> dict[str, Any]:
-        """The answer of `fixel simulate --json`, as plain numbers (scene.md)."""
+        """Return the output of `fixel simulate --json` as plain values (scene.md)."""
         answer: dict[str, Any] = {"status": self.status}
         if self.stopped_at is not None:
             answer["stopped_at"] = self.stopped_at
@@ -146,29 +146,29 @@ class Simulation:
         return answer
 
 
-MAX_NAMES: Final = 12  # bodies that a printed batch lists
+MAX_NAMES: Final = 12  # bodies listed for a printed batch
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class BatchResult:
-    """What many rollouts leave behind.
+    """Results of many rollouts.
 
     Attributes
     ----------
     status : (n,) int64
         Index into `fixel.kernels.codes.STATUS_NAMES`; 0 is converged.
     time : (n_sample,) float64
-        When poses were sampled [s]; the last is the end.
+        Times of the samples [s]; the last is the end.
     pose : (n, n_sample, n_moving, 3) float64
-        Of free bodies, then pushers; shape frames [m, m, rad]. A rollout that stopped early keeps
-        its last pose to the end.
+        Poses of the shape frames of free bodies, then pushers [m, m, rad]. The last pose of a
+        rollout that stopped early is repeated.
     stopped_at : (n,) float64
         Time reached [s].
     steps, fallbacks : (n,) int64
     max_residual : (n,) float64
     force : (n, n_driven) float64
-        On each pusher along its path at the end [N].
+        Force on each pusher along its path at the end [N].
     stalled : (n, n_driven) bool
     """
 
@@ -185,7 +185,7 @@ class BatchResult:
 
     @property
     def final(self) -> FloatArray:
-        """(n, n_moving, 3) poses at the end."""
+        """Poses (n, n_moving, 3) at the end."""
         return self.pose[:, -1]
 
     @property
@@ -193,11 +193,11 @@ class BatchResult:
         return np.equal(self.status, codes.CONVERGED)
 
     def pose_of(self, name: str) -> FloatArray:
-        """(n, n_sample, 3) poses of one body."""
+        """Return the poses (n, n_sample, 3) of one body."""
         return self.pose[:, :, self.names.index(name)]
 
     def __repr__(self) -> str:
-        """A few lines: how many rollouts ended how, and where bodies are at the end."""
+        """Summarise in a few lines the counts by status and the final poses."""
         n, n_sample = self.pose.shape[:2]
         ended = Counter(codes.STATUS_NAMES[int(code)] for code in self.status)
         lines = [

@@ -1,4 +1,4 @@
-"""Simulate one scene."""
+"""Simulation of one scene."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
 
-MAX_STEPS = 1_000_000  # of a stepper that sets no limit of its own
+MAX_STEPS = 1_000_000  # of a stepper without a limit
 MAX_SAMPLES = 200_000
-CONTACTS_PER_BODY = 8  # rows a sample is given in the contact table, per moving body
+CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
 def simulate(
@@ -52,27 +52,27 @@ def simulate(
     parameters : Parameters, optional
         Values that replace the scene's own.
     motion, stepper, solver : optional
-        `Dynamic()`, `Adaptive()` and `Newton()` where left out.
+        Method; `Dynamic()`, `Adaptive()` and `Newton()` by default.
     duration : float, optional
-        [s]; the scene's where left out.
+        Simulated time [s]; the scene's by default.
     output_interval : float, optional
-        Time between samples [s]; a sample at the end of every step where left out.
+        Time between samples [s]; by default a sample at the end of every step.
     max_contacts : int
-        Room for contacts; more of them end the rollout with the status ``contact_overflow``.
+        Largest number of contacts; more end the rollout with the status ``contact_overflow``.
     plain : bool
-        Walk the steps in Python, one part at a time; always done for plug-ins.
+        Whether to run the steps in Python, one part at a time; always done for plug-ins.
     throw : bool
-        Raise `SolveFailed` in place of returning a simulation that stopped early.
+        Whether to raise `SolveFailed` instead of returning a simulation that stopped early.
 
     Returns
     -------
     Simulation
-        With a status: a failure is a value, and what was computed until there is kept.
+        Results with a status; after a failure, those computed until then.
 
     Raises
     ------
     InvalidInput
-        A method and a scene that do not fit.
+        The method does not suit the scene.
     SolveFailed
         Only with `throw`.
     """
@@ -102,20 +102,20 @@ def simulate(
 
 
 def positive_time(where: str, value: float) -> float:
-    """A positive, finite time, or a refusal."""
+    """Return a positive, finite time; raise for others."""
     if not 0.0 < value < math.inf:
         raise InvalidInput(where, found=value, expected="a positive time [s]")
     return float(value)
 
 
 def one_variation(parameters: Parameters | None) -> Variation:
-    """The variation of a single rollout."""
+    """Create the variation of a single rollout."""
     values = {} if parameters is None else dict(parameters)
     return Variation({k: np.array([v]) for k, v in values.items()})
 
 
 def refuse_method(scene: Scene, solver: AbstractSolver) -> None:
-    """Refuse a solver that has no answer to the scene's friction."""
+    """Raise for a solver that does not support the scene's friction."""
     if isinstance(solver, Lemke) and not scene.support_directions:
         raise InvalidInput(
             "solver",
@@ -133,7 +133,7 @@ def pack_with(
     n: int,
     duration: float,
 ) -> PackedBatch:
-    """Pack a scene for a stepper's own step and tolerance."""
+    """Pack a scene with the step and tolerance of a stepper."""
     own = stepper if isinstance(stepper, Adaptive) else None
     return pack(
         scene,
@@ -150,7 +150,7 @@ def pack_with(
 def method_of(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
 ) -> StepMethod:
-    """The method as the kernels understand it."""
+    """Convert a method for the kernels."""
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
     return StepMethod(
         motion=motion.kind,
@@ -164,7 +164,7 @@ def method_of(
 
 
 def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) -> bool:
-    """Whether the compiled loop knows this part of a method; a plug-in runs in the plain loop."""
+    """Whether the compiled loop supports this part of a method; plug-ins need the plain loop."""
     if isinstance(part, AbstractStepper):
         return type(part) in STEPPERS
     return part.kind != codes.EXTERNAL
@@ -173,7 +173,7 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
 def empty_record(
     packed: PackedBatch, n_sample: int, n_row: int, times: FloatArray | None = None
 ) -> BatchRecord:
-    """Room for `n_sample` samples of every rollout, at `times` [s] where given."""
+    """Allocate `n_sample` samples for every rollout, at `times` [s] where given."""
     count = packed.batch.count
     n = len(count)
     n_driven = int(count[:, kernel.DRIVEN].max(initial=0))
@@ -194,7 +194,7 @@ def empty_record(
 
 
 def sample_times(duration: float, interval: float) -> FloatArray:
-    """0, interval, 2 interval, ... and the end."""
+    """Sample times 0, interval, 2 interval, ... and the end [s]."""
     positive_time("output_interval", interval)
     n = math.floor(duration / interval * (1.0 + 1e-12))
     if n + 2 > MAX_SAMPLES:
@@ -227,7 +227,7 @@ def _roll_compiled(
     if stepper.first_step is not None:
         n_sample = math.ceil(duration / stepper.first_step * (1.0 + 1e-9)) + 2
     else:
-        # How many steps an adaptive stepper takes is known once it has taken them.
+        # The number of steps of an adaptive stepper is known only after a rollout.
         probe = empty_record(packed, 0, 0)
         kernel.roll(packed.batch, method, probe, False, 0, 1)
         n_sample = int(probe.count[0, 2]) + 1
@@ -260,7 +260,7 @@ def _scales(packed: PackedBatch) -> _Scales:
 
 
 def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
-    """Poses (..., n_moving, 3) of shape frames, SI, from scaled poses of centres of mass."""
+    """Convert scaled poses of centres of mass to poses (..., n_moving, 3) of shape frames in SI."""
     out = pose * _scales(packed).pose
     n_free = len(packed.com)
     c, s = np.cos(out[..., :n_free, 2]), np.sin(out[..., :n_free, 2])
@@ -341,7 +341,7 @@ def _contact_table(packed: PackedBatch, rows: FloatArray, time: FloatArray) -> N
 def _described(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> dict[str, Any]:
-    """Names and options of the method, enough to run it again."""
+    """Return names and options of the method, sufficient to run it again."""
     described: dict[str, Any] = {}
     parts: dict[str, Any] = {"motion": motion, "stepper": stepper, "solver": solver}
     for role, part in parts.items():

@@ -1,4 +1,4 @@
-"""Solvers: how the complementarity problem of a step is solved."""
+"""Solvers of the complementarity problem of a step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fixel.typing import FloatArray
 
 
 class AbstractSolver(abc.ABC):
-    """Solves one mixed complementarity problem in place."""
+    """Abstract solver of a mixed complementarity problem, in place."""
 
     name: ClassVar[str]
     kind: ClassVar[int] = codes.EXTERNAL
@@ -23,33 +23,33 @@ class AbstractSolver(abc.ABC):
     def solve(
         self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
     ) -> tuple[float, int]:
-        """Improve `problem.velocity`, `problem.impulse` and `problem.element_impulse`.
+        """Solve for `problem.velocity`, `problem.impulse` and `problem.element_impulse`.
 
         Parameters
         ----------
         problem : Problem
-            Holds the guess (velocities expected, impulses of the step before), then the answer.
+            In: the guess (expected velocities, impulses of the previous step). Out: the solution.
         work : Workspace
             Scratch.
         guess : (n_dof + 2,) float64
-            The velocities expected, to start again from.
+            Expected velocities, from which to restart.
         hasty : bool
-            A shorter step can be tried instead: do not insist.
+            Whether to give up early, since a shorter step can be tried instead.
 
         Returns
         -------
         (float, int)
-            Residual by the independent judge, and 1 where a fallback was needed.
+            Natural-map residual, and 1 where a fallback was needed.
         """
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Newton(AbstractSolver):
-    """Semismooth Newton from the last step's impulses; damped Newton and Gauss-Seidel where it
-    fails.
+    """Semismooth Newton from the last step's impulses, with damped Newton and Gauss-Seidel as
+    fallbacks.
 
-    The default: two or three small linear systems a step. Exact friction discs and polygons alike.
+    The default: two or three small linear systems per step, for exact friction discs and polygons.
 
     Source: Alart & Curnier (1991).
     """
@@ -66,10 +66,10 @@ class Newton(AbstractSolver):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussSeidel(AbstractSolver):
-    """Projected Gauss-Seidel until the residual is met; the Newton chain takes over where it is
-    not.
+    """Projected Gauss-Seidel until the residual is small enough, with the Newton chain as
+    fallback.
 
-    A cross-check, and the simplest thing that can work. Slow where bodies jam or masses differ
+    A simple solver for cross-checks. It is slow where bodies jam or masses differ
     much.
 
     Source: Jourdan, Alart & Jean (1998).
@@ -96,16 +96,16 @@ class GaussSeidel(AbstractSolver):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lemke(AbstractSolver):
-    """Lexicographic Lemke on the linear form: the reference, for `support_directions` of 4 or more.
+    """Lexicographic Lemke on the linear form: a reference, for `support_directions` of 4 or more.
 
-    Pivots to the answer without a guess, so it never depends on the step before. A hundred times
-    slower than `Newton`, which takes over the steps where it ends on a ray; runs in the plain loop.
+    It needs no guess, so that a solution does not depend on the previous step. A hundred times
+    slower than `Newton`, the fallback for steps where it ends on a ray; runs in the plain loop.
 
     Parameters
     ----------
     max_pivots : int
-        In each step; after so many, `Newton` takes over, as it does at once where the step has more
-        than a tenth as many rows (four a contact, one more than its directions a point of support).
+        Largest number of pivots per step; then `Newton` is used, as at once for steps with over
+        a tenth as many rows (four per contact, one more than its directions per support point).
 
     Source: Cottle, Pang & Stone (1992), section 4.4; the linear form is the thesis's eqs. 2.13-14.
     """

@@ -1,7 +1,7 @@
-"""How the load under a plate depends on how it lies on a table that is not flat.
+"""Load under a plate that lies on an uneven table.
 
 A stiff plate on a warped board stands on other points when it is turned by a quarter. Body-fixed
-loads cannot say that: on plywood the pushes of one plate contradict each other by millimetres until
+loads cannot model that: on plywood, pushes of one plate contradict each other by millimetres unless
 the table's part is separated (docs/theory/support.md, docs/how-to/benchmark-on-real-pushes.md).
 """
 
@@ -16,7 +16,7 @@ from fixel.typing import FloatArray
 
 # Distance at which a bend of 1 changes a load by the factor exp(1/2), and a slope of 1 by e [m].
 LENGTH: Final = 40e-3
-# Of the exponent: a factor of seven either way is all or nothing already.
+# Of the exponent: a factor of seven up or down is already extreme.
 MAX_EXPONENT: Final = 2.0
 
 TABLE_NAMES: Final = (
@@ -34,18 +34,18 @@ along world x than along y; `table_bend_diagonal`: the same between the diagonal
 def factors_on_table(
     points: FloatArray, angle: FloatArray, values: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """Factors (n, n_point) of the loads on the points of a net.
+    """Compute factors (n, n_point) of the loads on support points.
 
-    The exponential of a polynomial of second degree in the world, about the centroid.
+    They are the exponential of a second-degree polynomial in world axes, about the centroid.
 
     Parameters
     ----------
     points : (n_point, 2) float64
-        From the centroid, in the frame of the shape [m].
+        Points relative to the centroid, in the frame of the shape [m].
     angle : (n,) float64
-        Of the body on the table [rad].
+        Angle of the body on the table [rad].
     values : mapping of name to (n,) float64
-        Any of `TABLE_NAMES`; those left out are zero.
+        Values of `TABLE_NAMES`; missing ones are zero.
     """
     nothing = np.zeros(len(angle))
     bend, bend_xy, bend_diagonal, slope_x, slope_y = (

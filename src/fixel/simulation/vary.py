@@ -1,7 +1,7 @@
-"""What named parameters do to a scene: the one place that gives their names a meaning.
+"""Application of named parameters to scenes, which defines their meaning.
 
-Everything here is SI, and vectorised over rollouts: a value (n,) makes what it changes (n, ...),
-and leaves the rest shared.
+All quantities are SI, and vectorised over rollouts: a value (n,) makes the quantities that it
+changes (n, ...); others remain shared.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from fixel.typing import FloatArray, IntArray
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
 
-MIN_FACTOR = 0.05  # of the plane's friction in one direction, of its mean
-PRESSURE_POINTS = 24  # about so many stand for pressure under the whole body
+MIN_FACTOR = 0.05  # least friction of the plane in one direction, relative to its mean
+PRESSURE_POINTS = 24  # approximate number of points for pressure under the whole body
 
 _CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 
@@ -49,17 +49,17 @@ class Elements(NamedTuple):
 def varied_elements(
     scene: Scene, elements: Elements, values: Values, start: FloatArray | None = None
 ) -> Elements:
-    """Supports under parameters; a refusal where the scene has none that a name could mean.
+    """Apply parameters to the supports; raise where no support matches a name.
 
     Parameters
     ----------
     scene : Scene
     elements : Elements
-        Of the scene.
+        Supports of the scene.
     values : mapping of name to (n,) float64
     start : (n, n_free, 3) float64, optional
-        Poses of the outlines at the start, as `varied_start` answers [m, m, rad]; the scene's where
-        left out.
+        Poses of the outlines at the start, from `varied_start` [m, m, rad]; the scene's by
+        default.
     """
     refuse_two_supports(values)
     if "pressure_spread" in values:
@@ -93,10 +93,10 @@ def varied_elements(
 
 def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (k, 2) under the one body from its centre of mass [m], and their shares (n, k) of the
-    weight; negative where the pressure would have to be.
+    weight, which may come out negative.
 
-    Even pressure times exp(spread/2 (r^2/g^2 - 1)), with the distance r from the centroid and its
-    root mean square g, and tilted until the weight balances it.
+    Pressure is even times exp(spread/2 (r^2/g^2 - 1)), with the distance r from the centroid and
+    its root mean square g, tilted to balance the weight.
     """
     if len(scene.bodies) != 1:
         raise InvalidInput(
@@ -106,14 +106,14 @@ def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, Float
     points, share = cells(body.shape, PRESSURE_POINTS)
     square = ((points - body.shape.centroid) ** 2).sum(axis=1)
     exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
-    # Beyond that it is all or nothing already.
+    # Larger exponents would have no further effect.
     load = share * np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT))
     load /= load.sum(axis=1, keepdims=True)
     return points - body.com, tilted_shares(load, points - body.com)
 
 
 def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Elements:
-    """Supports all over the underside, with as much friction in all as the scene's."""
+    """Replace the supports by pressure under the whole body, with the same total friction."""
     points, share = pressure_shares(scene, spread)
     if not (share >= -LOAD_ROUNDING).all():
         raise InvalidInput(
@@ -136,8 +136,8 @@ def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Ele
 
 
 def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
-    """The free support points (n, 3, 2) in the frame of the shape [m], and their shares (n, 3) of
-    the weight; negative where the body would tip over, NaN where the three lie on one line."""
+    """Return free support points (n, 3, 2) in the frame of the shape [m], and their shares (n, 3)
+    of the weight; negative where the body would tip over, NaN for three points on one line."""
     body = scene.bodies[0]
     support = body.support
     if len(scene.bodies) != 1 or not isinstance(support, SupportPoints) or len(support.points) != 3:
@@ -199,9 +199,9 @@ def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
 def _on_table(
     scene: Scene, elements: Elements, values: Values, start: FloatArray | None
 ) -> Elements:
-    """Loads as a table that is not flat spreads them; their sum stays what it was.
+    """Distribute the loads as on an uneven table; their sum does not change.
 
-    The angle of the body is that at the start: loads do not change during a rollout.
+    The angle of the body is that at the start, since loads are constant during a rollout.
     """
     _refuse_without_net(scene, elements)
     body = scene.bodies[0]
@@ -210,7 +210,7 @@ def _on_table(
     away = elements.point + body.com - body.shape.centroid
     load = elements.load * factors_on_table(away, angle, values)
     total, now = elements.load.sum(axis=-1), load.sum(axis=-1)
-    # Without gravity there is no load, and nothing to share out.
+    # Without gravity there is no load to distribute.
     ratio = np.divide(total, now, out=np.ones(n), where=now > 0.0)
     return elements._replace(load=load * ratio[:, None])
 
@@ -271,12 +271,12 @@ def _refuse_ellipsoid(elements: Elements, name: str) -> None:
 
 
 def _own(array: FloatArray, n: int, n_axis: int) -> FloatArray:
-    """An array with one leading row a rollout, of one that may be shared."""
+    """Broadcast an array that may be shared to one leading row per rollout."""
     return array if array.ndim > n_axis else np.broadcast_to(array, (n, *array.shape))
 
 
 def heavier_by(scene: Scene, values: Values) -> FloatArray | None:
-    """(n,) mass of the one free body over the scene's; None where it is the scene's."""
+    """Ratio (n,) of the mass of the one free body to the scene's; None if it does not vary."""
     if "mass" not in values:
         return None
     if len(scene.bodies) != 1:
@@ -288,7 +288,7 @@ def heavier_by(scene: Scene, values: Values) -> FloatArray | None:
 
 
 def varied_friction(scene: Scene, friction: FloatArray, values: Values) -> FloatArray:
-    """([n,] n_body, n_body) coefficients of friction of the pairs under parameters."""
+    """Apply parameters to the friction of pairs, ([n,] n_body, n_body)."""
     n_free = len(scene.bodies)
     n_moving, n_body = n_free + len(scene.pushers), len(scene.names)
     for name, first, last in (("mu_pusher", n_free, n_moving), ("mu_fixel", n_moving, n_body)):
@@ -301,10 +301,10 @@ def varied_friction(scene: Scene, friction: FloatArray, values: Values) -> Float
 
 
 def varied_plane(scene: Scene, values: Values) -> FloatArray:
-    """(3,) or (n, 3) factors of support friction along the plane's axes, angle of the first [rad].
+    """Factors of support friction along the plane's axes, angle of the first [rad]: (3,) or (n, 3).
 
-    The two components are those of a symmetric tensor without trace, which has no kink where the
-    plane is the same in all directions.
+    The two parameters are components of a symmetric traceless tensor, which is smooth where the
+    plane is isotropic.
     """
     plane = scene.plane
     if "anisotropy_xy" not in values and "anisotropy_diagonal" not in values:
@@ -317,12 +317,12 @@ def varied_plane(scene: Scene, values: Values) -> FloatArray:
 
 
 def outline_of(values: Values) -> FloatArray | None:
-    """(n, 3) pose of the outline in the frame whose pose was measured; None for the same frame."""
+    """Pose (n, 3) of the outline in the frame whose pose was measured; None for the same frame."""
     return _columns(values, "outline")
 
 
 def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> FloatArray | None:
-    """(n, n_free, 3) poses of the outlines at the start; None where they are the scene's."""
+    """Poses (n, n_free, 3) of the outlines at the start; None where they are the scene's."""
     shift, outline = _columns(values, "start"), outline_of(values)
     if shift is None and outline is None:
         return start
@@ -341,13 +341,13 @@ def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> Floa
 
 
 def moves(values: Values) -> bool:
-    """Whether parameters say that the pusher was elsewhere than recorded."""
+    """Whether parameters move the recorded path of the pusher."""
     return any(name.startswith("registration_") for name in values)
 
 
 def varied_path(path: FloatArray, values: Values) -> FloatArray | None:
-    """(n, n_sample, 4) paths of the one pusher where it really was, from (n, n_sample, 4) recorded;
-    None where no parameter says otherwise."""
+    """Move recorded paths (n, n_sample, 4) of the one pusher by its registration; None where no
+    parameter moves them."""
     moved = _columns(values, "registration")
     if moved is None:
         return None
@@ -357,7 +357,7 @@ def varied_path(path: FloatArray, values: Values) -> FloatArray | None:
 
 
 def grown_by(scene: Scene, values: Values) -> FloatArray | None:
-    """(n,) how much larger the pushers are than drawn [m]."""
+    """Excess (n,) of the pushers' radii over those of the scene [m]; None without."""
     if "contact_offset" not in values:
         return None
     if not scene.pushers or not all(isinstance(p.shape, Disk) for p in scene.pushers):
@@ -378,7 +378,7 @@ def _smallest(pushers: tuple[Pusher, ...]) -> float:
 
 
 def _columns(values: Values, prefix: str) -> FloatArray | None:
-    """(n, 3) x, y and angle of a family of names; zero for those left out, None without any."""
+    """Columns x, y and angle (n, 3) of a family of names; zero for missing, None without any."""
     names = [f"{prefix}_{axis}" for axis in ("x", "y", "theta")]
     n = next((len(values[name]) for name in names if name in values), None)
     if n is None:
@@ -387,7 +387,7 @@ def _columns(values: Values, prefix: str) -> FloatArray | None:
 
 
 def composed(outer: FloatArray, inner: FloatArray) -> FloatArray:
-    """a_from_c (..., 3) of poses a_from_b and b_from_c."""
+    """Compose poses (..., 3): a_from_c of a_from_b and b_from_c."""
     outer, inner = np.broadcast_arrays(outer, inner)
     c, s = np.cos(outer[..., 2]), np.sin(outer[..., 2])
     x, y = inner[..., 0], inner[..., 1]
@@ -402,7 +402,7 @@ def composed(outer: FloatArray, inner: FloatArray) -> FloatArray:
 
 
 def inverted(pose: FloatArray) -> FloatArray:
-    """b_from_a (..., 3) of poses a_from_b."""
+    """Invert poses (..., 3): b_from_a of a_from_b."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = pose[..., 0], pose[..., 1]
     return np.stack((-c * x - s * y, s * x - c * y, -pose[..., 2]), axis=-1)
@@ -412,7 +412,7 @@ def inverted(pose: FloatArray) -> FloatArray:
 
 
 def infeasible(scene: Scene, values: Values) -> list[str]:
-    """Why each of n sets of values has no simulation; empty where it has one."""
+    """Reasons why each of n sets of values is infeasible; empty for feasible ones."""
     n = len(next(iter(values.values())))
     reasons = [""] * n
     for name, value in values.items():

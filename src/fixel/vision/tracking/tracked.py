@@ -38,12 +38,12 @@ class PartTrack(Comparable):
     sd : (n, 3) float64
         Standard deviations of the poses from that residual [m, m, rad]; independent from frame to
         frame.
-        camera_sd : (n, 3) float64, or None
+    camera_sd : (n, 3) float64, or None
         Standard deviations due to errors of the camera [m, m, rad], much the same in all frames;
         None where these are unknown.
-        marks : (n,) int64
+    marks : (n,) int64
         Number of markers used.
-        share : (n,) float64
+    share : (n,) float64
         Share of the expected edges that was used [-].
     reason : tuple of str
         Why there is no good pose; empty where there is.
