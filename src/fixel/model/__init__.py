@@ -1,4 +1,4 @@
-"""What there is: shapes, bodies, pushers, fixels, scenes; checked when built."""
+"""Data model: shapes, bodies, pushers, fixels and scenes, checked when created."""
 
 from fixel.model.body import Body, Spring
 from fixel.model.experiment import (

@@ -1,4 +1,4 @@
-"""Free bodies."""
+"""Free bodies and springs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spring(Comparable):
-    """A spring of no length that pulls the centre of mass to a point of the world.
+    """Spring of zero rest length that pulls the centre of mass to a point of the world.
 
     Parameters
     ----------
     stiffness : float
-        [N/m].
+        Stiffness of the spring [N/m].
     anchor : (2,) array_like
-        In the world [m].
+        Point in the world [m].
     """
 
     stiffness: float
@@ -39,31 +39,31 @@ class Spring(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Body(Comparable):
-    """A free body on the plane.
+    """Free body on the plane.
 
     Parameters
     ----------
     name : str
-        Unique in its scene.
+        Name, unique in its scene.
     shape : Shape
-        In the frame of the body.
+        Shape in the frame of the body.
     mass : float
-        [kg].
+        Mass [kg].
     pose : (3,) array_like
-        Of the frame of the shape in the world, at t = 0 [m, m, rad].
+        Pose of the frame of the shape in the world, at t = 0 [m, m, rad].
     support : Support
-        How it rests on the plane.
+        Support on the plane.
     inertia : float, optional
-        About the centre of mass [kg m^2]. Left out: that of uniform density about the centroid,
-        also when the centre of mass lies elsewhere.
+        Moment of inertia about the centre of mass [kg m^2]. Default: that of uniform density about
+        the centroid, even if the centre of mass lies elsewhere.
     centre_of_mass : (2,) array_like, optional
-        In the frame of the shape [m]. Left out: the centroid.
+        Centre of mass in the frame of the shape [m]. Default: the centroid.
     velocity : (3,) array_like
         Twist of the centre of mass at t = 0, world axes [m/s, m/s, rad/s].
     force : (3,) array_like
         Constant wrench on the centre of mass, world axes [N, N, N m], as on a tilted table.
     spring : Spring, optional
-        Pulls the centre of mass to a point of the world.
+        Spring between the centre of mass and a point of the world.
     """
 
     name: str
@@ -102,16 +102,16 @@ class Body(Comparable):
 
     @property
     def com(self) -> FloatArray:
-        """(2,) centre of mass in the frame of the shape [m]."""
+        """Centre of mass (2,) in the frame of the shape [m]."""
         return self.shape.centroid if self.centre_of_mass is None else self.centre_of_mass
 
     @property
     def moment_of_inertia(self) -> float:
-        """About the centre of mass [kg m^2]."""
+        """Moment of inertia about the centre of mass [kg m^2]."""
         return self.mass * self.shape.unit_inertia if self.inertia is None else self.inertia
 
 
 def _refuse_tipping(body: Body) -> None:
-    """Ask for the loads once, so that an impossible support is refused here and not later."""
+    """Compute the loads, so that an impossible support raises here and not later."""
     if not isinstance(body.support, Ellipsoid):
         support_points(body.support, body.shape, body.com, body.mass, 1.0)

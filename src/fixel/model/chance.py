@@ -1,4 +1,4 @@
-"""Random numbers that depend on what they are for, and on nothing else."""
+"""Random number generators that depend on a seed and a purpose only."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 
 def stream(seed: int, *purpose: str) -> np.random.Generator:
-    """Random numbers of one purpose: the same in any order of runs and on any thread.
+    """Create a generator for one purpose, independent of the order of runs and of threads.
 
     Parameters
     ----------
     seed : int
-        Of the whole bench, not negative.
+        Seed, not negative.
     *purpose : str
-        What they are for: `"run"`, `"square-07"`. Another purpose, other numbers.
+        Purpose of the numbers: `"run"`, `"square-07"`. Streams of different purposes differ.
     """
-    # Python salts its own hash of a string anew in every process.
+    # Python's own hash of a string differs between processes.
     digest = hashlib.sha256("\0".join(purpose).encode()).digest()
     return np.random.default_rng(np.random.SeedSequence([seed, int.from_bytes(digest[:16])]))

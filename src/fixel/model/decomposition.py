@@ -1,11 +1,11 @@
-"""Cutting a simple polygon into convex pieces.
+"""Decomposition of a simple polygon into convex pieces.
 
-Constrained Delaunay triangles, merged while the union stays convex.
+Constrained Delaunay triangles are merged as long as the union is convex.
 
 Source
 ------
 S. Hertel, K. Mehlhorn (1983), Fast triangulation of simple polygons: at most four times as many
-pieces as the best cut has.
+pieces as the optimal decomposition.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STRAIGHT = 1e-12
 
 
 def convex_pieces(vertices: FloatArray) -> tuple[Piece, ...]:
-    """Convex pieces that tile a simple polygon.
+    """Decompose a simple polygon into convex pieces.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def convex_pieces(vertices: FloatArray) -> tuple[Piece, ...]:
 def is_convex(vertices: FloatArray, size: float | None = None) -> bool:
     """Whether a counter-clockwise simple polygon turns left, or goes straight, at every vertex.
 
-    `size` [m] sets what counts as straight; left out, the larger side of the bounding box.
+    `size` [m] scales the tolerance for straight; by default the larger side of the bounding box.
     """
     size = size or float(np.ptp(vertices, axis=0).max())
     before = vertices - np.roll(vertices, 1, axis=0)
@@ -71,7 +71,7 @@ def _piece(vertices: FloatArray, loop: list[int]) -> Piece:
 
 
 def _triangles(vertices: FloatArray, size: float) -> list[list[int]]:
-    """Vertex numbers of a constrained Delaunay triangulation, each counter-clockwise."""
+    """Vertex indices of constrained Delaunay triangles, each counter-clockwise."""
     scaled = (vertices - vertices.mean(axis=0)) / size
     number_of = {tuple(point): index for index, point in enumerate(scaled.tolist())}
     cells = shapely.constrained_delaunay_triangles(shapely.Polygon(scaled)).geoms
@@ -83,7 +83,7 @@ def _triangles(vertices: FloatArray, size: float) -> list[list[int]]:
 
 
 def _orders(vertices: FloatArray, triangles: list[list[int]]) -> Iterator[list[tuple[int, int]]]:
-    """The diagonals of a triangulation in a few orders; the best one depends on the polygon."""
+    """Yield the diagonals of a triangulation in a few orders; the best depends on the polygon."""
     edges = {edge for triangle in triangles for edge in _edges(triangle)}
     diagonals = sorted((i, j) for i, j in edges if i < j and (j, i) in edges)
     length = {(i, j): float(np.hypot(*(vertices[i] - vertices[j]))) for i, j in diagonals}
@@ -96,7 +96,7 @@ def _orders(vertices: FloatArray, triangles: list[list[int]]) -> Iterator[list[t
 def _merged(
     vertices: FloatArray, loops: list[list[int]], diagonals: list[tuple[int, int]], size: float
 ) -> list[list[int]]:
-    """Loops without the diagonals between them, each taken away if the union is convex."""
+    """Merge loops by removing each diagonal between them if the union is convex."""
     owner = {edge: index for index, loop in enumerate(loops) for edge in _edges(loop)}
     for start, end in diagonals:
         left, right = owner[start, end], owner[end, start]
@@ -109,7 +109,7 @@ def _merged(
 
 
 def _union(left: list[int], right: list[int], start: int, end: int) -> list[int]:
-    """The loop around two loops that share an edge, `start` to `end` as the left one walks it."""
+    """Return the union of two loops that share an edge, `start` to `end` in the left one."""
     at = left.index(end)
     around_left = left[at:] + left[:at]  # from end to start
     at = right.index(start)

@@ -1,4 +1,4 @@
-"""Experiments: what was on the plate, what was measured, and how far to believe it."""
+"""Experiments: scene, measurements, and flags on the quality of the data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
 from fixel.typing import FloatArray
 
-# What a channel's columns are measured in. A column is named for what it is and its unit: `fx_n`.
+# Units of a channel's columns. The name of a column ends with its unit: `fx_n`.
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "s": "s",
@@ -36,18 +36,18 @@ UNITS: Final[Mapping[str, str]] = MappingProxyType(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Channel(Comparable):
-    """Something measured against a clock of its own.
+    """Measured quantities against their own times.
 
     Parameters
     ----------
     name : str
-        What measured it: `"force"`, `"tactile"`.
+        Name of the sensor: `"force"`, `"tactile"`.
     time : (n,) array_like
-        Not decreasing [s], on the clock of the experiment.
+        Times that do not decrease, on the clock of the experiment [s].
     columns : tuple of str
-        One a value; each ends with its unit, out of `UNITS`: `"fx_n"`, `"fixel_1_bool"`.
+        Names of the values; each ends with its unit, out of `UNITS`: `"fx_n"`, `"fixel_1_bool"`.
     values : (n, n_column) array_like
-        NaN where there was no reading.
+        Measured values; NaN where there was no reading.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Channel(Comparable):
 
 
 def unit_of(column: str) -> str:
-    """The unit at the end of a column's name, or a refusal."""
+    """Return the unit at the end of a column's name; raise if there is none."""
     for ending in sorted(UNITS, key=len, reverse=True):
         if re.fullmatch(rf"\w+_{ending}", column):
             return UNITS[ending]
@@ -89,16 +89,16 @@ def unit_of(column: str) -> str:
 @final
 @dataclass(frozen=True, slots=True, order=True)
 class Flag:
-    """Something about the data of an experiment that one should know before using it.
+    """Remark on the data of an experiment that matters for their use.
 
     Parameters
     ----------
     name : str
-        Short, the same for all experiments it befell: `"misregistered"`.
+        Short name, the same for all experiments concerned: `"misregistered"`.
     detail : str
-        What was found in this one: `"starts 4.2 mm inside the pusher"`.
+        Finding in this experiment: `"starts 4.2 mm inside the pusher"`.
     fault : bool
-        Whether listings leave the experiment out unless asked; else it is a remark.
+        Whether listings leave the experiment out by default; else it is a remark.
     """
 
     name: str
@@ -113,22 +113,22 @@ class Flag:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """Where a record comes from, and what would make it again.
+    """Origin of a record, sufficient to reproduce it.
 
     Parameters
     ----------
     version : str
-        Of fixel.
+        Version of fixel.
     command : str
-        What was typed or called.
+        Command or function call.
     source : str
         Name of the file it was read from; empty for none.
     sha256 : str
         Checksum of that file.
     seed : int, optional
-        Of whatever was random.
+        Seed of the random numbers.
     created : str
-        When, as ISO 8601 in UTC; empty until it is stored.
+        Time of creation, as ISO 8601 in UTC; empty until it is stored.
     """
 
     version: str
@@ -142,39 +142,39 @@ class Provenance:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Experiment(Comparable):
-    """One run on a plate, real or simulated.
+    """Run on a plate, real or simulated.
 
     Parameters
     ----------
     dataset, name : str
         Together the name of the experiment: `"rpi-2dgad"` and `"141"`.
     real : bool
-        False for anything no camera has seen. For ever.
+        Whether it was recorded by a camera; always False for simulated data.
     simulated_by : str
-        What made it, where it is not real.
+        Program that simulated it; empty for real experiments.
     provenance : Provenance
     object_name : str
-        The body of `scene` whose motion was measured.
+        Name of the body of `scene` whose motion was measured.
     trajectory : Trajectory
-        Measured poses, in the world.
+        Measured poses of the object in the world.
     pusher : Trajectory, optional
         Measured poses of the pusher, on the same clock.
     scene : Scene, optional
-        What was on the plate, with nominal friction, at the first measured pose; none where not all
-        of it is known.
+        Bodies on the plate at the first measured pose, with nominal friction; None where not all
+        is known.
     height, pusher_height, fixel_height : float, optional
-        Above the plane [m]: what a camera must know, and no angle.
+        Heights above the plane [m], which tracking by a camera needs.
     channels : tuple of Channel
         Tactile signals, forces, raw readings.
     contact_mode : str
-        At the end, a digit a fixel: `"010"` where the second of three touches the object; empty for
-        unknown.
+        Contacts at the end, one digit per fixel: `"010"` where the second of three touches the
+        object; empty where unknown.
     effective : (float, float), optional
-        First and last instant of useful data [s].
+        First and last time of useful data [s].
     conditions : mapping of str to str or float
-        What else was written down: `{"surface": "plywood", "speed_m_s": 0.02}`.
+        Other recorded conditions: `{"surface": "plywood", "speed_m_s": 0.02}`.
     flags : tuple of Flag
-        Sorted.
+        Flags, sorted.
     video : str
         Checksum of a file in the media folder; empty for none.
     """
@@ -246,36 +246,36 @@ class Experiment(Comparable):
 
     @property
     def key(self) -> str:
-        """The whole name: dataset/name."""
+        """Full name: dataset/name."""
         return f"{self.dataset}/{self.name}"
 
     @property
     def duration(self) -> float:
-        """From the first measured pose to the last [s]."""
+        """Time from the first measured pose to the last [s]."""
         return float(self.trajectory.time[-1] - self.trajectory.time[0])
 
     def channel(self, name: str) -> Channel | None:
-        """The channel of this name, if there is one."""
+        """Return the channel with a name; None if there is none."""
         return next((channel for channel in self.channels if channel.name == name), None)
 
     def flagged(self, *flags: Flag) -> Experiment:
-        """The same, with these flags too."""
+        """Return the experiment with flags added."""
         return replace(self, flags=(*self.flags, *flags))
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedExperiment(Comparable):
-    """One line of a sampling plan: what to put on the plate, and how it is called.
+    """Experiment of a sampling plan: scene and name.
 
     Parameters
     ----------
     name : str
-        Unique in its plan, such that names in alphabetical order are in the plan's order.
+        Name, unique in its plan; alphabetical order is the order of the plan.
     scene : Scene
-        With one free body, one pusher with a force-limited drive, and fixels.
+        Scene with one free body, one pusher with a force-limited drive, and fixels.
     conditions : mapping of str to str or float
-        Which shape, layout, offset and repetition it is.
+        Shape, layout, offset and repetition.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Checks shared by the objects of this floor, and equality of objects that hold arrays."""
+"""Checks of field values, and equality of objects that contain arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fixel.typing import FloatArray
 
 
 class Comparable:
-    """Equality and hash by fields, for dataclasses with `eq=False` that hold arrays or mappings."""
+    """Equality and hash by fields, for dataclasses with `eq=False` and arrays or mappings."""
 
     __slots__ = ()
 
@@ -41,46 +41,46 @@ def settle(instance: object, **values: object) -> None:
 
 
 def name_of(value: object, where: str) -> str:
-    """A name: text with something in it, on one line."""
+    """Check a name: non-empty text on one line."""
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise InvalidInput(where, found=_quoted(value), expected="a name of printable characters")
     return value
 
 
 def instance(value: object, kind: type | UnionType, where: str, expected: str) -> None:
-    """Refuse a value of another kind."""
+    """Raise for a value of another type."""
     if not isinstance(value, kind):
         found = None if value is None else f"a {type(value).__name__}"
         raise InvalidInput(where, found=found, expected=expected)
 
 
 def finite(value: object, where: str, unit: str = "") -> float:
-    """A finite number."""
+    """Check a finite number."""
     return _number(value, where, f"a finite number{_in(unit)}", lambda x: True)
 
 
 def positive(value: object, where: str, unit: str = "") -> float:
-    """A finite number above zero."""
+    """Check a finite number above zero."""
     return _number(value, where, f"a number greater than 0{_in(unit)}", lambda x: x > 0.0)
 
 
 def non_negative(value: object, where: str, unit: str = "") -> float:
-    """A finite number, zero or more."""
+    """Check a finite number of at least zero."""
     return _number(value, where, f"a number of at least 0{_in(unit)}", lambda x: x >= 0.0)
 
 
 def fraction(value: object, where: str) -> float:
-    """A number from 0 to 1."""
+    """Check a number from 0 to 1."""
     return _number(value, where, "a number from 0 to 1", lambda x: 0.0 <= x <= 1.0)
 
 
 def optional_positive(value: object, where: str, unit: str = "") -> float | None:
-    """A finite number above zero, or nothing."""
+    """Check a finite number above zero, or None."""
     return None if value is None else positive(value, where, unit)
 
 
 def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
-    """A row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
+    """Check a row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
     length = labels.count(",") + 1
     row = _floats(value, where, f"{length} numbers: {labels}")
     if row.shape != (length,):
@@ -90,7 +90,7 @@ def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
 
 
 def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
-    """Rows of finite numbers, one column per comma-separated label; at least one row."""
+    """Check rows of finite numbers, one column per comma-separated label; at least one row."""
     width = labels.count(",") + 1
     rows = _floats(value, where, f"rows of {width} numbers: {labels}")
     if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0:
@@ -101,7 +101,7 @@ def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
 
 
 def frozen(array: ArrayLike) -> FloatArray:
-    """A C-ordered copy that cannot be written to; minus zero becomes zero."""
+    """Return a read-only C-ordered copy; minus zero becomes zero."""
     copy = np.array(array, dtype=np.float64, order="C") + 0.0
     copy.flags.writeable = False
     return copy

@@ -1,4 +1,4 @@
-"""Fixed bodies: pegs, walls, slots."""
+"""Fixels: fixed pegs, walls and slots."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fixel(Comparable):
-    """A body that stays where it is.
+    """Fixed body.
 
     Parameters
     ----------
     name : str
-        Unique in its scene.
+        Name, unique in its scene.
     shape : Shape
-        In its own frame.
+        Shape in its own frame.
     pose : (3,) array_like
-        Of its frame in the world [m, m, rad].
+        Pose of its frame in the world [m, m, rad].
     friction : float
-        Coefficient against every free body [-].
+        Coefficient of friction against every free body [-].
     restitution : float
-        Share of the approach speed given back at an impact, from 0 to 1 [-].
+        Coefficient of restitution, from 0 to 1 [-].
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A net of support points under a footprint, to carry loads that a calibration finds."""
+"""Support points under a footprint, whose loads a calibration may estimate."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from fixel.model.fields import finite
 from fixel.model.shape import Disk, Shape
 from fixel.typing import FloatArray
 
-# Outlines with more corners than this are taken for smooth curves.
+# Outlines with more corners than this count as smooth curves.
 MAX_CORNERS: Final = 12
 # Points of the outer and of the inner ring under a smooth outline.
 SMOOTH_RINGS: Final = (10, 6)
-# Sizes of the two rings, of the outline about its centroid. Where exactly is of no consequence: on
-# real pushes 0.85 to 0.98 gave the same errors (docs/how-to/benchmark-on-real-pushes.md).
+# Sizes of the two rings relative to the outline, about its centroid. The exact value is irrelevant:
+# on real pushes 0.85 to 0.98 gave the same errors (docs/how-to/benchmark-on-real-pushes.md).
 OUTER: Final = 0.93
 INNER: Final = 0.48
 
 
 class Net(NamedTuple):
-    """Points under a footprint, and what part of it each stands for."""
+    """Points under a footprint, with the part of it that each represents."""
 
     points: FloatArray  # (n, 2) in the frame of the shape [m]
     part: NDArray[np.str_]  # (n,) `corner`, `edge`, `ring` of a smooth outline, or `inside`
 
 
 def support_net(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> Net:
-    """Points on two scaled copies of the outline, and the centroid.
+    """Create support points on two scaled copies of the outline, and at the centroid.
 
-    With corners: all corners and the middles of the edges of the outer copy, the corners of the
-    inner one. Without: evenly spaced points, those of the inner copy half a step on. Of outlines
-    that are not convex, points outside are left out.
+    For outlines with corners these are all corners and the middles of the edges of the outer copy,
+    and the corners of the inner one. For smooth ones they are evenly spaced, with those of the
+    inner copy half a step on. Points outside an outline that is not convex are left out.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def support_net(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> 
     Returns
     -------
     Net
-        With points for `SupportPoints(points=...)`.
+        Points for `SupportPoints(points=...)`, with their parts.
     """
     for name, size in (("outer", outer), ("inner", inner)):
         if not 0.0 < finite(size, f"net.{name}") < 1.0:
@@ -77,7 +77,7 @@ def support_net(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> 
 
 
 def _evenly(shape: Shape, size: float, n: int, lead: float) -> FloatArray:
-    """(n, 2) points evenly spaced along a scaled copy of an outline, the first `lead` steps on."""
+    """Points (n, 2) evenly spaced along a scaled copy of an outline, offset by `lead` steps."""
     outline = shapely.Polygon(shape.outline)
     copy = shapely.affinity.scale(outline, size, size, origin=tuple(shape.centroid.tolist()))
     along = (np.arange(n) + lead) / n

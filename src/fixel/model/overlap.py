@@ -1,4 +1,4 @@
-"""How deep two placed shapes lie in each other; a check of scenes, no part of any simulation."""
+"""Depth of overlap of two placed shapes, to check scenes; simulations do not use it."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from fixel.typing import FloatArray
 
 
 def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) -> float:
-    """Depth of the overlap of two shapes, zero or negative where they are apart.
+    """Compute the depth of overlap of two shapes, zero or negative where they are apart.
 
-    Exact for convex shapes that overlap; for others the largest over their pairs of convex pieces.
+    Exact for overlapping convex shapes; for others the largest over pairs of their convex pieces.
 
     Parameters
     ----------
     a, b : Shape
-        In their own frames.
+        Shapes in their own frames.
     pose_a, pose_b : (3,) float64
-        Of their frames in the world [m, m, rad].
+        Poses of these frames in the world [m, m, rad].
 
     Returns
     -------
     float
-        [m].
+        Depth of the overlap [m].
     """
     if isinstance(a, Disk) and isinstance(b, Disk):
         return a.radius + b.radius - float(np.hypot(*(pose_a[:2] - pose_b[:2])))
@@ -42,12 +42,12 @@ def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) ->
 
 
 def boxes(shapes: Sequence[Shape], poses: Sequence[FloatArray]) -> FloatArray:
-    """(n, 4) bounding boxes in the world: least x and y, largest x and y [m]."""
+    """Compute bounding boxes (n, 4) in the world: least x and y, largest x and y [m]."""
     return np.array([_box(shape, pose) for shape, pose in zip(shapes, poses, strict=True)])
 
 
 def pairs_of_boxes(box: FloatArray, n_first: int) -> Iterator[tuple[int, int]]:
-    """Pairs i < j of boxes that meet, with i among the first `n_first`."""
+    """Yield pairs i < j of boxes that meet, with i among the first `n_first`."""
     for i in range(n_first):
         others = box[i + 1 :]
         meets = np.hstack((others[:, :2] <= box[i, 2:], others[:, 2:] >= box[i, :2])).all(axis=1)
@@ -77,7 +77,7 @@ def _depth_along_normals(a: FloatArray, b: FloatArray) -> float:
 
 
 def _disk_in_piece(radius: float, centre: FloatArray, piece: FloatArray) -> float:
-    """Radius less the signed distance of the centre to a convex polygon."""
+    """Radius minus the signed distance of the centre to a convex polygon."""
     edge = np.roll(piece, -1, axis=0) - piece
     outside = (_outward_normals(piece) * (centre - piece)).sum(axis=1)
     if (outside <= 0.0).all():

@@ -1,4 +1,4 @@
-"""The named values a calibration may change."""
+"""Named parameters that a calibration may change."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class ParameterInfo(NamedTuple):
 
     unit: str
     meaning: str
-    lowest: float = 0.0  # a value below is refused
-    above: bool = False  # whether `lowest` itself is refused too
-    # Property of the real object that a value found with a wrong model stands for; empty where the
-    # parameter itself is one.
+    lowest: float = 0.0  # smallest value
+    above: bool = False  # whether `lowest` itself is excluded
+    # Property of the real object that an estimate of an effective parameter represents; empty where
+    # the parameter itself is such a property.
     stands_for: str = ""
 
 
@@ -124,7 +124,7 @@ _REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torqu
 
 
 def info_of(name: str) -> ParameterInfo:
-    """Unit, range and meaning of a parameter, or a refusal."""
+    """Return unit, range and meaning of a parameter; raise for unknown names."""
     if name in KNOWN_PARAMETERS:
         return KNOWN_PARAMETERS[name]
     if _LOAD.fullmatch(str(name)):
@@ -141,7 +141,7 @@ def info_of(name: str) -> ParameterInfo:
 
 
 def refuse_two_supports(names: Iterable[str]) -> None:
-    """Refuse `pressure_spread` beside a parameter of the support that it replaces."""
+    """Raise for `pressure_spread` together with a parameter of the support that it replaces."""
     known = tuple(names)
     replaced = [name for name in known if _REPLACED.fullmatch(name)]
     if "pressure_spread" in known and replaced:
@@ -155,16 +155,16 @@ def refuse_two_supports(names: Iterable[str]) -> None:
 
 @final
 class Parameters(Mapping[str, float]):
-    """An immutable mapping from names of parameters to values.
+    """Immutable mapping from names of parameters to values.
 
-    What is left out stays as in the scene.
+    Missing parameters have the value of the scene.
 
     Parameters
     ----------
     values : mapping of str to float
         Names out of `KNOWN_PARAMETERS`, values in the units given there.
     **named : float
-        The same, as keywords; they count more.
+        The same as keywords, which override `values`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The plane the bodies rest on, where it is not the same in every direction or everywhere."""
+"""Anisotropic and uneven friction of the plane on which bodies rest."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrictionMap(Comparable):
-    """A multiplier of support friction that depends on the place.
+    """Multiplier of support friction that depends on the place.
 
-    Bilinear between the nodes of a grid; beyond the border, the value at the border.
+    It is bilinear between the nodes of a grid, and constant beyond the border.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class FrictionMap(Comparable):
         )
 
     def at(self, position: ArrayLike) -> FloatArray:
-        """(...) multipliers at world positions (..., 2) [m]."""
+        """Interpolate the multipliers (...) at world positions (..., 2) [m]."""
         n_y, n_x = self.factor.shape
         node = (np.asarray(position, dtype=np.float64) - self.origin) / self.cell
         column = np.clip(node[..., 0], 0.0, n_x - 1.0)
@@ -65,7 +65,7 @@ class FrictionMap(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plane(Comparable):
-    """Multipliers of the friction of every support.
+    """Multipliers of the friction of all supports.
 
     Parameters
     ----------

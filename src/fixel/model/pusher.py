@@ -1,4 +1,4 @@
-"""Driven bodies and the motions that are asked of them."""
+"""Driven bodies and their prescribed motions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from fixel.model.fields import (
 from fixel.model.shape import Shape
 from fixel.typing import FloatArray
 
-# How far from 1 the length of a direction may be before it is scaled; a few times the rounding of
-# one float64, so that a direction that was scaled once stays bitwise the same.
+# Largest deviation of the length of a direction from 1 at which it is not scaled: a few roundings
+# of a float64, so that scaling a direction twice changes no bit.
 UNIT_LENGTH = 1e-15
 
 
@@ -37,13 +37,13 @@ class LineDrive(Comparable):
     Parameters
     ----------
     direction : (2,) array_like
-        World axes; scaled to length 1.
+        Direction in world axes; scaled to length 1.
     speed : float
-        [m/s], not negative.
+        Speed [m/s], not negative.
     travel : float
-        Distance after which the drive stands still [m]; infinite: it goes on.
+        Distance after which the drive stops [m]; by default infinite.
     force_limit : float, optional
-        Force along the direction at which the drive stalls [N]. Left out: a rigid drive.
+        Force along the direction at which the drive stalls [N]. Default: a rigid drive.
     """
 
     direction: FloatArray
@@ -76,15 +76,15 @@ class LineDrive(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PathDrive(Comparable):
-    """A measured path, linear between its samples; before the first and after the last it rests.
+    """Measured path, linear between its waypoints, at rest before the first and after the last.
 
     Parameters
     ----------
     waypoints : (n, 4) array_like
-        Rows of time [s] and pose in the world [m, m, rad], times increasing. Angles are continuous:
-        from one sample to the next they change by at most half a turn.
+        Rows of increasing time [s] and pose in the world [m, m, rad]. Angles are continuous: they
+        change by at most half a turn from one waypoint to the next.
     force_limit : float, optional
-        Force at which the drive stalls [N]. Left out: a rigid drive.
+        Force at which the drive stalls [N]. Default: a rigid drive.
     """
 
     waypoints: FloatArray
@@ -101,7 +101,7 @@ class PathDrive(Comparable):
         )
 
     def pose_at(self, time: float) -> FloatArray:
-        """(3,) pose the path asks for [m, m, rad]."""
+        """Return the pose (3,) of the path at a time [m, m, rad]."""
         instants = self.waypoints[:, 0]
         return np.array([np.interp(time, instants, column) for column in self.waypoints.T[1:]])
 
@@ -112,23 +112,23 @@ Drive = LineDrive | PathDrive
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pusher(Comparable):
-    """A driven body.
+    """Driven body.
 
     Parameters
     ----------
     name : str
-        Unique in its scene.
+        Name, unique in its scene.
     shape : Shape
-        In its own frame.
+        Shape in its own frame.
     pose : (3,) array_like or None
-        Of its frame in the world, at t = 0 [m, m, rad]. With a `PathDrive` the path says where the
-        pusher starts: None is fine, and what is given is replaced.
+        Pose of its frame in the world, at t = 0 [m, m, rad]. A `PathDrive` determines the start, so
+        that None is allowed and other values are replaced.
     drive : Drive
-        The motion asked of it.
+        Prescribed motion.
     friction : float
-        Coefficient against every free body [-].
+        Coefficient of friction against every free body [-].
     restitution : float
-        Share of the approach speed given back at an impact, from 0 to 1 [-].
+        Coefficient of restitution, from 0 to 1 [-].
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Points that stand for a footprint."""
+"""Quadrature points of a footprint."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fixel.typing import FloatArray
 
 
 def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
-    """Centroids of small cells that tile a shape, and the share of the area of each.
+    """Compute centroids of small cells that tile a shape, and their shares of the area.
 
     The weighted mean of the points is the centroid of the shape, to rounding.
 
@@ -20,14 +20,14 @@ def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
     shape : Shape
         Footprint.
     n_points : int
-        About how many cells.
+        Approximate number of cells.
 
     Returns
     -------
     points : (n, 2) float64
-        In the frame of the shape [m].
+        Centroids in the frame of the shape [m].
     share : (n,) float64
-        Positive, sum 1 [-].
+        Shares, positive with sum 1 [-].
     """
     if isinstance(shape, Disk):
         return _disk_cells(shape, n_points)
@@ -35,7 +35,7 @@ def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _disk_cells(disk: Disk, n_points: int) -> tuple[FloatArray, FloatArray]:
-    """Rings at the Gauss-Legendre nodes of r^2, each turned half a point against the last."""
+    """Place rings at the Gauss-Legendre nodes of r^2, each turned by half a point."""
     n_rings = max(1, round((n_points / 2.0) ** 0.5))
     per_ring = max(3, round(n_points / n_rings))
     node, weight = np.polynomial.legendre.leggauss(n_rings)
@@ -46,7 +46,7 @@ def _disk_cells(disk: Disk, n_points: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _polygon_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatArray]:
-    """A fan about the centroid of each convex piece, each triangle cut into equal similar ones."""
+    """Cut convex pieces into fans about their centroids, and these triangles into equal ones."""
     points, areas = [], []
     for triangle in _fans(polygon):
         area = _area(triangle)
@@ -60,7 +60,7 @@ def _polygon_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatAr
 
 
 def _fans(polygon: Polygon) -> list[FloatArray]:
-    """Triangles (3, 2) that tile a polygon."""
+    """Return triangles (3, 2) that tile a polygon."""
     triangles = []
     for vertices, _ in polygon.pieces:
         centre = Polygon(vertices).centroid

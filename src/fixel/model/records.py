@@ -1,4 +1,4 @@
-"""What is computed from experiments and kept: simulations, calibrations, filter runs."""
+"""Stored results of experiments: simulations, calibrations and filter runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulationRecord(Comparable):
-    """A simulation of a stored experiment.
+    """Simulation of a stored experiment.
 
     Parameters
     ----------
@@ -30,14 +30,14 @@ class SimulationRecord(Comparable):
     method : mapping of str to str or float
         Motion model, stepper and solver with their options.
     trajectory : Trajectory
-        Of the object.
+        Trajectory of the object.
     pusher : Trajectory, optional
     status : str
-        As `Simulation.status`.
+        Status as in `Simulation.status`.
     contact_mode : str
-        At the end, a digit a fixel.
+        Contacts at the end, one digit per fixel.
     error_mm2 : float, optional
-        The thesis's E: mean squared distance to the measured path [mm^2], angles at 35 mm/rad.
+        E of the thesis: mean squared distance to the measured path [mm^2], angles at 35 mm/rad.
     """
 
     experiment_id: int
@@ -57,18 +57,18 @@ class SimulationRecord(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluations(Comparable):
-    """Every set of parameters a calibration tried, in order.
+    """All parameter sets that a calibration evaluated, in order.
 
     Parameters
     ----------
     names : tuple of str
     values : (n, n_name) array_like
     error : (n,) array_like
-        Infinite where there is none.
+        Errors; infinite where there is none.
     reasons : tuple of str
-        Why there is none; empty where there is one.
+        Why there is no error; empty where there is one.
     unit : str
-        Of the error: `"mm2"` or `"mm"`.
+        Unit of the error: `"mm2"` or `"mm"`.
     """
 
     names: tuple[str, ...]
@@ -92,14 +92,14 @@ class Evaluations(Comparable):
 @final
 @dataclass(frozen=True, slots=True)
 class Member:
-    """An experiment that a calibration used.
+    """Experiment used in a calibration.
 
     Parameters
     ----------
     experiment_id : int
     weight : float
     error_mm2 : float
-        Mean squared error with the calibration's result [mm^2], whatever error it minimised.
+        Mean squared error with the calibration's result [mm^2], for any error minimised.
     """
 
     experiment_id: int
@@ -108,29 +108,29 @@ class Member:
 
     @classmethod
     def of(cls, experiment_id: int, weight: float, error: float, unit: str) -> Member:
-        """Make a member from an error in mm^2 or, its root, in mm."""
+        """Create a member from an error in mm^2 or, its root, in mm."""
         return cls(experiment_id, weight, error * error if unit == "mm" else error)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """What a calibration says about one unknown.
+    """Estimate of one unknown by a calibration.
 
     Parameters
     ----------
     label : str
-        Name of the parameter, with whom it is shared by: `"mu_pusher[surface=plywood]"`.
+        Name of the parameter with the conditions that share it: `"mu_pusher[surface=plywood]"`.
     unit : str
     value : float
     low, high : float, optional
-        Ends of its interval; none where the data set no end.
+        Ends of its interval; None where the data determine no end.
     verdict : str
         `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`,
-        `"at least"` or `"at most"` (the end of the interval that is there), or
-        `"frozen"`; empty where nobody asked.
+        `"at least"` or `"at most"` (the end of the interval that exists), or
+        `"frozen"`; empty where not assessed.
     reason : str
-        A sentence why.
+        Reason of the verdict, as a sentence.
     """
 
     label: str
@@ -145,7 +145,7 @@ class Estimate:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationRecord(Comparable):
-    """A finished calibration.
+    """Finished calibration.
 
     Parameters
     ----------
@@ -153,11 +153,11 @@ class CalibrationRecord(Comparable):
     method : mapping of str to str or float
         Optimiser and its options.
     parameters : Parameters
-        The best, as far as all members share them.
+        Best values of the parameters that all members share.
     members : tuple of Member
     evaluations : Evaluations, optional
     estimates : tuple of Estimate
-        One an unknown.
+        One estimate per unknown.
     """
 
     name: str
@@ -188,30 +188,30 @@ class CalibrationRecord(Comparable):
 
     @property
     def errors(self) -> tuple[float, ...]:
-        """Errors of the members in the unit that was minimised."""
+        """Errors of the members in the unit of the minimised error."""
         squares = [member.error_mm2 for member in self.members]
         return tuple(map(math.sqrt, squares) if self.error_unit == "mm" else squares)
 
     @property
     def sum_error_mm2(self) -> float:
-        """Of all members [mm^2]."""
+        """Sum of the errors of all members [mm^2]."""
         return math.fsum(member.error_mm2 for member in self.members)
 
     @property
     def mean_error_mm2(self) -> float:
-        """Of all members [mm^2]."""
+        """Mean of the errors of all members [mm^2]."""
         return self.sum_error_mm2 / len(self.members)
 
     @property
     def max_error_mm2(self) -> float:
-        """Of the worst member [mm^2]."""
+        """Error of the worst member [mm^2]."""
         return max(member.error_mm2 for member in self.members)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterParameters(Comparable):
-    """Settings of a filter that estimates poses and parameters while a run goes on."""
+    """Settings of a filter that estimates poses and parameters during a run."""
 
     name: str
     is_particle_filter: bool
@@ -226,17 +226,17 @@ class FilterParameters(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterRun(Comparable):
-    """What a filter made of a stored experiment.
+    """Result of a filter for a stored experiment.
 
     Parameters
     ----------
     occlusion : (float, float), optional
-        First and last instant in which the object was hidden from it [s].
+        First and last time at which the object was hidden from the filter [s].
     uses_tactile : bool
     trajectory : Trajectory
         Estimated poses of the object.
     estimates : Evaluations-like table of parameters, optional
-        Named parameters against time: names, (n, n_name) values at the instants of `trajectory`.
+        Estimated parameters: values (n, n_name) at the times of `trajectory`.
     """
 
     experiment_id: int

@@ -1,4 +1,4 @@
-"""Scenes: everything a rollout needs but the method and the parameters."""
+"""Scenes: all input of a rollout except the method and the parameters."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from fixel.typing import BoolArray
 T = TypeVar("T")
 
 # Overlap at the start that still counts as touching, as a share of the larger of the two shapes.
-# Smaller values refuse scenes whose poses were rounded in a file.
+# Smaller values would reject scenes whose poses were rounded in a file.
 TOUCHING = 1e-6
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairFriction(Comparable):
-    """Friction of a named pair, in place of what its obstacle says.
+    """Friction of a named pair, which overrides that of its obstacle.
 
     Parameters
     ----------
     pair : (str, str)
         Names in either order; `*`, `?` and `[...]` match as in a shell.
     friction : float
-        Coefficient [-].
+        Coefficient of friction [-].
     restitution : float, optional
-        Share of the approach speed given back at an impact, from 0 to 1 [-].
+        Coefficient of restitution, from 0 to 1 [-].
     """
 
     pair: tuple[str, str]
@@ -69,7 +69,7 @@ class PairFriction(Comparable):
         )
 
     def named(self, names: Sequence[str]) -> tuple[BoolArray, BoolArray]:
-        """Return which names the first and the second of the pair match: two (n,) arrays."""
+        """Return masks (n,) of the names that the first and the second of the pair match."""
         first, second = self.pair
         return (
             np.array([_matches(name, first) for name in names], bool),
@@ -77,7 +77,7 @@ class PairFriction(Comparable):
         )
 
     def covers(self, a: str, b: str) -> bool:
-        """Whether this is about bodies `a` and `b`, in either order."""
+        """Whether the entry applies to bodies `a` and `b`, in either order."""
         first, second = self.pair
         return (_matches(a, first) and _matches(b, second)) or (
             _matches(b, first) and _matches(a, second)
@@ -85,14 +85,14 @@ class PairFriction(Comparable):
 
     @property
     def is_literal(self) -> bool:
-        """Whether both names are names and no patterns."""
+        """Whether neither name is a pattern."""
         return not any(_is_pattern(name) for name in self.pair)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene(Comparable):
-    """Bodies, pushers and fixels on a plane, and for how long.
+    """Bodies, pushers and fixels on a plane, with gravity and duration.
 
     Parameters
     ----------
@@ -103,23 +103,23 @@ class Scene(Comparable):
     fixels : sequence of Fixel
         Fixed bodies.
     contact_friction : sequence of PairFriction
-        Overrides of the obstacle's own value. Every pair of free bodies needs one. An entry without
-        patterns comes before one with; among equals the first counts.
+        Overrides of the obstacle's own value. Every pair of free bodies needs one. Entries without
+        patterns take precedence over those with; then the first one applies.
     plane : Plane
-        Direction and place dependence of support friction.
+        Dependence of support friction on direction and place.
     gravity : float
-        [m/s^2], not negative.
+        Acceleration of gravity [m/s^2], not negative.
     duration : float
-        [s].
+        Simulated time [s].
     support_directions : int or None
-        None: exact friction disc at every support point. A number of at least 4: that many
-        directions, as in the linear form of the complementarity problem.
+        Number of friction directions at every support point, at least 4, as in the linear form of
+        the complementarity problem. None: the exact friction disc.
 
     Raises
     ------
     InvalidInput
-        No free body, two things of one name, a friction entry nothing answers to, free bodies
-        without one, or bodies that overlap at the start.
+        There is no free body, a name occurs twice, a friction entry names no body, a pair of free
+        bodies has no entry, or bodies overlap at the start.
     """
 
     bodies: tuple[Body, ...]

@@ -1,4 +1,4 @@
-"""Shapes: the geometry of a body, in the body's own frame."""
+"""Shapes: geometry of bodies in their own frames."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from fixel.model.fields import Comparable, frozen, positive, settle, table
 from fixel.typing import FloatArray
 
 # Share of the size of a polygon below which two points are one, and a vertex lies on a straight
-# edge. Larger values eat detail of finely digitised outlines.
+# edge. Larger values remove detail of finely digitised outlines.
 COINCIDENT = 1e-12
 
-# [m] Sizes of shapes; far beyond these, squares and products leave the range of float64.
+# [m] Limits of the size of shapes; far beyond, squares and products leave the range of float64.
 SMALLEST, LARGEST = 1e-12, 1e12
 
-# Corners of the polygon that stands for a disk in drawings.
+# Corners of the polygon that represents a disk in drawings.
 DRAWN_CORNERS = 64
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Polygon(Comparable):
-    """A simple polygon, convex or not.
+    """Simple polygon, convex or not.
 
     Parameters
     ----------
     vertices : (n, 2) array_like
-        Corners in order, in the frame of the shape [m], either orientation. Clockwise ones are
-        turned round; repeated vertices and vertices on a straight edge are taken out.
+        Corners in order, in the frame of the shape [m], in either orientation. Clockwise ones are
+        reversed; repeated vertices and vertices on a straight edge are removed.
 
     Attributes
     ----------
     area : float
-        [m^2].
+        Area [m^2].
     centroid : (2,) float64
-        In the frame of the shape [m].
+        Centroid in the frame of the shape [m].
     unit_inertia : float
         Polar second moment of area about the centroid, divided by the area [m^2]; times the mass it
         is the moment of inertia of a uniform body.
@@ -57,8 +57,8 @@ class Polygon(Comparable):
     Raises
     ------
     InvalidInput
-        Fewer than three corners, a number that is not finite, no area, or an outline that crosses
-        or touches itself.
+        The polygon has fewer than three corners, a number that is not finite, or no area, or its
+        outline crosses or touches itself.
     """
 
     vertices: FloatArray
@@ -85,26 +85,26 @@ class Polygon(Comparable):
 
     @property
     def outline(self) -> FloatArray:
-        """(n, 2) corners, counter-clockwise, in the frame of the shape [m]."""
+        """Corners (n, 2), counter-clockwise, in the frame of the shape [m]."""
         return self.vertices
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Disk(Comparable):
-    """A round disk about the origin of its frame.
+    """Disk about the origin of its frame.
 
-    Contacts treat it as exactly round; `outline` and `pieces` hold a 64-gon, for drawing only.
+    Contacts treat it as exactly round; `outline` and `pieces` are a 64-gon, for drawing only.
 
     Parameters
     ----------
     radius : float
-        [m].
+        Radius [m].
 
     Attributes
     ----------
     area, centroid, unit_inertia, is_convex, pieces
-        As for `Polygon`.
+        Attributes as for `Polygon`.
     """
 
     radius: float
@@ -115,12 +115,12 @@ class Disk(Comparable):
 
     @property
     def area(self) -> float:
-        """[m^2]."""
+        """Area [m^2]."""
         return pi * self.radius**2
 
     @property
     def centroid(self) -> FloatArray:
-        """(2,) the origin [m]."""
+        """Centroid (2,), the origin [m]."""
         return frozen(np.zeros(2))
 
     @property
@@ -130,18 +130,18 @@ class Disk(Comparable):
 
     @property
     def is_convex(self) -> bool:
-        """Always."""
+        """Whether the shape is convex: always True."""
         return True
 
     @property
     def outline(self) -> FloatArray:
-        """(64, 2) corners on the circle, counter-clockwise [m]."""
+        """Corners (64, 2) on the circle, counter-clockwise [m]."""
         angle = np.arange(DRAWN_CORNERS) * (2.0 * pi / DRAWN_CORNERS)
         return frozen(self.radius * np.column_stack((np.cos(angle), np.sin(angle))))
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
-        """The outline as one piece."""
+        """Convex pieces: the outline as one piece."""
         return convex_pieces(self.outline)
 
 
@@ -149,19 +149,19 @@ Shape = Polygon | Disk
 
 
 def placed(points: ArrayLike, pose: ArrayLike) -> FloatArray:
-    """Points of a frame, seen in the frame that holds its pose.
+    """Transform points from an inner frame to the outer frame of its pose.
 
     Parameters
     ----------
     points : (..., 2) array_like
-        In the inner frame [m].
+        Points in the inner frame [m].
     pose : (3,) array_like
-        Of the inner frame in the outer one [m, m, rad].
+        Pose of the inner frame in the outer one [m, m, rad].
 
     Returns
     -------
     (..., 2) float64
-        In the outer frame [m].
+        Points in the outer frame [m].
     """
     x, y, angle = np.asarray(pose, dtype=np.float64)
     c, s = np.cos(angle), np.sin(angle)
@@ -254,7 +254,7 @@ def _refuse_self_contact(scaled: FloatArray, vertices: FloatArray) -> None:
 
 
 def _crossing_edges(vertices: FloatArray) -> tuple[int, int] | None:
-    """Numbers of the first two edges that meet, for neighbours: along a length."""
+    """Indices of the first two edges that meet; neighbours must meet along a length."""
     n = len(vertices)
     edges = shapely.linestrings(np.stack((vertices, np.roll(vertices, -1, axis=0)), axis=1))
     tree = shapely.STRtree(edges)

@@ -1,4 +1,4 @@
-"""The box a calibration searches: named values with unit, bounds, scale and start."""
+"""Search space of a calibration: named values with unit, bounds, scale and start."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from fixel.model.fields import Comparable, finite, frozen, optional_positive, po
 from fixel.model.parameters import info_of, refuse_two_supports
 from fixel.typing import FloatArray
 
-# Of the range between its bounds: the scale of a parameter without one, as in Dakota.
+# Default scale of a parameter, as a share of the range between its bounds, as in Dakota.
 SHARE_OF_RANGE: Final = 0.1
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unknown(Comparable):
-    """One value to calibrate.
+    """Value to calibrate.
 
     Parameters
     ----------
     name : str
-        A known parameter: `"mu_pusher"`.
+        Name of a known parameter: `"mu_pusher"`.
     low, high : float
         Bounds, in the parameter's own unit.
     nominal : float
-        Where the search starts, and the value while it is frozen.
+        Start of the search, and the value while it is frozen.
     scale : float, optional
-        A step worth taking; a tenth of the range where left out.
+        Typical step of a search; by default a tenth of the range.
     frozen : bool
-        Whether it stays at its nominal value.
+        Whether it is fixed at its nominal value.
     prior : float, optional
-        Standard deviation about the nominal value that was known before.
+        Standard deviation of prior knowledge about the nominal value.
     where : mapping of str to str or float
-        Conditions of the experiments that share this value; all of them where empty. An experiment
-        takes the value of the first unknown of the name whose conditions it meets. The condition
-        `"experiment"` is the experiment's key.
+        Conditions of the experiments that share this value; empty for all experiments. An
+        experiment has the value of the first unknown of a name whose conditions it meets. The
+        condition `"experiment"` is the experiment's key.
     """
 
     name: str
@@ -82,32 +82,32 @@ class Unknown(Comparable):
 
     @property
     def label(self) -> str:
-        """The name, with whom it is shared by: `"mu_pusher[surface=plywood]"`."""
+        """Name with the conditions that share it: `"mu_pusher[surface=plywood]"`."""
         if not self.where:
             return self.name
         return f"{self.name}[{', '.join(f'{k}={v}' for k, v in self.where.items())}]"
 
     @property
     def unit(self) -> str:
-        """Of its value."""
+        """Unit of the value."""
         return info_of(self.name).unit
 
     def covers(self, conditions: Mapping[str, str | float]) -> bool:
-        """Whether an experiment under these conditions takes this value."""
+        """Whether the value applies to an experiment under these conditions."""
         return all(conditions.get(k) == v for k, v in self.where.items())
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterSpace(Comparable):
-    """Unknowns and where to look for them.
+    """Unknowns of a calibration with their bounds.
 
-    Arrays have one entry a *free* unknown, in their order; frozen ones are left out.
+    Arrays have one entry per *free* unknown, in their order; frozen ones are left out.
 
     Parameters
     ----------
     unknowns : sequence of Unknown
-        Each label once.
+        Unknowns with different labels.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -128,45 +128,45 @@ class ParameterSpace(Comparable):
 
     @property
     def free(self) -> tuple[Unknown, ...]:
-        """Those that a search may change."""
+        """Unknowns that a search may change."""
         return tuple(unknown for unknown in self.unknowns if not unknown.frozen)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the free unknowns."""
+        """Labels of the free unknowns."""
         return tuple(unknown.label for unknown in self.free)
 
     @property
     def low(self) -> FloatArray:
-        """(n_free,) lower bounds."""
+        """Lower bounds (n_free,)."""
         return frozen([unknown.low for unknown in self.free])
 
     @property
     def high(self) -> FloatArray:
-        """(n_free,) upper bounds."""
+        """Upper bounds (n_free,)."""
         return frozen([unknown.high for unknown in self.free])
 
     @property
     def nominal(self) -> FloatArray:
-        """(n_free,) start of the search."""
+        """Start of the search (n_free,)."""
         return frozen([unknown.nominal for unknown in self.free])
 
     @property
     def scale(self) -> FloatArray:
-        """(n_free,) steps worth taking."""
+        """Typical steps (n_free,) of a search."""
         return frozen(np.array([unknown.scale for unknown in self.free], np.float64))
 
     def values(self, point: ArrayLike) -> dict[str, float]:
-        """Value of every unknown, frozen ones too, by label, at a point (n_free,)."""
+        """Return the values of all unknowns, frozen ones too, by label, at a point (n_free,)."""
         free = dict(zip(self.labels, np.asarray(point, np.float64).tolist(), strict=True))
         return {u.label: free.get(u.label, u.nominal) for u in self.unknowns}
 
     def columns(
         self, points: ArrayLike, conditions: Mapping[str, str | float]
     ) -> dict[str, FloatArray]:
-        """Values by name of parameter for one experiment, at points (n, n_free) -> (n,) each.
+        """Return values (n,) by name of parameter for one experiment, at points (n, n_free).
 
-        A parameter that no unknown gives this experiment is left out.
+        Parameters without an unknown for this experiment are left out.
         """
         table = np.asarray(points, np.float64)
         free = {label: k for k, label in enumerate(self.labels)}
@@ -180,7 +180,7 @@ class ParameterSpace(Comparable):
         return found
 
     def with_frozen(self, values: Mapping[str, float]) -> ParameterSpace:
-        """The space with some unknowns frozen at values, by label."""
+        """Return the space with some unknowns frozen at values, by label."""
         strangers = set(values) - {unknown.label for unknown in self.unknowns}
         if strangers:
             raise InvalidInput(
@@ -196,7 +196,7 @@ class ParameterSpace(Comparable):
         )
 
     def started_at(self, point: ArrayLike) -> ParameterSpace:
-        """The space with its search starting at a point (n_free,), moved inside the bounds."""
+        """Return the space with the start at a point (n_free,), clipped to the bounds."""
         inside = np.clip(np.asarray(point, np.float64), self.low, self.high).tolist()
         start = dict(zip(self.labels, inside, strict=True))
         return ParameterSpace(
@@ -205,5 +205,5 @@ class ParameterSpace(Comparable):
 
 
 def shared_by(unknown: Unknown, condition: str, values: Sequence[str | float]) -> list[Unknown]:
-    """One unknown a value of a condition, each shared by the experiments that have it."""
+    """Create one unknown per value of a condition, shared by the experiments that have it."""
     return [replace(unknown, where={**unknown.where, condition: value}) for value in values]

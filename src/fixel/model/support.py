@@ -1,4 +1,4 @@
-"""How a body rests on the plane."""
+"""Supports of bodies on the plane: points, tripod, pressure or ellipsoid."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fixel.model.quadrature import cells
 from fixel.model.shape import Shape
 from fixel.typing import FloatArray
 
-# Share of the weight below which a negative load is rounding and becomes zero.
+# Share of the weight below which a negative load is a rounding error and becomes zero.
 LOAD_ROUNDING = 1e-12
 
 
@@ -38,9 +38,9 @@ class Tripod(Comparable):
     radius : float
         Distance of the points from the centre of mass [m].
     friction : float
-        Coefficient against the plane [-].
+        Coefficient of friction against the plane [-].
     angle : float
-        Of the first point, from the body's x axis [rad].
+        Angle of the first point from the body's x axis [rad].
     """
 
     radius: float
@@ -61,16 +61,16 @@ class Tripod(Comparable):
 class SupportPoints(Comparable):
     """Support at given points.
 
-    Three points carry what the balance out of the plane says. Otherwise loads are given, or equal.
+    Loads on three points follow from the balance out of the plane; others are given or equal.
 
     Parameters
     ----------
     points : (n, 2) array_like
-        In the frame of the shape [m].
+        Points in the frame of the shape [m].
     friction : float or (n,) array_like
-        Coefficients against the plane [-].
+        Coefficients of friction against the plane [-].
     loads : (n,) array_like, optional
-        Normal force at each point [N]; left out with three points.
+        Normal force at each point [N]; not for three points.
     """
 
     points: FloatArray
@@ -96,14 +96,14 @@ class SupportPoints(Comparable):
 class UniformPressure(Comparable):
     """Even pressure over the footprint, as quadrature points.
 
-    A centre of mass away from the centroid tilts the pressure linearly until the balance holds.
+    For a centre of mass away from the centroid, the pressure is tilted linearly to balance it.
 
     Parameters
     ----------
     friction : float
-        Coefficient against the plane [-].
+        Coefficient of friction against the plane [-].
     n_points : int
-        About how many points stand for the footprint; the next count that fits the shape is used.
+        Approximate number of points of the footprint; the exact one depends on the shape.
     """
 
     friction: float
@@ -125,7 +125,7 @@ class UniformPressure(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ellipsoid(Comparable):
-    """Ellipsoidal limit surface; choose points where the pressure is known.
+    """Ellipsoidal limit surface; prefer points where the pressure is known.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Ellipsoid(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoSupport(Comparable):
-    """No friction with the plane."""
+    """Support without friction."""
 
 
 Support = Tripod | SupportPoints | UniformPressure | Ellipsoid | NoSupport
@@ -162,34 +162,34 @@ Support = Tripod | SupportPoints | UniformPressure | Ellipsoid | NoSupport
 def support_points(
     support: Support, shape: Shape, centre_of_mass: ArrayLike, mass: float, gravity: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where a body presses on the plane, and how hard.
+    """Compute the support points of a body, and their loads and friction.
 
     Parameters
     ----------
     support : Support
-        Any but `Ellipsoid`, which has no points; `NoSupport` answers with empty arrays.
+        Support other than `Ellipsoid`, which has no points; `NoSupport` returns empty arrays.
     shape : Shape
         Footprint.
     centre_of_mass : (2,) array_like
-        In the frame of the shape [m].
+        Centre of mass in the frame of the shape [m].
     mass : float
-        [kg].
+        Mass of the body [kg].
     gravity : float
-        [m/s^2].
+        Acceleration of gravity [m/s^2].
 
     Returns
     -------
     points : (n, 2) float64
-        Relative to the centre of mass, body axes [m].
+        Points relative to the centre of mass, body axes [m].
     loads : (n,) float64
         Normal force at each point [N].
     friction : (n,) float64
-        Coefficient at each point [-].
+        Coefficient of friction at each point [-].
 
     Raises
     ------
     InvalidInput
-        A centre of mass the support cannot carry, or an `Ellipsoid`.
+        The support cannot carry the centre of mass, or is an `Ellipsoid`.
     """
     com = np.asarray(centre_of_mass, dtype=np.float64)
     weight = mass * gravity
@@ -232,7 +232,7 @@ def _point_loads(
 
 
 def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
-    """Shares of three points in a weight at the origin; refused when one would pull."""
+    """Shares of three points in a weight at the origin; raise if one would pull."""
     share = triangle_shares(points)
     if np.isnan(share).any():
         raise InvalidInput(
@@ -256,13 +256,13 @@ def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
 def triangle_shares(points: FloatArray) -> FloatArray:
     """Shares (..., 3) of three points (..., 3, 2) in a weight at the origin.
 
-    The barycentric coordinates of the origin: negative where a point would have to pull, NaN where
-    the three lie on one line.
+    These are the barycentric coordinates of the origin: negative where a point would have to pull,
+    NaN where the three lie on one line.
 
     Source: ASME 2006 paper, balance out of the plane.
     """
     a, b, c = (points[..., k, :] for k in range(3))
-    with np.errstate(over="ignore", invalid="ignore"):  # points too far off for their area
+    with np.errstate(over="ignore", invalid="ignore"):  # points too far away for their area
         area = np.stack((_cross(b, c), _cross(c, a), _cross(a, b)), axis=-1)
         total = area.sum(axis=-1, keepdims=True)
         size = np.ptp(points, axis=-2).max(axis=-1)[..., None]
@@ -276,7 +276,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArray:
-    """Shares of the weight that balance it, refused where one of them would be negative."""
+    """Tilt shares of the weight to balance it; raise if one would be negative."""
     tilted = tilted_shares(share, points)
     if tilted.min() < -LOAD_ROUNDING:
         x, y = -(share @ points)
@@ -291,15 +291,15 @@ def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArra
 
 
 def tilted_shares(share: FloatArray, points: FloatArray) -> FloatArray:
-    """Shares (..., n) of the weight under p0 (1 + a . r), with a such that their centre is the
-    origin; negative where the pressure would have to be.
+    """Tilt shares (..., n) of the weight under p0 to p0 (1 + a . r), such that their centre is the
+    origin; they may come out negative.
 
     Parameters
     ----------
     share : (..., n) float64
-        Of the weight under p0 [-].
+        Shares of the weight under p0 [-].
     points : (n, 2) float64
-        From the centre of mass [m].
+        Points relative to the centre of mass [m].
     """
     centroid = share @ points
     r = points - centroid[..., None, :]

@@ -1,4 +1,4 @@
-"""Poses against time, measured or computed."""
+"""Trajectories: poses against time, measured or simulated."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Trajectory(Comparable):
     Parameters
     ----------
     time : (n,) array_like
-        Increasing [s].
+        Increasing times [s].
     pose : (n, 3) array_like
-        In the world [m, m, rad]; angles may wrap.
+        Poses in the world [m, m, rad]; angles may wrap.
     """
 
     time: FloatArray
@@ -49,25 +49,25 @@ class Trajectory(Comparable):
         settle(self, time=time, pose=pose)
 
     def at(self, time: ArrayLike) -> FloatArray:
-        """(..., 3) poses at instants (...) [s]: linear, angles the short way; the ends go on."""
+        """Interpolate poses (..., 3) at times (...) [s], angles the short way; constant at ends."""
         x, y, angle = self.pose.T
         instants = np.asarray(time, dtype=np.float64)
         columns = (x, y, np.unwrap(angle))
         return np.stack([np.interp(instants, self.time, column) for column in columns], axis=-1)
 
     def resampled(self, time: ArrayLike) -> Trajectory:
-        """The trajectory at other instants (n,) [s]."""
+        """Return the trajectory at other times (n,) [s]."""
         instants = np.asarray(time, dtype=np.float64)
         return Trajectory(time=instants, pose=self.at(instants))
 
     def position_rms(self, other: Trajectory) -> float:
-        """Root mean square distance to another trajectory, at the instants of this one [m]."""
+        """Root mean square distance to another trajectory, at the times of this one [m]."""
         position, _ = pose_error(self.pose, other.at(self.time))
         return float(np.sqrt(np.mean(position**2)))
 
 
 def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """How far poses lie apart.
+    """Compute distance and angle between poses.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     position : (...) float64
         Distance [m].
     angle : (...) float64
-        From b to a, the short way, in [-pi, pi) [rad].
+        Angle from b to a, in [-pi, pi) [rad].
     """
     difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     return np.hypot(difference[..., 0], difference[..., 1]), wrapped(difference[..., 2])
@@ -88,8 +88,8 @@ def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
 def turned(start: float, end: float, frames: int) -> float:
     """Return the angle by which a body turned from the first to the last frame [rad].
 
-    Between two frames alone the short way is taken. Longer trajectories are stored with angles that
-    go on beyond half a turn.
+    For two frames this is the angle in [-pi, pi). Longer trajectories are stored with continuous
+    angles.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def turned(start: float, end: float, frames: int) -> float:
 
 
 def wrapped(angle: ArrayLike) -> FloatArray:
-    """Angles brought into [-pi, pi) [rad]; those already there are left bitwise alone."""
+    """Wrap angles into [-pi, pi) [rad]; those already there do not change by a bit."""
     given = np.asarray(angle, dtype=np.float64)
     turned = np.mod(given + pi, 2.0 * pi) - pi
     inside = (given >= -pi) & (given < pi)

@@ -41,7 +41,7 @@ class PusherTrace:
     force : (n_sample,) float64
         Force of the bodies on it, along its path [N].
     stalled : (n_sample,) bool
-        Whether its drive was at its force limit and lagged behind.
+        Whether its drive stalled: a speed below 1 % of the commanded one.
     """
 
     travel: float
