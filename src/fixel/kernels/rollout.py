@@ -1,4 +1,4 @@
-"""Many steps of one rollout, at a fixed step or at one chosen to meet a tolerance."""
+"""Loop over the steps of one rollout, of fixed length or chosen to meet a tolerance."""
 
 import math
 
@@ -47,7 +47,7 @@ SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end
 
 @allocating_kernel
 def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
-    """Empty problem and workspace large enough for every step of a rollout."""
+    """Allocate a problem and a workspace large enough for every step of a rollout."""
     n_free = model.mass.size
     n_driven = model.force_limit.size
     n_body = model.friction.shape[0]
@@ -114,7 +114,7 @@ def rollout(
 def begin(
     model: Model, state: State, velocity: FloatArray, step: float, problem: Problem, work: Workspace
 ) -> None:
-    """Set what stays the same during a rollout, and the velocities at time zero."""
+    """Write the constants of a rollout, and the velocities at time zero."""
     for b in range(model.mass.size):
         for k in range(3):
             state.velocity[3 * b + k] = velocity[b, k]
@@ -407,7 +407,7 @@ def _copy_state(source: State, target: State) -> None:
 def bounces(
     model: Model, state: State, motion: int, time: float, step: float, problem: Problem
 ) -> bool:
-    """Whether a contact that gives speed back is loaded in this step, and was approached."""
+    """Whether a contact with restitution is loaded in this step, and was approached."""
     if motion != codes.DYNAMIC:
         return False
     n_free = model.mass.size
@@ -467,7 +467,7 @@ def predict(
 
 @kernel
 def largest_change(problem: Problem, guess: FloatArray) -> float:
-    """Largest difference between the velocity found and the one guessed, over bodies and drives."""
+    """Largest difference between solved and guessed velocity, over bodies and drives."""
     largest = 0.0
     v = problem.velocity
     for o in range(0, problem.size[3], 3):
@@ -481,7 +481,7 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
 
 @kernel
 def largest_speed(problem: Problem) -> float:
-    """As `largest_change`, of the velocity found."""
+    """Largest speed of the solved velocity, over bodies and drives."""
     largest = 0.0
     v = problem.velocity
     for o in range(0, problem.size[3], 3):
@@ -494,7 +494,7 @@ def largest_speed(problem: Problem) -> float:
 
 @kernel
 def is_thrown(model: Model, state: State, time: float, step: float, problem: Problem) -> bool:
-    """Whether a body would be moved further than the step's rows hold, by nothing in sight.
+    """Whether a body would move further than the step's rows are valid, without a visible cause.
 
     Where surfaces almost oppose each other, a body that is squeezed between them finds room only
     by turning about a lever of no length: a million times as fast as it was asked to.
@@ -526,7 +526,7 @@ def fastest_in_sight(
 
 @kernel
 def untouched_change(problem: Problem, guess: FloatArray) -> float:
-    """As `largest_change`, over the bodies that no contact loads: with inertia, they never jump."""
+    """Largest difference as in `largest_change`, over bodies without loaded contacts only."""
     largest = 0.0
     v = problem.velocity
     for o in range(0, problem.size[3], 3):
@@ -545,7 +545,7 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 
 @large_kernel
 def forced_change(problem: Problem, before: FloatArray) -> float:
-    """Largest change of velocity that forces made over the step, as far as they can have made it.
+    """Largest change of velocity over the step that forces can explain.
 
     A jump is over at once, and no reason for short steps. What the wrenches and the friction of
     supports may have done took time, and a step that begins with a jump has nothing to be compared
@@ -703,7 +703,7 @@ def _sample_driven(
 
 @kernel
 def _is_impact(velocity: FloatArray, problem: Problem, i: int, step: float) -> bool:
-    """Return whether a contact changed the velocities of its bodies at once, unlike forces."""
+    """Whether a contact changed the velocities of its bodies suddenly, unlike forces."""
     along = 0.0
     size = 0.0
     for side in range(2):

@@ -98,7 +98,7 @@ def prepare_contacts(
     work: Workspace,
     ratio: float,
 ) -> bool:
-    """First part: where the bodies meet, with `ratio` times the impulses they met with before;
+    """Write the contacts of the bodies, with `ratio` times their previous impulses;
     False on overflow."""
     n_free = model.mass.size
     n_moving = n_free + model.force_limit.size
@@ -129,7 +129,7 @@ def prepare_contacts(
 def prepare_bodies(
     model: Model, state: State, motion: int, span: float, pose: FloatArray, problem: Problem
 ) -> int:
-    """Second part: the motion model's own rows; returns the number of support friction elements."""
+    """Write the rows of the motion model; returns the number of support friction elements."""
     assemble_bodies(model, state, motion, span, pose, problem)
     return assemble_elements(model, motion, span, pose, problem)
 
@@ -149,7 +149,7 @@ def prepare_rows(
     n_support: int,
     ratio: float,
 ) -> None:
-    """Third part: the drives, the stiffness of every block, the contact rows, the guess."""
+    """Write the drives, the stiffness of every block, the contact rows and the guess."""
     dof = 3 * model.mass.size
     n_element = n_support
     for d in range(model.force_limit.size):
@@ -297,7 +297,7 @@ def _prepare_contact(
 
 @large_kernel
 def creates_energy(model: Model, state: State, problem: Problem) -> bool:
-    """Return whether the contacts give the bodies more kinetic energy than they took.
+    """Whether the contacts give the bodies more kinetic energy than they took.
 
     Newton's law of restitution may, in several contacts at once or with friction. Where it does,
     this gives back half as much, after three times nothing, and the problem has to be solved again.
@@ -476,7 +476,7 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
 
 @kernel
 def move(model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
-    """Take the step: the poses follow the problem's velocity, and so do the velocities.
+    """Take the step: update poses and velocities from the problem's velocity.
 
     `ahead`: 0 where the problem's velocity is that of the step's end; where it is that of its
     middle, 2 if velocities changed smoothly, else 1.

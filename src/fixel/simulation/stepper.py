@@ -1,4 +1,4 @@
-"""Steppers: how time is cut into steps."""
+"""Steppers: choice of the lengths of time steps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fixel.typing import FloatArray
 
 
 class Attempt(NamedTuple):
-    """What came of one try at a step."""
+    """Result of one attempt at a step."""
 
     status: int  # codes.CONVERGED, CONTACT_OVERFLOW, MAX_ITERATIONS or THROWN
     residual: float
@@ -40,7 +40,7 @@ class Attempt(NamedTuple):
 
 
 class Advance(NamedTuple):
-    """A step that a stepper settled on, or why it could not."""
+    """Step that a stepper accepted, or the status of its failure."""
 
     status: int
     step: float
@@ -51,7 +51,7 @@ class Advance(NamedTuple):
 
 
 class Past(NamedTuple):
-    """What the last two steps were, scaled."""
+    """Velocities and lengths of the last two steps, scaled."""
 
     velocity: FloatArray  # (n_dof + 2,) of the last step, at its middle where that differs
     before: FloatArray  # (n_dof + 2,) of the step before
@@ -61,7 +61,7 @@ class Past(NamedTuple):
 
 
 class Try(Protocol):
-    """Tries a step and leaves the solution in the problem."""
+    """Function that attempts a step and writes the solution into the problem."""
 
     def __call__(
         self,
@@ -72,7 +72,7 @@ class Try(Protocol):
         hasty: bool = False,
         /,
     ) -> Attempt:
-        """Rows are taken `lead` of the step after its start, at the guessed velocity.
+        """Attempt a step with rows taken `lead` of it after its start, at the guessed velocity.
 
         Where a gap wider than `least` closes inside the step at that velocity, nothing is solved,
         and `Attempt.closing` tells when. `hasty`: a shorter step can be tried instead.
@@ -80,7 +80,7 @@ class Try(Protocol):
 
 
 class AbstractStepper(abc.ABC):
-    """Chooses the next step and where its rows are taken."""
+    """Abstract stepper, which chooses the next step and the place of its rows."""
 
     name: ClassVar[str]
     adaptive: ClassVar[bool] = False
@@ -226,7 +226,7 @@ class Adaptive(AbstractStepper):
     def advance(
         self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
-        """As the compiled loop in kernels/rollout.py, decision by decision."""
+        """Advance with the same decisions as the compiled loop in kernels/rollout.py."""
         trial = min(step, limits.left)
         if trial < limits.left < 1.5 * trial:
             trial = 0.5 * limits.left
