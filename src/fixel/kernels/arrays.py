@@ -68,7 +68,7 @@ class Problem(NamedTuple):
     size: IntArray  # (4,) n_dof, n_contact, n_element in use, n_dof of the free bodies
     inertia: FloatArray  # (n_dof + 2, 3) row of each degree of freedom within its own block
     momentum: FloatArray  # (n_dof + 2,)
-    velocity: FloatArray  # (n_dof + 2,) unknown; holds the guess, then the answer
+    velocity: FloatArray  # (n_dof + 2,) unknown; in: the guess, out: the solution
     stiffness: FloatArray  # (n_dof + 2,) impulse per velocity that the block typically needs
     contact_dof: (
         IntArray  # (n_contact, 2) first degree of freedom of the two bodies, -1 where prescribed
@@ -114,8 +114,8 @@ class Workspace(NamedTuple):
     centre: FloatArray  # (n_dof + 2,) proximal centre
     search: FloatArray  # (n_dof + 2, 3) line search: base, direction; saved velocity
     tableau: FloatArray  # (n_row, 2 n_row + 2) of the contacts and drives, in pivoting
-    basis: FloatArray  # (n_row,) column that each of its rows stands for
-    island_floats: FloatArray  # what islands.py keeps, see there; empty for few unknowns
+    basis: FloatArray  # (n_row,) column that each of its rows represents
+    island_floats: FloatArray  # buffers of islands.py, see there; empty for few unknowns
     island_indices: IntArray
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet
 
@@ -167,7 +167,7 @@ class Batch(NamedTuple):
     begin: IntArray  # (n_rollout, N_FAMILY) first row of each family, see batch.py
     count: IntArray  # type: ignore[assignment]  # (n_rollout, N_FAMILY) rows of each family
     model: (
-        Model  # friction, restitution and map_factor flattened; plane, map_frame: a row a rollout
+        Model  # friction, restitution and map_factor flattened; plane, map_frame: a row per rollout
     )
     map_shape: IntArray  # (n_rollout, 2)
     sides: IntArray  # (n_rollout,)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-# How a step or a rollout ended.
+# Status of a step or a rollout.
 CONVERGED: Final = 0
 JAMMED: Final = 1
 MAX_ITERATIONS: Final = 2
@@ -53,6 +53,6 @@ FIRST_ORDER: Final = 2
 NEWTON: Final = 0
 GAUSS_SEIDEL: Final = 1
 
-# How a body rests on the plane, element by element.
+# Kinds of support friction elements.
 POINT: Final = 0
 ELLIPSOID: Final = 1

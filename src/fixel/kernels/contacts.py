@@ -98,7 +98,7 @@ def find_near_pairs(
             if dx * dx + dy * dy < most * most:
                 if n == work.near.shape[0]:
                     return -1
-                # Keep the list sorted, whatever the sweep's order.
+                # Insert in order, independently of the sweep's.
                 k = n - 1
                 while k >= 0 and (
                     work.near[k, 0] > a or (work.near[k, 0] == a and work.near[k, 1] > b)

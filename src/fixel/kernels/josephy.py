@@ -8,7 +8,7 @@ solves along a path. One or two iterations are usual, each with tens of pivots o
 tableau.
 
 Source: Josephy (1979) for the method; Stewart & Trinkle (1996) for the linear problem, copositive,
-so that Lemke's method ends with an answer wherever prescribed motions do not squeeze a body.
+so that Lemke's method ends with a solution unless prescribed motions jam a body.
 """
 
 import math
@@ -213,7 +213,7 @@ def _couple_drive(
 def _lemke(t: FloatArray, basis: FloatArray, n: int) -> bool:
     """Pivot the tableau ``w - M z - z0 = q`` until z0 leaves; lexicographic, so it never cycles.
 
-    ``basis[r]`` is the column that row r stands for: w from 0, z from n, z0 is 2 n.
+    ``basis[r]`` is the column that row r represents: w from 0, z from n, z0 is 2 n.
     """
     q = 2 * n + 1
     row = -1

@@ -14,7 +14,7 @@ import numpy as np
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel
 from fixel.typing import FloatArray, IntArray
 
-# How a solve ended.
+# Results of a solve.
 SOLVED: Final = 0
 RAY: Final = 1  # ended on a ray: no solution, if M is copositive-plus; otherwise nothing is proven
 MAX_PIVOTS: Final = 2
@@ -29,8 +29,8 @@ TIE = 1e-13  # of the terms of a ratio: ratios as close as this are tied
 class Tableau(NamedTuple):
     """Problem, solution and scratch of Lemke's method, with room for n rows."""
 
-    matrix: FloatArray  # (n, n) M; kept
-    vector: FloatArray  # (n,) q; kept
+    matrix: FloatArray  # (n, n) M; unchanged
+    vector: FloatArray  # (n,) q; unchanged
     answer: FloatArray  # (n,) z; out
     trial: FloatArray  # (n,)
     table: FloatArray  # (n, n + 2) columns of the variables out of the basis, then the right side

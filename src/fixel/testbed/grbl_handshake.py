@@ -26,7 +26,7 @@ def greet(link: Serial, port: str) -> None:
     Raises
     ------
     InvalidInput
-        Something else answers, or nothing does.
+        Another device answers, or none.
     """
     heard = _until(link, b"Grbl", BOOT_TIME) if resets_on_opening(link) else b""
     for _ in range(QUESTIONS):

@@ -38,7 +38,7 @@ def source_of(
 
 
 def refuse_size(stream: Stream, size: tuple[int, int], name: str) -> None:
-    """Refuse pictures of another size than the rig's, before anything is recorded."""
+    """Raise for pictures of another size than the rig's, before recording starts."""
     if stream.size != size:
         raise InvalidInput(
             name,

@@ -12,7 +12,7 @@ from fixel.typing import BoolArray
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-MISSING: Final = -1  # stands for a missing reading in an array
+MISSING: Final = -1  # value of a missing reading in an array
 
 COLOURS: Final = ("blue", "red", "green")  # bits 0, 1, 2
 # The laboratory stored its readings in the order green, red, blue, and its contact mode is

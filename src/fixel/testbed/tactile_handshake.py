@@ -31,7 +31,7 @@ def shake_hands(
     Raises
     ------
     InvalidInput
-        Something else answers, or nothing does.
+        Another device answers, or none.
     """
     heard = _wait_for_boot(link, settle)
     if heard and GRBL.search(heard):
