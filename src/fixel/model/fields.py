@@ -41,7 +41,7 @@ def settle(instance: object, **values: object) -> None:
 
 
 def name_of(value: object, where: str) -> str:
-    """Check a name: non-empty text on one line."""
+    """Return a name, checked to be non-empty text on one line."""
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise InvalidInput(where, found=_quoted(value), expected="a name of printable characters")
     return value
@@ -55,32 +55,32 @@ def instance(value: object, kind: type | UnionType, where: str, expected: str) -
 
 
 def finite(value: object, where: str, unit: str = "") -> float:
-    """Check a finite number."""
+    """Return a value as a float, checked to be finite."""
     return _number(value, where, f"a finite number{_in(unit)}", lambda x: True)
 
 
 def positive(value: object, where: str, unit: str = "") -> float:
-    """Check a finite number above zero."""
+    """Return a value as a float, checked to be finite and above zero."""
     return _number(value, where, f"a number greater than 0{_in(unit)}", lambda x: x > 0.0)
 
 
 def non_negative(value: object, where: str, unit: str = "") -> float:
-    """Check a finite number of at least zero."""
+    """Return a value as a float, checked to be finite and at least zero."""
     return _number(value, where, f"a number of at least 0{_in(unit)}", lambda x: x >= 0.0)
 
 
 def fraction(value: object, where: str) -> float:
-    """Check a number from 0 to 1."""
+    """Return a value as a float, checked to be from 0 to 1."""
     return _number(value, where, "a number from 0 to 1", lambda x: 0.0 <= x <= 1.0)
 
 
 def optional_positive(value: object, where: str, unit: str = "") -> float | None:
-    """Check a finite number above zero, or None."""
+    """Return a value as a float, checked to be finite and above zero, or None."""
     return None if value is None else positive(value, where, unit)
 
 
 def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
-    """Check a row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
+    """Return a checked row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
     length = labels.count(",") + 1
     row = _floats(value, where, f"{length} numbers: {labels}")
     if row.shape != (length,):
@@ -90,7 +90,7 @@ def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
 
 
 def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
-    """Check rows of finite numbers, one column per comma-separated label; at least one row."""
+    """Return checked rows of finite numbers, one column per comma-separated label."""
     width = labels.count(",") + 1
     rows = _floats(value, where, f"rows of {width} numbers: {labels}")
     if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0:
