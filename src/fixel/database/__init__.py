@@ -1,1 +1,1 @@
-"""Where experiments are kept: a project folder, its database and its media."""
+"""Storage of experiments: a project folder, its database and its media files."""

@@ -1,4 +1,4 @@
-"""Tables of numbers as rows of `series`: in the database, or beyond a size as files."""
+"""Numeric tables as rows of `series`: in the database, or as files above a size limit."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from fixel.typing import FloatArray
 
 
 def bytes_of(values: FloatArray) -> bytes:
-    """(n, k) numbers, row after row, little-endian."""
+    """Return (n, k) numbers as bytes: float64, row by row, little-endian."""
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
 def array_of(data: bytes, n_row: int, n_column: int) -> FloatArray:
-    """The other way round."""
+    """Inverse of `bytes_of`."""
     return np.frombuffer(data, dtype="<f8").reshape(n_row, n_column).astype(np.float64)
 
 
 def row_of(
     owner: str, place: int, name: str, columns: tuple[str, ...], values: FloatArray, media: Path
 ) -> dict[str, Any]:
-    """A row of `series` without its owner's id; writes the file of one that is too long."""
+    """Row of `series` without its owner's id; values above `MEDIA_BYTES` are written to a file."""
     data = bytes_of(values)
     row = {
         "owner": owner,
@@ -70,7 +70,7 @@ def read_all(
 
 
 def keep(data: bytes, media: Path) -> str:
-    """Write bytes into the media folder under their checksum, once and for good; returns it."""
+    """Write bytes to the media folder under their SHA-256, unless already there; return it."""
     digest = hashlib.sha256(data).hexdigest()
     path = media_path(digest, media)
     if path.exists():
@@ -95,7 +95,7 @@ def keep(data: bytes, media: Path) -> str:
 
 
 def _settle_folder(folder: Path) -> None:
-    """Make the names in a folder survive a power cut, where the system can."""
+    """Flush the entries of a folder to disk, so that they survive a power cut; POSIX only."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -106,7 +106,7 @@ def _settle_folder(folder: Path) -> None:
 
 
 def fetch(digest: str, media: Path) -> bytes:
-    """The bytes of a checksum, or a refusal if they are gone or have changed."""
+    """Load the media file of a checksum; raise `StoreRefused` if it is missing or has changed."""
     path = media_path(digest, media)
     try:
         data = path.read_bytes()
@@ -122,5 +122,5 @@ def fetch(digest: str, media: Path) -> bytes:
 
 
 def media_path(digest: str, media: Path) -> Path:
-    """Where the file of a checksum is."""
+    """Path of the media file with a checksum."""
     return media / digest[:2] / digest

@@ -1,4 +1,4 @@
-"""A table of experiments as a person wants it: any column, any order, any condition, any page."""
+"""Table of experiments, filtered and sorted by any column or condition, page by page."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "del
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentView:
-    """Which experiments, and in which order.
+    """Filter, order and page of a table of experiments.
 
     Parameters
     ----------
     words : tuple of str
-        Each must stand somewhere: in the name, a condition, a flag or a note.
+        Each must occur in the name, a condition, a flag or a note.
     bounds : tuple of Bound
     flags : tuple of str
         Names of flags that each must carry.
     marks : tuple of str
-        Of `MARKS`. Without `deleted` those deleted are left out, without `replaced` those that a
-        correction has replaced.
+        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
+        experiments replaced by a correction only with `replaced`.
     sort : str
-        A column or a condition.
+        Column or condition to sort by.
     descending : bool
     limit : int, optional
     offset : int
@@ -60,7 +60,7 @@ class ExperimentView:
 
 
 class ExperimentRow(NamedTuple):
-    """A line of the table."""
+    """Row of the table of experiments."""
 
     id: int
     dataset: str
@@ -82,20 +82,20 @@ class ExperimentRow(NamedTuple):
 
 
 class Leaf(NamedTuple):
-    """One page of the table."""
+    """Page of the table of experiments, with counts."""
 
     rows: list[ExperimentRow]
-    total: int  # that match, on this page or not
-    faulty: int  # of these
+    total: int  # matching experiments on all pages
+    faulty: int  # matching experiments with a fault
 
 
 class Conditions(NamedTuple):
-    """What a condition was, among all experiments."""
+    """Values of one condition among all experiments."""
 
-    texts: dict[str, int]  # with how many
+    texts: dict[str, int]  # text -> number of experiments
     low: float | None
     high: float | None
-    numbers: int  # of experiments where it is a number
+    numbers: int  # number of experiments where it is a number
 
 
 # --- columns ----------------------------------------------------------------------------------
@@ -163,14 +163,14 @@ _n_note = (
 _dx = experiment.c.end_x_m - experiment.c.start_x_m
 _dy = experiment.c.end_y_m - experiment.c.start_y_m
 
-# Squares where a root would be asked for: their order is the same, and not every database has one.
+# Squares instead of roots: the order is the same, and not every database has a square root.
 TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
     "dataset": experiment.c.dataset,
     "name": experiment.c.name,
     "contacts": experiment.c.contact_mode,
     "created": experiment.c.created_at_utc,
 }
-# As `model.trajectory.turned` has it.
+# Same rule as `model.trajectory.turned`.
 _angle: Final = experiment.c.end_theta_rad - experiment.c.start_theta_rad
 _turned: Final = sa.case(
     (experiment.c.n_frame > 2, _angle),
@@ -208,7 +208,7 @@ def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
 
 
 def browse(connection: sa.Connection, view: ExperimentView) -> Leaf:
-    """One page of the table."""
+    """Return one page of the table, with the numbers of matching and of faulty experiments."""
     where = _where(connection, view)
     wanted = (
         sa.select(
@@ -248,7 +248,7 @@ def browse(connection: sa.Connection, view: ExperimentView) -> Leaf:
 
 
 def ids(connection: sa.Connection, view: ExperimentView) -> list[int]:
-    """Of all that match, in order."""
+    """Ids of all matching experiments, in the order of the view."""
     wanted = (
         sa.select(experiment.c.id)
         .select_from(_needed(view))
@@ -259,7 +259,7 @@ def ids(connection: sa.Connection, view: ExperimentView) -> list[int]:
 
 
 def unsimulated(connection: sa.Connection, view: ExperimentView) -> list[int]:
-    """Ids of those that match, have a scene and no simulation with nominal values yet."""
+    """Ids of matching experiments with a scene but no simulation with nominal parameters yet."""
     wanted = (
         sa.select(experiment.c.id)
         .select_from(_FROM)
@@ -277,7 +277,7 @@ def unsimulated(connection: sa.Connection, view: ExperimentView) -> list[int]:
 def tally(
     connection: sa.Connection, view: ExperimentView, names: Sequence[str]
 ) -> list[tuple[Any, ...]]:
-    """What those that match have there: a text, a number or null for each name, then how many."""
+    """Count distinct combinations of values: one text, number or None per name, then the count."""
     chosen = [_text_and_number(connection, name) for name in names]
     every = (
         sa.select(*(e.label(f"c{k}") for k, e in enumerate(e for some in chosen for e in some)))
@@ -306,13 +306,13 @@ def _values(
 
 
 def _text_and_number(connection: sa.Connection, name: str) -> tuple[Any, ...]:
-    """Of a condition both, of which one is null; of a column what it has."""
+    """SQL expressions for a name: text and number of a condition (one is null), or one column."""
     known = (TEXTS | NUMBERS | SQUARES).get(name)
     return _condition(connection, name) if known is None else (known,)
 
 
 def conditions(connection: sa.Connection) -> dict[str, Conditions]:
-    """What was written down of experiments, by name."""
+    """Values of all conditions of experiments that are not deleted, by name."""
     every = _each_condition(connection)
     grouped = sa.select(
         every.c.name,
@@ -335,7 +335,7 @@ def conditions(connection: sa.Connection) -> dict[str, Conditions]:
 
 
 def _each_condition(connection: sa.Connection) -> sa.Subquery:
-    """A row for each condition of each experiment: its name, and a number or else a text."""
+    """Subquery with one row per condition of each experiment: name, number and text."""
     if connection.dialect.name == "postgresql":
         each = sa.func.json_each(experiment.c.conditions).table_valued("key", "value")
         text: Any = each.c.value.op("#>>")(sa.literal_column("'{}'"))
@@ -356,7 +356,7 @@ def _each_condition(connection: sa.Connection) -> sa.Subquery:
 
 
 def _needed(view: ExperimentView, names: Iterable[str] = ()) -> Any:
-    """What to look in: without the errors where nobody asks for them."""
+    """Tables to select from; errors are joined only where a view or name refers to them."""
     asked = {view.sort, *names, *(bound.name for bound in view.bounds)}
     return _FROM if asked & {"before_mm", "after_mm", "error_mm"} else experiment
 
@@ -391,7 +391,7 @@ def _held(connection: sa.Connection, bound: Bound) -> Any:
             raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
         if name in NUMBERS:
             return relate(NUMBERS[name], value)
-        # Nothing is as small as a negative bound; all is as large.
+        # The sign is retained: every error exceeds a negative bound.
         return relate(SQUARES[name], value * abs(value))
     return condition_holds(connection.dialect.name, bound)
 
@@ -410,7 +410,7 @@ def _has_word(word: str) -> Any:
 
 
 def _order(connection: sa.Connection, view: ExperimentView) -> list[Any]:
-    """What is not known stands last either way; equals by id."""
+    """Clauses of ORDER BY: nulls come last in both directions, ties are ordered by id."""
     keys: tuple[Any, ...]
     if view.sort in TEXTS or view.sort in NUMBERS or view.sort in SQUARES:
         keys = ((TEXTS | NUMBERS | SQUARES)[view.sort],)

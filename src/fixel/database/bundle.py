@@ -1,11 +1,11 @@
-"""Bundles: experiments with all that was computed from them, in one file for another project.
+"""Export and import of bundles: experiments and all results computed from them, in one file.
 
 A bundle is a zip of a manifest with the checksums of all members, a file of JSON lines for each
-kind of record, the tables of numbers as npy files, and videos; both named by their content. The
+kind of record, numeric tables as npy files, and videos; both are named by their checksum. The
 same records always give the same bytes.
 
-A bundle has experiments that a correction has replaced and those with flags, but not those deleted:
-who deletes one does not want to pass it on.
+A bundle includes flagged experiments and those replaced by a correction, but not deleted ones:
+a deletion means that the experiment should not be passed on.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from fixel.typing import Progress
 
 _T = TypeVar("_T")
 
-# The earliest a zip can say: bundles of the same records are the same to the last byte.
+# Earliest date of the zip format, so that bundles of the same records are equal bit for bit.
 _INSTANT: Final = (1980, 1, 1, 0, 0, 0)
 _FILE_MODE: Final = 0o100644 << 16
 
@@ -71,14 +71,14 @@ _FILE_MODE: Final = 0o100644 << 16
 @final
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class ExportSummary:
-    """What a bundle has.
+    """Numbers of exported and of omitted records.
 
     Attributes
     ----------
     counts : dict of str to int
-        Records of each kind, and ``flagged`` and ``replaced``: how many experiments of them are so.
+        Records of each kind; ``flagged`` and ``replaced`` count experiments with these marks.
     left_out : dict of str to int
-        ``deleted`` experiments, and ``calibrations`` with an experiment that the bundle has not.
+        ``deleted`` experiments, and ``calibrations`` that use an experiment outside the bundle.
     """
 
     counts: dict[str, int]
@@ -92,23 +92,23 @@ def export_bundle(
     dataset: str | None = None,
     progress: Progress | None = None,
 ) -> ExportSummary:
-    """Write the experiments of a project, or of one dataset of it, with all computed from them.
+    """Write a bundle of a project's experiments, or of one dataset, and the results from them.
 
     Parameters
     ----------
     store : Store
     path : Path
-        A ``.zip``; replaced whole once it is complete.
+        Bundle to write, a ``.zip``; replaced atomically once it is complete.
     dataset : str, optional
     progress : callable, optional
-        Told how many experiments of how many are done.
+        Called with the number of exported experiments and their total.
 
     Raises
     ------
     InvalidInput
-        A file that cannot be written.
+        The file cannot be written.
     StoreRefused
-        A series or a video that the media folder has lost.
+        A series or a video is missing in the media folder, or has changed.
     """
     ids = _ids(store, dataset)
     with written_whole(path) as unfinished:
@@ -135,7 +135,7 @@ def _to_disk(path: Path) -> None:
 
 @final
 class _Writer:
-    """A bundle on its way into a zip."""
+    """Writer of one bundle into a zip archive."""
 
     def __init__(
         self, store: Store, archive: zipfile.ZipFile, ids: list[int], *, whole: bool
@@ -144,12 +144,12 @@ class _Writer:
         self._archive = archive
         self._ids = ids
         self._place = {number: place for place, number in enumerate(ids)}
-        self._whole = whole  # then settings that no run has used are in it, too
+        self._whole = whole  # also export filter settings that no run has used
         self._members: dict[str, dict[str, Any]] = {}
         self._parameters: dict[Parameters, int] = {}
 
     def write(self, progress: Progress | None) -> ExportSummary:
-        """Everything, the manifest last."""
+        """Write all records, then the manifest."""
         kept, left_out = self._calibrations()
         settings = self._settings()
         files: dict[str, Iterable[dict[str, Any]]] = {
@@ -160,7 +160,7 @@ class _Writer:
             "filter_runs.jsonl": self._filter_runs(settings),
         }
         counts = {name.removesuffix(".jsonl"): self._file(name, x) for name, x in files.items()}
-        # Last: it is the other records that say which parameters there are.
+        # Last, since the parameters are collected from the other records.
         counts["parameters"] = self._file(
             "parameters.jsonl", [{"values": dict(p)} for p in self._parameters]
         )
@@ -228,7 +228,7 @@ class _Writer:
             }
 
     def _calibrations(self) -> tuple[list[CalibrationRecord], int]:
-        """Those whose experiments are all here, and how many have only some here."""
+        """Calibrations whose experiments are all exported, and the number of those left out."""
         kept, left_out = [], 0
         for number in self._live(tables.calibration):
             record = self._store.calibration(number)
@@ -260,7 +260,7 @@ class _Writer:
         }
 
     def _settings(self) -> list[int]:
-        """Ids of the filter parameters that belong to these experiments."""
+        """Ids of the filter parameters to export: all, or those used with these experiments."""
         every = self._live(tables.filter_parameters)
         if self._whole:
             return every
@@ -347,7 +347,7 @@ class _Writer:
         self._members[name] = {"bytes": size, "sha256": digest}
 
     def _file(self, name: str, lines: Iterable[dict[str, Any]]) -> int:
-        # Series are written while their records are made: a zip takes one member at a time.
+        # Collect the lines first: their series are written meanwhile, one zip member at a time.
         texts = [_json(line) for line in lines]
         data = "".join(text + "\n" for text in texts).encode()
         self._member(name, data, hashlib.sha256(data).hexdigest())
@@ -366,7 +366,7 @@ class _Writer:
 
 
 def _json(line: dict[str, Any]) -> str:
-    # Errors of calibrations may be infinite; Python reads what it writes of them.
+    # Errors of calibrations may be infinite, which Python writes and reads as Infinity.
     return json.dumps(line, sort_keys=True, ensure_ascii=False, allow_nan=True)
 
 
@@ -378,7 +378,7 @@ def _info(name: str, packing: int) -> zipfile.ZipInfo:
 
 
 def _looks_like_a_bomb(data: bytes) -> bool:
-    """Whether data packs so well that importing would refuse it: the same number all over."""
+    """Whether data compress so well that `import_bundle` would reject them as a zip bomb."""
     return len(data) > LIMITS.small and len(zlib.compress(data, 6)) * LIMITS.ratio < 2 * len(data)
 
 
@@ -396,23 +396,23 @@ def import_bundle(
     limits: BundleLimits = LIMITS,
     progress: Progress | None = None,
 ) -> dict[str, int]:
-    """Add the records of a bundle to a project; returns how many of each kind were new.
+    """Add the records of a bundle to a project; return the number of new ones by kind.
 
-    All members are checked before the first record is added. Each experiment has a transaction of
-    its own, and so has each record computed from it: importing again after an interruption adds
-    what was missing, and otherwise nothing.
+    All members are checked before the first record is added. Each experiment and each result is
+    added in its own transaction. Importing again after an interruption adds only the missing
+    records.
 
     Returns
     -------
     counts : dict of str to int
-        New records by kind; ``known``: experiments that were there already; ``flags``: added to
-        those; ``outdated``: of which the project has a newer version already. They come in as
-        deleted, since a listing shows what came last.
+        New records by kind; ``known``: experiments already in the project; ``flags``: flags added
+        to those; ``outdated``: new experiments of which the project has a newer version. They are
+        added as deleted, since a listing shows the experiment added last.
 
     Raises
     ------
     InvalidInput
-        No bundle, a damaged one, or one that means harm.
+        The file is no bundle, is damaged, or is malicious.
     StoreRefused
         The project cannot be written to.
     """
@@ -422,7 +422,7 @@ def import_bundle(
 
 @final
 class _Reader:
-    """A bundle on its way into a project."""
+    """Reader of one bundle into a project."""
 
     def __init__(self, bundle: BundleFile, store: Store) -> None:
         self._bundle = bundle
@@ -432,7 +432,7 @@ class _Reader:
         self._new |= {"known": 0, "flags": 0, "outdated": 0}
 
     def read(self, progress: Progress | None) -> dict[str, int]:
-        """Everything, in the order in which records refer to each other."""
+        """Add all records, each after those it refers to; return the counts of new ones."""
         self._experiments(progress)
         parameters = [
             self._made(where, lambda line=line: Parameters(line.values))  # type: ignore[misc]
@@ -455,7 +455,7 @@ class _Reader:
                 progress(place + 1, total)
 
     def _outdated(self) -> set[int]:
-        """Places of experiments that one known to the project replaces in the bundle."""
+        """Places of experiments that the bundle replaces by one the project already has."""
         newer: set[tuple[str, str]] = set()
         found = set()
         heads = []
@@ -510,7 +510,7 @@ class _Reader:
         return number
 
     def _video(self, digest: str) -> None:
-        """Put a video into the media folder; its checksum has been seen to be right."""
+        """Copy a video to the media folder; its checksum has been verified on opening."""
         path = arrays.media_path(digest, self._store._media)
         if path.exists():
             return
@@ -550,7 +550,7 @@ class _Reader:
                 self._new["calibrations"] += 1
 
     def _filter_parameters(self) -> list[int]:
-        """Ids of the settings of filters, by their places."""
+        """Add new filter parameters; return the ids of all, in the order of the bundle."""
         numbers = self._all(tables.filter_parameters)
         known = {self._store.filter_parameters(k): k for k in reversed(numbers)}
         ids = []
@@ -584,7 +584,7 @@ class _Reader:
 
 @contextmanager
 def _refusing(where: str) -> Iterator[None]:
-    """What a line cannot be, said with its place."""
+    """Report any error in a line as `InvalidInput` with its place."""
     try:
         yield
     except ValidationError as problem:
@@ -610,7 +610,7 @@ def _insert_flags(connection: sa.Connection, number: int, lines: list[FlagLine])
 
 
 def _add_missing(connection: sa.Connection, number: int, lines: list[FlagLine]) -> int:
-    """Flags found elsewhere, unless they have ever been here: taken off, they stay off."""
+    """Add flags that the experiment never had here, so that removed flags stay removed."""
     flag = tables.flag
     wanted = sa.select(flag.c.name, flag.c.detail).where(flag.c.experiment_id == number)
     here = {(row.name, row.detail) for row in connection.execute(wanted)}
@@ -624,7 +624,7 @@ def _add_missing(connection: sa.Connection, number: int, lines: list[FlagLine]) 
 
 
 def _add_notes(connection: sa.Connection, number: int, lines: list[NoteLine]) -> None:
-    """Notes written elsewhere, unless they have ever been here: deleted, they stay so."""
+    """Add notes that the experiment never had here, so that deleted notes stay deleted."""
     note = tables.note
     wanted = sa.select(note.c.text, note.c.created_at_utc).where(note.c.experiment_id == number)
     here = {(row.text, row.created_at_utc) for row in connection.execute(wanted)}

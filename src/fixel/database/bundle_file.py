@@ -1,7 +1,7 @@
-"""The zip file of a bundle, which may be hostile: every member is checked before one is used.
+"""Zip file of a bundle, possibly malicious: all members are checked before any is used.
 
-Nothing is ever unpacked under a name that the file gives. A name is one of `FILES`, or
-``series/SHA256.npy``, or ``media/SHA256``; anything else is refused.
+Nothing is unpacked under a name from the file. Members are named ``manifest.json``, as in `FILES`,
+``series/SHA256.npy`` and ``media/SHA256``; any other is rejected.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ _Kind = TypeVar("_Kind", bound=Line)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleLimits:
-    """How large a bundle may be, so that a small file cannot fill a disk or the memory."""
+    """Maximum sizes of a bundle, so that a small file cannot fill a disk or the memory."""
 
     members: int = 1_000_000
     total: int = 200_000_000_000  # [bytes], unpacked
-    in_memory: int = 1_000_000_000  # [bytes], of a member that is read at once
+    in_memory: int = 1_000_000_000  # [bytes], member that is read at once
     line: int = 10_000_000  # [bytes]
-    ratio: int = 100  # unpacked to packed, of members beyond `small`
+    ratio: int = 100  # unpacked to packed size, for members larger than `small`
     small: int = 1_000_000  # [bytes]
 
 
@@ -60,12 +60,12 @@ LIMITS: Final = BundleLimits()
 
 @final
 class BundleFile:
-    """A bundle whose members are all there, and are what its manifest says.
+    """Bundle whose members are complete and match the checksums of its manifest.
 
     Raises
     ------
     InvalidInput
-        From here and from every method: no bundle, a damaged one, or one that means harm.
+        From the constructor and every method: no bundle, or a damaged or malicious one.
     """
 
     def __init__(self, path: Path, limits: BundleLimits = LIMITS) -> None:
@@ -92,7 +92,7 @@ class BundleFile:
     # --- reading --------------------------------------------------------------------------------
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """The bytes of a member, and a refusal once there are more than it announced."""
+        """Read a member piece by piece; raise if it is longer than its announced size."""
         if name not in self._infos:
             raise self._refused(f"no member {name}", "all that its records name")
         left = self._infos[name].file_size
@@ -107,14 +107,14 @@ class BundleFile:
             raise self._refused(f"{name} damaged: {problem}", "a whole bundle") from None
 
     def lines(self, name: str, kind: type[_Kind]) -> Iterator[tuple[str, _Kind]]:
-        """Where each line stands, and what it says."""
+        """Read the lines of a member; yield the place of each, for errors, and its record."""
         with self._zip.open(name) as stream:
             for number, text in enumerate(self._raw_lines(stream, name), start=1):
                 where = f"{self.path}: {name}, line {number}"
                 yield where, parsed(text, where, kind)
 
     def series(self, lines: list[SeriesLine]) -> list[Measured]:
-        """The tables of numbers that a record names."""
+        """Load the series that a record refers to: name, columns and values."""
         return [(s.name, tuple(s.columns), self._array(s)) for s in lines]
 
     def _raw_lines(self, stream: IO[bytes], name: str) -> Iterator[bytes]:
@@ -155,7 +155,7 @@ class BundleFile:
 
     def _check_info(self, info: zipfile.ZipInfo) -> None:
         name, limits = info.filename, self._limits
-        # `orig_filename` is what the file says; Python cuts `filename` at a null byte.
+        # `orig_filename` is the name in the file; Python cuts `filename` at a null byte.
         if info.orig_filename != name or not _is_member(name):
             raise self._refused(f"the member {name!r}", "only members of a bundle")
         if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
@@ -212,7 +212,7 @@ def _is_member(name: str) -> bool:
 
 
 def decoded(data: bytes, where: str) -> Any:
-    """What a JSON text says."""
+    """Parse JSON in UTF-8; `where` names it in errors."""
     try:
         return parse_json(data.decode("utf-8"), where)
     except UnicodeDecodeError:
@@ -220,12 +220,12 @@ def decoded(data: bytes, where: str) -> Any:
 
 
 def parsed(data: bytes, where: str, kind: type[_Kind]) -> _Kind:
-    """A line of a bundle."""
+    """Parse and validate one JSON line of a bundle."""
     return validated(decoded(data, where), where, kind)
 
 
 def validated(content: Any, where: str, kind: type[_Kind]) -> _Kind:
-    """Plain content as a line."""
+    """Validate parsed JSON as a line of a kind."""
     try:
         return kind.model_validate(content)
     except ValidationError as problem:
@@ -233,22 +233,22 @@ def validated(content: Any, where: str, kind: type[_Kind]) -> _Kind:
 
 
 def first_of(problem: ValidationError, where: str) -> InvalidInput:
-    """The first complaint of many, as ours."""
+    """First error of a validation, as `InvalidInput`."""
     first = problem.errors()[0]
     place = ".".join(map(str, first["loc"]))
     return InvalidInput(f"{where}: {place}", found=first["msg"].lower(), expected="a fixel record")
 
 
 def npy_of(values: FloatArray) -> bytes:
-    """(n, k) numbers as an npy file; the same numbers always give the same bytes."""
+    """Return (n, k) numbers as an npy file; equal numbers always give equal bytes."""
     stream = io.BytesIO()
     np.save(stream, np.ascontiguousarray(values, dtype="<f8"), allow_pickle=False)
     return stream.getvalue()
 
 
 def read_npy(data: bytes, where: str) -> FloatArray:
-    """The other way round: only a plain table of float64, and never more than is in the file."""
-    # np.load would set aside what the header asks for before it looks how much there is.
+    """Inverse of `npy_of`: accepts only a 2-D float64 array of exactly the size in its header."""
+    # np.load would allocate the size given in the header before it checks the size of the data.
     stream = io.BytesIO(data)
     expected = "a table of little-endian float64"
     try:

@@ -1,7 +1,7 @@
-"""The lines of a bundle: what each of its JSON files says, checked before it is believed.
+"""Schemas of the JSON lines of a bundle, validated before any record is created.
 
 Names are those of the tables' columns. Records refer to each other by their places in the files,
-from 0, never by ids, which another project has given away already.
+counted from 0, not by ids, which mean other records in another project.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from fixel.model.records import (
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Place = Annotated[int, Field(ge=0)]
-# Integers stay integers: the checksum of an experiment tells 5 from 5.0.
+# Integers stay integers: the checksum of an experiment distinguishes 5 from 5.0.
 Plain = dict[str, str | bool | int | float]
 
 
 class Line(BaseModel):
-    """One line, nothing unknown in it."""
+    """Base of all lines; rejects unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class SeriesLine(Line):
-    """A table of numbers: a member ``series/SHA256.npy``."""
+    """Reference to a numeric table, the member ``series/SHA256.npy``."""
 
     name: str = Field(max_length=100)
     columns: list[str]
@@ -43,41 +43,41 @@ class SeriesLine(Line):
 
 
 class FlagLine(Line):
-    """A flag, live or taken off again."""
+    """Flag of an experiment, current or removed."""
 
     name: str = Field(max_length=100)
     detail: str
     is_fault: bool
-    is_of_import: bool  # it came with the experiment, and counts in its checksum
+    is_of_import: bool  # it came with the experiment and is part of its checksum
     created_at_utc: str = Field(max_length=40)
     deleted_at_utc: str | None = Field(max_length=40)
 
     @property
     def flag(self) -> Flag:
-        """The flag itself."""
+        """Flag without its history."""
         return Flag(self.name, self.detail, self.is_fault)
 
 
 class NoteLine(Line):
-    """What somebody wrote beside an experiment."""
+    """Note that a user attached to an experiment."""
 
     text: str = Field(min_length=1, max_length=10_000)
     created_at_utc: str = Field(max_length=40)
 
 
 class SourceEntry(Line):
-    """Where a record comes from."""
+    """Provenance of a record."""
 
     created_at_utc: str = Field(max_length=40)
     fixel_version: str = Field(max_length=40)
     command: str
     source_file: str
     source_sha256: str = Field(max_length=64)
-    seed: int | None = Field(ge=-(2**63), lt=2**63)  # what a database holds
+    seed: int | None = Field(ge=-(2**63), lt=2**63)  # range of the database column
 
 
 class ExperimentLine(SourceEntry):
-    """An experiment."""
+    """Experiment without its series."""
 
     dataset: str = Field(max_length=200)
     name: str = Field(max_length=400)
@@ -95,24 +95,24 @@ class ExperimentLine(SourceEntry):
     video_sha256: Sha256 | None
     flags: list[FlagLine]
     series: list[SeriesLine]
-    notes: list[NoteLine] = []  # left out where there are none: older programs know no notes
+    notes: list[NoteLine] = []  # omitted if empty: older versions of fixel know no notes
 
     def record(self, measured: list[Measured]) -> Experiment:
-        """The experiment as it was when it was first stored."""
-        # The line has the names of the row, so the row's own reader reads it.
+        """Experiment as first stored, with the flags of its import only."""
+        # The line has the same names as the row, so the reader of rows can read it.
         row = self.model_copy(update={"video_sha256": self.video_sha256 or ""})
         flags = tuple(line.flag for line in self.flags if line.is_of_import)
         return rows.experiment_of(cast("sa.Row[Any]", row), flags, measured)
 
 
 class ParametersLine(Line):
-    """A set of parameters."""
+    """Values of a set of parameters, by name."""
 
     values: dict[str, float]
 
 
 class SimulationLine(SourceEntry):
-    """A simulation."""
+    """Simulation without its series."""
 
     experiment: Place
     parameters: Place
@@ -125,7 +125,7 @@ class SimulationLine(SourceEntry):
     def record(
         self, experiment_id: int, parameters: Parameters, measured: list[Measured]
     ) -> SimulationRecord:
-        """The record, of an experiment by another id."""
+        """Record of the simulation, for an experiment id of this project."""
         paths = {name: rows.trajectory_of(values) for name, _, values in measured}
         return SimulationRecord(
             experiment_id=experiment_id,
@@ -141,7 +141,7 @@ class SimulationLine(SourceEntry):
 
 
 class MemberLine(Line):
-    """An experiment of a calibration."""
+    """Member of a calibration: an experiment, its weight and its error."""
 
     experiment: Place
     weight: float
@@ -149,7 +149,7 @@ class MemberLine(Line):
 
 
 class EstimateLine(Line):
-    """What a calibration says about a parameter."""
+    """Estimate of one parameter by a calibration."""
 
     label: str
     unit: str
@@ -161,7 +161,7 @@ class EstimateLine(Line):
 
 
 class CalibrationLine(SourceEntry):
-    """A calibration."""
+    """Calibration without its series."""
 
     name: str = Field(max_length=400)
     parameters: Place
@@ -174,7 +174,7 @@ class CalibrationLine(SourceEntry):
     def record(
         self, ids: list[int], parameters: Parameters, measured: list[Measured]
     ) -> CalibrationRecord:
-        """The record, of experiments by other ids."""
+        """Record of the calibration, for experiment ids of this project."""
         return CalibrationRecord(
             name=self.name,
             parameters=parameters,
@@ -187,14 +187,14 @@ class CalibrationLine(SourceEntry):
 
 
 class FilterParametersLine(SourceEntry):
-    """Settings of a filter."""
+    """Settings of a filter, with their provenance."""
 
     name: str = Field(max_length=400)
     is_particle_filter: bool
     options: Plain
 
     def record(self) -> FilterParameters:
-        """The record."""
+        """Record of the settings."""
         return FilterParameters(
             name=self.name,
             is_particle_filter=self.is_particle_filter,
@@ -204,7 +204,7 @@ class FilterParametersLine(SourceEntry):
 
 
 class FilterRunLine(SourceEntry):
-    """What a filter made of an experiment."""
+    """Run of a filter on an experiment, without its series."""
 
     experiment: Place
     filter_parameters: Place
@@ -216,7 +216,7 @@ class FilterRunLine(SourceEntry):
     def record(
         self, experiment_id: int, filter_parameters_id: int, measured: list[Measured]
     ) -> FilterRun:
-        """The record, of an experiment and settings by other ids."""
+        """Record of the filter run, for ids of this project."""
         found = {name: (columns, values) for name, columns, values in measured}
         estimates = found.get("estimates")
         more = {} if estimates is None else {"estimates": estimates[1]}
@@ -234,14 +234,14 @@ class FilterRunLine(SourceEntry):
 
 
 class MemberCheck(Line):
-    """Size and checksum of a member."""
+    """Size and checksum of a zip member."""
 
     bytes: Place
     sha256: Sha256
 
 
 class Manifest(Line):
-    """What the bundle is, and what must be in it."""
+    """Format and version of a bundle, and the members it must contain."""
 
     format: str
     version: int

@@ -1,4 +1,4 @@
-"""Opening a database: the same behaviour from a file and from a server, and refusals that help."""
+"""Connections and transactions, alike on SQLite and PostgreSQL, and readable database errors."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sqlalchemy import event, exc
 
 from fixel.errors import StoreRefused
 
-# File systems on which the locks of several machines do not see each other.
+# Network file systems, where a lock of one machine is invisible to the others.
 NETWORK: Final = frozenset(
     {"nfs", "nfs4", "cifs", "smb", "smb2", "smb3", "smbfs", "ncpfs", "afs", "fuse.sshfs"}
     | {"lustre", "gpfs", "beegfs", "ceph", "fuse.ceph", "fuse.glusterfs", "orangefs"}
     | {"davfs", "fuse.davfs2"}
 )
-_WRITERS: Final = 5130624061  # number of the lock that writers hold; any would do
-WAIT_S: Final = 20.0  # for another process to finish its transaction
+_WRITERS: Final = 5130624061  # arbitrary number of the advisory lock of writers
+WAIT_S: Final = 20.0  # maximum wait for the transaction of another process
 
 
 def open_engine(url: str) -> sa.Engine:
-    """An engine for a database that exists or, for SQLite, can be made.
+    """Create an engine for a database that exists or, with SQLite, can be created.
 
     Raises
     ------
@@ -56,14 +56,14 @@ def _sqlite(url: sa.URL) -> sa.Engine:
 
     @event.listens_for(engine, "connect")
     def set_up(connection: Any, _: object) -> None:
-        # Transactions begin where we say so, below; the driver would begin them late.
+        # `begin` below starts the transactions; the driver would start them late.
         connection.isolation_level = None
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
 
     @event.listens_for(engine, "begin")
     def begin(connection: sa.Connection) -> None:
-        # A reader that turns writer may be refused at once; a writer from the start waits.
+        # A read transaction that starts to write may fail at once; BEGIN IMMEDIATE waits.
         writing = connection.get_execution_options().get("writing", False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
 
@@ -71,14 +71,14 @@ def _sqlite(url: sa.URL) -> sa.Engine:
 
 
 def _on_read_only_media(url: sa.URL) -> sa.URL:
-    """Let SQLite read a file that nobody can change without the file it shares with writers.
+    """Let SQLite open a file on read-only media as immutable.
 
-    Databases with a write-ahead log need a `-shm` file beside them, which cannot be made there.
+    Databases with a write-ahead log need a `-shm` file next to them, which cannot be created there.
 
     Raises
     ------
     StoreRefused
-        The last changes are in a log that only a writer can bring in.
+        The last changes are in a log that only a writer can merge.
     """
     file = Path(url.database or "")
     if not url.database or url.database == ":memory:" or not _is_on_read_only_media(file):
@@ -105,7 +105,7 @@ def _is_on_read_only_media(file: Path) -> bool:
 
 
 def set_journal(engine: sa.Engine) -> None:
-    """Let readers read while one writes; kept in the file, so set once."""
+    """Let readers read during a write (SQLite's WAL); stored in the file, so set once."""
     if engine.dialect.name == "sqlite":
         with translated(engine), engine.connect() as connection:
             raw: Any = connection.connection.dbapi_connection
@@ -114,14 +114,14 @@ def set_journal(engine: sa.Engine) -> None:
 
 @contextmanager
 def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
-    """One transaction: all of it durable after the block, or none of it."""
+    """Open a write transaction: durable as a whole after the block, or rolled back."""
     with (
         translated(engine),
         engine.connect().execution_options(writing=True) as connection,
         connection.begin(),
     ):
         if engine.dialect.name == "postgresql":
-            # One writer at a time, as in SQLite: looking and then writing is one act.
+            # One writer at a time, as in SQLite, so that a read and a later write are atomic.
             connection.execute(sa.text(f"SET LOCAL lock_timeout = {int(1e3 * WAIT_S)}"))
             connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({_WRITERS})"))
         yield connection
@@ -129,7 +129,7 @@ def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
 
 @contextmanager
 def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
-    """One consistent view, whatever others write meanwhile."""
+    """Open a read transaction with a consistent snapshot, unaffected by concurrent writes."""
     with translated(engine), engine.connect() as connection:
         if engine.dialect.name == "postgresql":
             connection = connection.execution_options(isolation_level="REPEATABLE READ")
@@ -139,13 +139,13 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
 
 @contextmanager
 def translated(engine: sa.Engine) -> Iterator[None]:
-    """Say what the database complained about, and what helps."""
+    """Raise errors of the database as `StoreRefused`, with a hint."""
     place = engine.url.render_as_string(hide_password=True)
     try:
         yield
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
-    except sqlite3.Error as problem:  # from what we ask the driver itself, past SQLAlchemy
+    except sqlite3.Error as problem:  # from direct calls of the driver
         raise StoreRefused(*_reason(place, str(problem))) from problem
 
 
@@ -156,7 +156,7 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
     full = (f"the disk of {place} is full", "make room, then repeat the command")
     no_tables = (f"{place} has no tables yet", "run: fixel db upgrade")
     denied = (f"{place} lets nobody in: {said}", "check user and password in the database's URL")
-    # The first word that fits decides: the more telling ones stand before the more common ones.
+    # The first match decides, so specific words stand before common ones.
     known = {
         "cannot change": ("finished records cannot change", "add a new one: it takes the place"),
         "lock timeout": (locked, "wait for it to finish"),
@@ -184,7 +184,7 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
         "connection": (f"no connection to {place}: {said}", "check that the server runs"),
         "terminating": (f"the server of {place} went away", "repeat the command once it is back"),
     }
-    # psycopg says "connection failed" of a database that is not there, too.
+    # psycopg reports "connection failed" for a missing database, too.
     if "does not exist" in low:
         if "relation" in low:
             return no_tables
@@ -198,14 +198,14 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
 
 
 def refuse_network(path: Path, mounts: str | None = None) -> None:
-    """Refuse a file on a network file system: two machines would write over each other.
+    """Reject a file on a network file system, where two machines would overwrite each other.
 
     Parameters
     ----------
     path : Path
-        Need not exist yet.
+        Database file; it need not exist yet.
     mounts : str, optional
-        In place of the text of /proc/self/mounts, which other systems do not have.
+        Mount table instead of /proc/self/mounts, which exists on Linux only.
     """
     if mounts is None:
         try:
@@ -222,7 +222,7 @@ def refuse_network(path: Path, mounts: str | None = None) -> None:
 
 
 def _file_system(path: str, mounts: str) -> str:
-    """Type of the file system of the longest mount point above a path."""
+    """File system type of the longest mount point that contains a path."""
     best, kind = "", ""
     for line in mounts.splitlines():
         fields = line.split()

@@ -1,7 +1,7 @@
-"""Flags, notes and deletions, of many experiments in one act.
+"""Flags, notes and deletions of many experiments in one transaction.
 
-What carries a mark already is left alone, and what changed is told: taking an act back changes
-those and no others.
+Experiments that already have a mark are left unchanged. Functions return the ids that changed, so
+that an undo changes those only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MAX_TEXT = 10_000  # characters of a note
 
 
 class Note(NamedTuple):
-    """What somebody wrote beside an experiment."""
+    """Note that a user attached to an experiment."""
 
     id: int
     text: str
@@ -27,7 +27,7 @@ class Note(NamedTuple):
 
 
 def flag_all(connection: sa.Connection, numbers: Iterable[int], flag: Flag) -> list[int]:
-    """Add a flag to those that do not carry it; returns these."""
+    """Add a flag to experiments that do not have it; return their ids."""
     wanted = _known(connection, tables.experiment, numbers, "experiment")
     had = set(_carrying(connection, wanted, flag.name))
     new = [number for number in wanted if number not in had]
@@ -50,7 +50,7 @@ def flag_all(connection: sa.Connection, numbers: Iterable[int], flag: Flag) -> l
 
 
 def unflag_all(connection: sa.Connection, numbers: Iterable[int], name: str) -> list[int]:
-    """Take a flag off; returns those that carried it."""
+    """Remove a flag from experiments; return the ids of those that had it."""
     wanted = _known(connection, tables.experiment, numbers, "experiment")
     had = _carrying(connection, wanted, name)
     flag = tables.flag
@@ -63,13 +63,13 @@ def unflag_all(connection: sa.Connection, numbers: Iterable[int], name: str) -> 
 
 
 def delete_all(connection: sa.Connection, numbers: Iterable[int], instant: str | None) -> list[int]:
-    """Delete at an instant, or take deletions back with none; returns those that changed."""
+    """Mark experiments as deleted at an instant, or restore them with None; return changed ids."""
     wanted = _known(connection, tables.experiment, numbers, "experiment")
     return _mark(connection, tables.experiment, wanted, instant)
 
 
 def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> list[int]:
-    """Write a note beside experiments; returns the ids of the notes."""
+    """Attach a note to each experiment; return the ids of the notes."""
     text = text.strip()
     if not text or len(text) > MAX_TEXT:
         raise InvalidInput(
@@ -89,13 +89,13 @@ def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> li
 
 
 def delete_notes(connection: sa.Connection, notes: Iterable[int], instant: str | None) -> list[int]:
-    """Delete notes at an instant, or take deletions back with none; returns those that changed."""
+    """Mark notes as deleted at an instant, or restore them with None; return the changed ids."""
     wanted = _known(connection, tables.note, notes, "note")
     return _mark(connection, tables.note, wanted, instant)
 
 
 def notes_of(connection: sa.Connection, number: int) -> list[Note]:
-    """Notes beside an experiment, the oldest first."""
+    """Notes of an experiment, oldest first."""
     note = tables.note
     wanted = (
         sa.select(note.c.id, note.c.text, note.c.created_at_utc)
@@ -133,7 +133,7 @@ def _carrying(connection: sa.Connection, numbers: list[int], name: str) -> list[
 def _known(
     connection: sa.Connection, table: sa.Table, numbers: Iterable[int], what: str
 ) -> list[int]:
-    """The numbers once each, or a refusal of the first that is not there."""
+    """Return the ids sorted and without duplicates; raise `NotStored` for the first missing one."""
     wanted = sorted(set(numbers))
     found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
     for number in wanted:

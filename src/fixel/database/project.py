@@ -1,4 +1,4 @@
-"""A project: a folder with settings, a database and the media that are too long for it.
+"""Projects: folders with settings, a database, and media too large for the database.
 
 my_lab/
     fixel.yaml          settings: a name, and where the database is
@@ -29,22 +29,22 @@ DATABASE: Final = "experiments.db"
 DATABASE_FILES: Final = (DATABASE, f"{DATABASE}-wal", f"{DATABASE}-shm", f"{DATABASE}-journal")
 MEDIA: Final = "media"
 MAX_NAME: Final = 200  # characters
-VARIABLE: Final = "FIXEL_DATABASE"  # environment: names a database in place of the settings
+VARIABLE: Final = "FIXEL_DATABASE"  # environment variable; overrides the database of the settings
 
 
 class ProjectSettings(BaseModel):
-    """What `fixel.yaml` says."""
+    """Content of `fixel.yaml`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1, max_length=MAX_NAME)
-    database: str | None = None  # URL of a server; none for the file in the folder
+    database: str | None = None  # URL of a server; None for the file in the folder
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Project:
-    """A project folder that exists.
+    """Existing project folder and its settings.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ class Project:
 
     @classmethod
     def create(cls, folder: Path, database: str | None = None) -> Project:
-        """Make a folder into a project, with an empty database.
+        """Create a project with an empty database, in a new or empty folder.
 
         Raises
         ------
         InvalidInput
-            Something is there already.
+            The folder is not empty.
         StoreRefused
-            The database cannot be made.
+            The database cannot be created.
         """
         if (folder / SETTINGS).exists():
             raise InvalidInput(str(folder), found="a project", expected="a new folder")
@@ -80,7 +80,7 @@ class Project:
             (folder / MEDIA).mkdir(parents=True, exist_ok=True)
             with Store(project.url, project.media) as store:
                 store.upgrade()
-            # Last, since this is what makes it a project.
+            # Last, since this file makes the folder a project.
             with written_whole(folder / SETTINGS) as path:
                 path.write_text(_settings_text(settings), encoding="utf-8")
         except BaseException as problem:
@@ -92,7 +92,7 @@ class Project:
 
     @classmethod
     def open(cls, folder: Path) -> Project:
-        """The project in a folder, or a refusal."""
+        """Load the project in a folder; raise `StoreRefused` if there is none."""
         path = folder / SETTINGS
         if not path.is_file():
             raise StoreRefused(f"{folder} is no project", hint=f"make one with: fixel new {folder}")
@@ -109,7 +109,7 @@ class Project:
 
     @property
     def url(self) -> str:
-        """Of the database: the environment's, the settings', or the file's in this folder."""
+        """URL of the database: from the environment, the settings, or of the file in the folder."""
         named = os.environ.get(VARIABLE) or self.settings.database
         return named or f"sqlite:///{self.folder / DATABASE}"
 
@@ -120,11 +120,11 @@ class Project:
 
     @property
     def upgrade_command(self) -> str:
-        """What brings its tables to this program's version."""
+        """Shell command that upgrades the tables to this version of fixel."""
         return shlex.join(["fixel", "db", "upgrade", str(self.folder)])
 
     def store(self) -> Store:
-        """The project's records; refused where the tables are of another version."""
+        """Open the project's store; raise `StoreRefused` if its tables have another version."""
         store = Store(self.url, self.media)
         try:
             store.check_version(self.upgrade_command)
@@ -135,7 +135,7 @@ class Project:
 
 
 def _is_empty(folder: Path) -> bool:
-    """Whether a folder holds nothing, or no more than a `create` that was killed has left."""
+    """Whether a folder is empty, or has only the remains of an interrupted `create`."""
     left = {path.name for path in folder.iterdir()}
     if not left <= {MEDIA, *DATABASE_FILES} or any((folder / MEDIA).glob("*")):
         return False
@@ -153,7 +153,7 @@ def _is_empty(folder: Path) -> bool:
 
 
 def _clear(folder: Path, *, keep: bool) -> None:
-    """Remove what a `create` that failed has made, so that it can be repeated."""
+    """Remove the remains of a failed `create`, so that it can be repeated."""
     with suppress(OSError):
         for name in DATABASE_FILES:
             (folder / name).unlink(missing_ok=True)

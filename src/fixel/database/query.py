@@ -1,4 +1,4 @@
-"""Which experiments: what a listing may ask for, and what it shows of each."""
+"""Queries for experiments, and the summaries that a listing shows."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ class Bound(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Query:
-    """What experiments must have in common.
+    """Criteria that select experiments.
 
     Parameters
     ----------
     dataset : str, optional
     name : str, optional
-        `*` stands for anything.
+        Name; `*` matches any text.
     real : bool, optional
-        Only real ones, or only simulated ones.
+        Select only real (True) or only simulated (False) experiments.
     contact_mode : str, optional
     conditions : mapping of str to str or float
-        Exact values.
+        Required values of conditions.
     bounds : tuple of Bound
-        Conditions compared with values.
+        Comparisons of conditions with values.
     flag : str, optional
-        Only those with this flag; then flagged ones are not left out.
+        Select only experiments with this flag; faulty ones are then included.
     flagged : bool
-        Also those whose data has been found wanting.
+        Include experiments with a flag that marks a fault.
     deleted : bool
-        Only those deleted.
+        Select only deleted experiments.
     replaced : bool
-        Also those that a correction has replaced.
+        Include experiments that a correction has replaced.
     """
 
     dataset: str | None = None
@@ -74,7 +74,7 @@ class Query:
 
 
 class Summary(NamedTuple):
-    """One line of a listing."""
+    """Line of a listing: one experiment without its series."""
 
     id: int
     dataset: str
@@ -94,24 +94,24 @@ class Summary(NamedTuple):
 
     @property
     def conditions(self) -> dict[str, str | float]:
-        """What else was written down."""
+        """Further recorded conditions, by name."""
         found: dict[str, str | float] = json.loads(self.conditions_json)
         return found
 
     @property
     def key(self) -> str:
-        """Dataset and name."""
+        """Dataset and name, joined by a slash."""
         return f"{self.dataset}/{self.name}"
 
 
-# Most listings are longer than what anybody reads of them: conditions stay text until asked for.
+# Conditions stay text until requested, since few lines of a long listing are read.
 COLUMNS = [
     sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
     for name in Summary._fields
 ]
 
-# Lists rather than one lookup a row: a server that has not yet counted its rows would look through
-# whole tables for each.
+# Subqueries of ids instead of one lookup per row: a server without table statistics would scan
+# whole tables for each row.
 _FLAGGED = sa.select(flag.c.experiment_id).where(flag.c.deleted_at_utc.is_(None))
 _REPLACED = sa.select(experiment.c.replaces_id).where(
     experiment.c.replaces_id.is_not(None), experiment.c.deleted_at_utc.is_(None)
@@ -119,7 +119,7 @@ _REPLACED = sa.select(experiment.c.replaces_id).where(
 
 
 def condition_of(dialect: str, name: str) -> tuple[Any, Any]:
-    """A condition as text and as number; null where it is not there or is no number."""
+    """SQL expressions of a condition as text and as number; null if missing or not a number."""
     if not re.fullmatch(r"\w[\w. -]{0,99}", name):
         raise InvalidInput(
             "column", found=repr(name), expected="a column or the name of a condition"
@@ -134,7 +134,7 @@ def condition_of(dialect: str, name: str) -> tuple[Any, Any]:
 
 
 def condition_holds(dialect: str, bound: Bound) -> Any:
-    """The clause of a condition that is compared with a value."""
+    """SQL clause that compares a condition with a value."""
     relate, (text, number) = RELATIONS[bound.relation], condition_of(dialect, bound.name)
     if not isinstance(bound.value, str):
         return relate(number, bound.value)
@@ -144,7 +144,7 @@ def condition_holds(dialect: str, bound: Bound) -> Any:
 
 
 def conditions_of(query: Query, dialect: str) -> list[sa.ColumnElement[bool]]:
-    """The query but for `flagged`."""
+    """SQL clauses of a query, except for `flagged`."""
     found: list[sa.ColumnElement[bool]] = []
     gone = experiment.c.deleted_at_utc
     found.append(gone.is_not(None) if query.deleted else gone.is_(None))
@@ -170,7 +170,7 @@ def conditions_of(query: Query, dialect: str) -> list[sa.ColumnElement[bool]]:
 
 
 def only_clean(query: Query) -> list[sa.ColumnElement[bool]]:
-    """What leaves out flagged rows, where the query does."""
+    """SQL clauses that exclude faulty experiments, unless the query includes them."""
     if query.flagged or query.flag is not None or query.deleted:
         return []
     return [experiment.c.id.not_in(_FLAGGED.where(flag.c.is_fault))]

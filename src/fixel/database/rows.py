@@ -1,4 +1,4 @@
-"""Between records and rows."""
+"""Conversion between records and rows of the database."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ WITH_COLUMN = ("mu_support", "mu_fixel", "mu_pusher")
 
 
 def now() -> str:
-    """This instant in UTC, as it is stored."""
+    """Current time in UTC, ISO 8601, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -49,7 +49,7 @@ def digest(content: object, *values: FloatArray) -> str:
 
 
 def provenance_row(provenance: Provenance) -> dict[str, Any]:
-    """Columns of a record's provenance."""
+    """Columns of a provenance."""
     return {
         "created_at_utc": provenance.created or now(),
         "fixel_version": provenance.version,
@@ -61,7 +61,7 @@ def provenance_row(provenance: Provenance) -> dict[str, Any]:
 
 
 def provenance_of(row: sa.Row[Any]) -> Provenance:
-    """The other way round."""
+    """Inverse of `provenance_row`."""
     return Provenance(
         version=row.fixel_version,
         command=row.command,
@@ -73,17 +73,17 @@ def provenance_of(row: sa.Row[Any]) -> Provenance:
 
 
 def path_table(trajectory: Trajectory) -> FloatArray:
-    """(n, 4) instants and poses."""
+    """Return a trajectory as an (n, 4) table with the columns `PATH`."""
     return np.column_stack((trajectory.time, trajectory.pose))
 
 
 def trajectory_of(values: FloatArray) -> Trajectory:
-    """The other way round."""
+    """Inverse of `path_table`."""
     return Trajectory(time=values[:, 0], pose=values[:, 1:])
 
 
 def series_of(experiment: Experiment) -> list[Measured]:
-    """Name, columns and values of all that was measured in an experiment."""
+    """Name, columns and values of each series measured in an experiment."""
     found = paths_of(experiment.trajectory, experiment.pusher)
     for channel in experiment.channels:
         values = np.column_stack((channel.time, channel.values))
@@ -92,7 +92,7 @@ def series_of(experiment: Experiment) -> list[Measured]:
 
 
 def paths_of(trajectory: Trajectory, pusher: Trajectory | None) -> list[Measured]:
-    """Series of the object's path and, where there is one, the pusher's."""
+    """Series of the object's trajectory and, if there is one, of the pusher's."""
     found: list[Measured] = [("object", PATH, path_table(trajectory))]
     if pusher is not None:
         found.append(("pusher", PATH, path_table(pusher)))
@@ -100,7 +100,7 @@ def paths_of(trajectory: Trajectory, pusher: Trajectory | None) -> list[Measured
 
 
 def trials_of(tried: Evaluations | None) -> list[Measured]:
-    """Series of what a calibration tried."""
+    """Series of a calibration's evaluations."""
     if tried is None:
         return []
     table = np.column_stack((tried.values, tried.error))
@@ -108,7 +108,7 @@ def trials_of(tried: Evaluations | None) -> list[Measured]:
 
 
 def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluations | None:
-    """The other way round."""
+    """Inverse of `trials_of`; `reasons` of failures, one per evaluation, are empty for success."""
     if not measured:
         return None
     _, columns, values = measured[0]
@@ -122,17 +122,17 @@ def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluati
 
 
 def estimates_row(estimates: Sequence[Estimate]) -> list[dict[str, Any]] | None:
-    """Plain values of estimates, as a column and a bundle hold them."""
+    """Plain values of estimates, for a JSON column or a bundle; None if there are none."""
     return [dataclasses.asdict(estimate) for estimate in estimates] or None
 
 
 def estimates_of(row: Sequence[Mapping[str, Any]] | None) -> tuple[Estimate, ...]:
-    """The other way round."""
+    """Inverse of `estimates_row`."""
     return tuple(Estimate(**plain) for plain in row or ())
 
 
 def filtered_of(run: FilterRun) -> list[Measured]:
-    """Series of what a filter estimated."""
+    """Series of a filter's trajectory and further estimates."""
     found = paths_of(run.trajectory, None)
     if run.estimate_names:
         found.append(("estimates", run.estimate_names, run.estimates))
@@ -140,7 +140,7 @@ def filtered_of(run: FilterRun) -> list[Measured]:
 
 
 def experiment_row(experiment: Experiment) -> dict[str, Any]:
-    """Columns of an experiment but for its geometries and what it replaces."""
+    """Columns of an experiment, except for its geometries and the experiment it replaces."""
     effective = experiment.effective or (None, None)
     scene = None if experiment.scene is None else scene_content(experiment.scene)
     row = {
@@ -167,7 +167,7 @@ def experiment_row(experiment: Experiment) -> dict[str, Any]:
 
 
 def path_columns(trajectory: Trajectory) -> dict[str, Any]:
-    """Columns of an experiment that its path determines."""
+    """Columns of an experiment that follow from its trajectory."""
     start, end = trajectory.pose[0].tolist(), trajectory.pose[-1].tolist()
     return {
         "n_frame": len(trajectory.time),
@@ -193,14 +193,14 @@ _CONTENT: Final = (
 def content_digest(
     row: Mapping[str, Any], flags: Sequence[Sequence[Any]], measured: Sequence[Measured]
 ) -> str:
-    """Checksum of an experiment: of its columns, the flags it came with and its series."""
+    """Checksum of an experiment's columns, flags of the import and series."""
     content = {name: row[name] for name in _CONTENT}
     names = [[name, list(columns)] for name, columns, _ in measured]
     return digest([content, flags, names], *(values for _, _, values in measured))
 
 
 def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """Columns of the object's and the pusher's geometry, where they are known."""
+    """Columns of the object's and the pusher's geometry; None where unknown."""
     content = None if experiment.scene is None else scene_content(experiment.scene)
     return geometries_of(
         content, experiment.object_name, experiment.height, experiment.pusher_height
@@ -210,7 +210,7 @@ def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[s
 def geometries_of(
     content: Any, object_name: str, height: float | None, pusher_height: float | None
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """The same, of the content of a scene."""
+    """Columns of both geometries, from the content of a scene; None where unknown."""
     if content is None:
         return None, None
     body = next(b for b in content["bodies"] if b["name"] == object_name)
@@ -236,7 +236,7 @@ def _geometry(**columns: Any) -> dict[str, Any]:
 
 
 def scene_of_row(content: Any) -> Scene | None:
-    """The scene of a stored experiment."""
+    """Scene from its stored content; None if there is none."""
     return None if content is None else scene_of(SceneRecord.model_validate(content))
 
 
@@ -245,7 +245,7 @@ def experiment_of(
     flags: tuple[Flag, ...],
     measured: list[Measured],
 ) -> Experiment:
-    """The record of a row, its flags and its series."""
+    """Build an experiment from its row, flags and series."""
     paths = {name: trajectory_of(values) for name, columns, values in measured if columns == PATH}
     channels = tuple(
         Channel(
@@ -291,7 +291,7 @@ def parameters_row(parameters: Mapping[str, float]) -> dict[str, Any]:
 
 
 def parameters_of(row: sa.Row[Any]) -> Parameters:
-    """The other way round."""
+    """Inverse of `parameters_row`."""
     values = {name: getattr(row, name) for name in WITH_COLUMN}
     values["tripod_radius"] = row.tripod_radius_m
     given = {name: x for name, x in values.items() if x is not None}

@@ -1,4 +1,4 @@
-"""Which version of the schema a database has, and how it gets to this program's."""
+"""Schema versions of databases, and their upgrade to the version of this program."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def _config(connection: sa.Connection | None = None) -> Config:
 
 
 def newest() -> str:
-    """Version of the schema this program knows."""
+    """Newest schema version that this program knows."""
     return versions()[-1]
 
 
 @functools.cache
 def versions() -> tuple[str, ...]:
-    """All versions this program knows, the oldest first."""
+    """All schema versions that this program knows, oldest first."""
     scripts = ScriptDirectory.from_config(_config()).walk_revisions()
     return tuple(reversed([script.revision for script in scripts]))
 
 
 def version_of(connection: sa.Connection) -> str | None:
-    """Version of a database; none for an empty one."""
+    """Schema version of a database; None for an empty one."""
     heads = MigrationContext.configure(connection).get_current_heads()
     if len(heads) > 1:
         raise StoreRefused(
@@ -48,12 +48,12 @@ def version_of(connection: sa.Connection) -> str | None:
 
 
 def upgrade(connection: sa.Connection, version: str = "head") -> None:
-    """Bring a database to a version, or leave it as it was.
+    """Upgrade a database to a schema version, or leave it unchanged on failure.
 
     Raises
     ------
     StoreRefused
-        The database is newer than this program, or somebody else's.
+        The database is newer than this program, or belongs to another program.
     """
     refuse_newer(connection)
     if version_of(connection) is None and sa.inspect(connection).get_table_names():
@@ -64,7 +64,7 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
 
 
 def refuse_newer(connection: sa.Connection) -> None:
-    """Refuse a database whose version this program does not know."""
+    """Raise `StoreRefused` for a database whose version this program does not know."""
     found = version_of(connection)
     if found is not None and found not in versions():
         raise StoreRefused(
@@ -74,7 +74,7 @@ def refuse_newer(connection: sa.Connection) -> None:
 
 
 def refuse_old(connection: sa.Connection, command: str = "fixel db upgrade") -> None:
-    """Refuse a database that must be upgraded first, by a command."""
+    """Raise `StoreRefused` for a database that must be upgraded first; `command` is the hint."""
     refuse_newer(connection)
     found = version_of(connection)
     if found != newest():

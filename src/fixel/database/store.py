@@ -1,4 +1,4 @@
-"""The one door to a project's database: it speaks records, not rows."""
+"""The only interface to a project's database; it takes and returns records, not rows."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from fixel.model.records import (
     SimulationRecord,
 )
 
-MAX_NAMES: Final = 20_000  # experiments that a mistyped name is compared with
+MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
 
 
 def _damage_named(
     what: str,
 ) -> Callable[[Callable[[Store, int], T]], Callable[[Store, int], T]]:
-    """Refuse, in a sentence, records that no program of ours has written like that."""
+    """Decorate a reader so that a malformed record raises `StoreRefused` with its id."""
 
     def of(read: Callable[[Store, int], T]) -> Callable[[Store, int], T]:
         @functools.wraps(read)
@@ -54,45 +54,45 @@ def _damage_named(
 
 
 class AddResult(NamedTuple):
-    """What became of a record."""
+    """Id of an added record, and whether it was new."""
 
     id: int
-    new: bool  # False where the same was there already
+    new: bool  # False if the same record was already stored
 
 
 class Listing(NamedTuple):
-    """One page of experiments."""
+    """Page of summaries of experiments, with counts."""
 
     summaries: list[Summary]
-    total: int  # that match, on this page or not
-    left_out: int  # that match but for a flag on their data
+    total: int  # matching experiments on all pages
+    left_out: int  # experiments that match but have a flag that marks a fault
 
 
 @final
 class Store:
     """Experiments, simulations, parameters, calibrations and filter runs of one project.
 
-    Guarantees, on SQLite and PostgreSQL alike:
+    Guarantees on both SQLite and PostgreSQL:
 
-    - Atomic: a record is there whole or not at all, whenever the power fails.
-    - Durable: once a method that adds has returned, the record survives the power failing.
+    - Atomic: a record is stored completely or not at all, even if the power fails.
+    - Durable: once a method that adds has returned, the record survives a power failure.
     - Shared: several processes may read and write at a time. Readers never wait; a writer waits for
-      another up to 20 s, then is refused.
-    - Frozen: what has been added never changes. The database itself refuses to. A correction is a
-      new record, which listings show in place of the old one; a deletion can be taken back.
-    - Idempotent: adding an experiment that is there already adds nothing.
+      another for up to 20 s, then fails.
+    - Frozen: stored records never change; triggers of the database reject changes. A correction is
+      a new record, which listings show instead of the old one; a deletion can be undone.
+    - Idempotent: adding an experiment that is already stored adds nothing.
 
     Parameters
     ----------
     url : str
         ``sqlite:///FILE`` or ``postgresql+psycopg://USER@HOST/DATABASE``.
     media : Path
-        Folder of what is too long for the database. Several projects may share it.
+        Folder of arrays and videos too large for the database. Several projects may share it.
 
     Raises
     ------
     StoreRefused
-        From here and from every method: what is in the way, and the command that helps.
+        From the constructor and every method: the obstacle, and a command that helps.
     """
 
     def __init__(self, url: str, media: Path) -> None:
@@ -106,18 +106,18 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close all connections to the database."""
         self._engine.dispose()
 
     # --- the schema -----------------------------------------------------------------------------
 
     @property
     def engine_name(self) -> str:
-        """`sqlite` or `postgresql`."""
+        """Name of the database engine: `sqlite` or `postgresql`."""
         return self._engine.dialect.name
 
     def upgrade(self, version: str = "head") -> tuple[str | None, str | None]:
-        """Bring the tables to this program's version; returns the version before and after."""
+        """Upgrade the tables to a schema version; return the versions before and after."""
         set_journal(self._engine)
         with writing(self._engine) as connection:
             before = schema.version_of(connection)
@@ -125,16 +125,16 @@ class Store:
             return before, schema.version_of(connection)
 
     def check_version(self, command: str = "fixel db upgrade") -> None:
-        """Refuse tables of another version than this program's; a command would upgrade them."""
+        """Raise `StoreRefused` if the tables have another version; `command` is the hint."""
         with reading(self._engine) as connection:
             schema.refuse_old(connection, command)
 
     # --- experiments ----------------------------------------------------------------------------
 
     def add_experiment(self, experiment: Experiment) -> AddResult:
-        """Store an experiment in a transaction of its own.
+        """Store an experiment in its own transaction, unless it is stored already.
 
-        Where its dataset and name are taken, it is a correction of the newest of that name.
+        If its dataset and name are taken, it replaces the newest experiment of that name.
         """
         row = rows.experiment_row(experiment)
         measured = [
@@ -148,7 +148,7 @@ class Store:
             return AddResult(self._insert(connection, experiment, row, measured), True)
 
     def add_experiments(self, experiments: Iterable[Experiment]) -> Iterator[AddResult]:
-        """Store experiments one by one, as they are asked for."""
+        """Store experiments one by one, lazily: each when its result is requested."""
         for experiment in experiments:
             yield self.add_experiment(experiment)
 
@@ -195,7 +195,7 @@ class Store:
 
     @_damage_named("experiment")
     def experiment(self, number: int) -> Experiment:
-        """The experiment of an id."""
+        """Load an experiment by its id."""
         table = tables.experiment
         with reading(self._engine) as connection:
             row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
@@ -210,7 +210,7 @@ class Store:
             return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
 
     def find(self, key: str) -> int:
-        """Id of an experiment: `id:7` or `7`, its name, or `dataset/name`.
+        """Return the id of an experiment given as `id:7`, `7`, name or `dataset/name`.
 
         Raises
         ------
@@ -245,7 +245,7 @@ class Store:
         return number_found
 
     def _resembling(self, key: str) -> str | None:
-        """What was perhaps meant by a name that no experiment has."""
+        """Hint with the stored name closest to an unknown one; None if none is close."""
         table = tables.experiment
         wanted = sa.select(table.c.dataset, table.c.name).where(
             *conditions_of(Query(), self.engine_name)
@@ -267,7 +267,7 @@ class Store:
     def experiments(
         self, query: Query | None = None, *, limit: int | None = None, offset: int = 0
     ) -> Listing:
-        """Summaries of the experiments that match, by id."""
+        """List summaries of the matching experiments, ordered by id."""
         query = query or Query()
         wanted = conditions_of(query, self.engine_name)
         clean = only_clean(query)
@@ -287,7 +287,7 @@ class Store:
         return Listing(summaries, total, everything - total)
 
     def checksum(self, numbers: Iterable[int]) -> str:
-        """SHA-256 of the content of experiments: the same for the same data in any order."""
+        """SHA-256 of the content of experiments, independent of their order."""
         table = tables.experiment
         wanted = set(numbers)
         with reading(self._engine) as connection:
@@ -296,7 +296,7 @@ class Store:
         return hashlib.sha256("".join(sums).encode()).hexdigest()
 
     def datasets(self) -> dict[str, int]:
-        """How many experiments of each dataset there are, flagged ones too."""
+        """Number of experiments in each dataset, including flagged ones."""
         table = tables.experiment
         wanted = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
@@ -309,7 +309,7 @@ class Store:
             return {name: n for name, n in connection.execute(counted)}
 
     def flags(self) -> dict[str, int]:
-        """How many experiments carry each flag."""
+        """Number of experiments with each flag."""
         flag = tables.flag
         live = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
@@ -323,13 +323,13 @@ class Store:
             return {name: n for name, n in connection.execute(counted)}
 
     def flag(self, number: int, flag: Flag) -> None:
-        """Add a flag to an experiment: with a fault, listings leave it out from now on."""
+        """Add a flag to an experiment; listings omit experiments with a fault by default."""
         self._require(number)
         with writing(self._engine) as connection:
             connection.execute(sa.insert(tables.flag), _flag_row(number, flag))
 
     def unflag(self, number: int, name: str) -> None:
-        """Take a flag off an experiment."""
+        """Remove a flag from an experiment."""
         flag = tables.flag
         with writing(self._engine) as connection:
             connection.execute(
@@ -343,64 +343,64 @@ class Store:
             )
 
     def flag_all(self, numbers: Iterable[int], flag: Flag) -> list[int]:
-        """Add a flag to experiments that do not carry it yet, all in one act; returns these."""
+        """Add a flag to experiments that do not have it, in one transaction; return their ids."""
         with writing(self._engine) as connection:
             return marks.flag_all(connection, numbers, flag)
 
     def unflag_all(self, numbers: Iterable[int], name: str) -> list[int]:
-        """Take a flag off experiments, all in one act; returns those that carried it."""
+        """Remove a flag from experiments, in one transaction; return the ids that had it."""
         with writing(self._engine) as connection:
             return marks.unflag_all(connection, numbers, name)
 
     def delete_all(self, numbers: Iterable[int], *, back: bool = False) -> list[int]:
-        """Delete experiments, or take that back, in one act; returns those that changed."""
+        """Delete experiments, or restore them, in one transaction; return the changed ids."""
         with writing(self._engine) as connection:
             return marks.delete_all(connection, numbers, None if back else rows.now())
 
     def annotate(self, numbers: Iterable[int], text: str) -> list[int]:
-        """Write a note beside experiments, in one act; returns the ids of the notes."""
+        """Attach a note to each experiment, in one transaction; return the ids of the notes."""
         with writing(self._engine) as connection:
             return marks.annotate(connection, numbers, text)
 
     def delete_notes(self, notes: Iterable[int], *, back: bool = False) -> list[int]:
-        """Delete notes by their ids, or take that back; returns those that changed."""
+        """Delete notes by their ids, or restore them; return the changed ids."""
         with writing(self._engine) as connection:
             return marks.delete_notes(connection, notes, None if back else rows.now())
 
     def notes(self, number: int) -> list[Note]:
-        """Notes beside an experiment, the oldest first."""
+        """Notes of an experiment, oldest first."""
         with reading(self._engine) as connection:
             return marks.notes_of(connection, number)
 
     # --- browsing -------------------------------------------------------------------------------
 
     def browse(self, view: ExperimentView) -> Leaf:
-        """One page of a sorted, filtered table of experiments."""
+        """Return one page of a sorted, filtered table of experiments."""
         with reading(self._engine) as connection:
             return browsing.browse(connection, view)
 
     def browse_ids(self, view: ExperimentView) -> list[int]:
-        """Ids of all that a view shows, in its order, on this page or not."""
+        """Ids of all experiments that match a view, on all pages, in its order."""
         with reading(self._engine) as connection:
             return browsing.ids(connection, view)
 
     def browse_unsimulated(self, view: ExperimentView) -> list[int]:
-        """Ids of all that a view shows, have a scene, and no simulation with nominal values."""
+        """Ids of matching experiments with a scene but no simulation with nominal parameters."""
         with reading(self._engine) as connection:
             return browsing.unsimulated(connection, view)
 
     def browse_tally(self, view: ExperimentView, names: Sequence[str]) -> list[tuple[Any, ...]]:
-        """Columns and conditions of all that a view shows: different values, then how many."""
+        """Count distinct combinations of columns and conditions; see `browsing.tally`."""
         with reading(self._engine) as connection:
             return browsing.tally(connection, view, names)
 
     def conditions(self) -> dict[str, Conditions]:
-        """What was written down of experiments, by name."""
+        """Values of all conditions of experiments, by name."""
         with reading(self._engine) as connection:
             return browsing.conditions(connection)
 
     def content(self, number: int) -> str:
-        """Checksum of an experiment's content; the same only for the same."""
+        """Checksum of an experiment's content; equal only for equal experiments."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.experiment, number, "experiment")
         return str(row.content_sha256)
@@ -412,11 +412,11 @@ class Store:
         return row.deleted_at_utc is not None
 
     def delete(self, number: int) -> None:
-        """Leave an experiment out of everything, until `undelete`."""
+        """Hide an experiment from listings and computations, until `undelete`."""
         self._mark(number, rows.now())
 
     def undelete(self, number: int) -> None:
-        """Take a deletion back."""
+        """Restore a deleted experiment."""
         self._mark(number, None)
 
     def _mark(self, number: int, instant: str | None) -> None:
@@ -434,7 +434,7 @@ class Store:
     # --- videos ---------------------------------------------------------------------------------
 
     def add_video(self, file: Path) -> str:
-        """Copy a video into the media folder; returns what `Experiment.video` names it by."""
+        """Copy a video to the media folder; return its checksum, for `Experiment.video`."""
         try:
             return arrays.keep(file.read_bytes(), self._media)
         except OSError as problem:
@@ -442,7 +442,7 @@ class Store:
             raise InvalidInput(str(file), found=reason, expected="a file to read") from None
 
     def video(self, number: int) -> Path | None:
-        """File of an experiment's video; none where there is none."""
+        """Path of an experiment's video; None if it has none."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.experiment, number, "experiment")
         return arrays.media_path(row.video_sha256, self._media) if row.video_sha256 else None
@@ -450,18 +450,18 @@ class Store:
     # --- what is computed from them -------------------------------------------------------------
 
     def add_parameters(self, parameters: Mapping[str, float]) -> int:
-        """Id of a set of parameters, stored if it is new."""
+        """Store a set of parameters if it is new; return its id."""
         with writing(self._engine) as connection:
             return _parameters_id(connection, parameters)
 
     def parameters(self, number: int) -> Parameters:
-        """The parameters of an id."""
+        """Load a set of parameters by its id."""
         table = tables.system_parameters
         with reading(self._engine) as connection:
             return rows.parameters_of(_row(connection, table, number, "parameters"))
 
     def add_simulation(self, record: SimulationRecord) -> int:
-        """Store a simulation of an experiment; returns its id."""
+        """Store a simulation of an experiment; return its id."""
         self._require(record.experiment_id)
         series = rows.paths_of(record.trajectory, record.pusher)
         with writing(self._engine) as connection:
@@ -483,7 +483,7 @@ class Store:
 
     @_damage_named("simulation")
     def simulation(self, number: int) -> SimulationRecord:
-        """The simulation of an id."""
+        """Load a simulation by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.simulation, number, "simulation")
             series = arrays.read_all(connection, "simulation", number, self._media)
@@ -504,7 +504,7 @@ class Store:
         )
 
     def simulations(self, experiment_id: int) -> list[int]:
-        """Ids of the simulations of an experiment, the oldest first."""
+        """Ids of the simulations of an experiment, oldest first."""
         table = tables.simulation
         wanted = sa.select(table.c.id).where(
             table.c.experiment_id == experiment_id, table.c.deleted_at_utc.is_(None)
@@ -513,7 +513,7 @@ class Store:
             return list(connection.scalars(wanted.order_by(table.c.id)))
 
     def add_calibration(self, record: CalibrationRecord) -> int:
-        """Store a finished calibration; returns its id."""
+        """Store a finished calibration; return its id."""
         tried = record.evaluations
         reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
         with writing(self._engine) as connection:
@@ -553,7 +553,7 @@ class Store:
 
     @_damage_named("calibration")
     def calibration(self, number: int) -> CalibrationRecord:
-        """The calibration of an id."""
+        """Load a calibration by its id."""
         member = tables.calibration_member
         with reading(self._engine) as connection:
             row = _row(connection, tables.calibration, number, "calibration")
@@ -579,8 +579,8 @@ class Store:
         )
 
     def calibration_summaries(self) -> dict[int, CalibrationRecord]:
-        """All calibrations by id, the oldest first, without what they evaluated: a thousand take
-        two queries and no file."""
+        """Load all calibrations by id, oldest first, without their evaluations: two queries and no
+        file access, even for a thousand calibrations."""
         table, member, sets = (
             tables.calibration,
             tables.calibration_member,
@@ -612,14 +612,14 @@ class Store:
             }
 
     def calibrations(self) -> list[int]:
-        """Ids of all calibrations, the oldest first."""
+        """Ids of all calibrations, oldest first."""
         table = tables.calibration
         wanted = sa.select(table.c.id).where(table.c.deleted_at_utc.is_(None)).order_by(table.c.id)
         with reading(self._engine) as connection:
             return list(connection.scalars(wanted))
 
     def add_filter_parameters(self, record: FilterParameters) -> int:
-        """Store settings of a filter; returns their id."""
+        """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:
             return _insert_one(
                 connection,
@@ -633,7 +633,7 @@ class Store:
             )
 
     def filter_parameters(self, number: int) -> FilterParameters:
-        """The settings of an id."""
+        """Load settings of a filter by their id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.filter_parameters, number, "filter parameters")
         return FilterParameters(
@@ -644,7 +644,7 @@ class Store:
         )
 
     def add_filter_run(self, record: FilterRun) -> int:
-        """Store what a filter made of an experiment; returns its id."""
+        """Store the run of a filter on an experiment; return its id."""
         self._require(record.experiment_id)
         occlusion = record.occlusion or (None, None)
         with writing(self._engine) as connection:
@@ -666,7 +666,7 @@ class Store:
 
     @_damage_named("filter run")
     def filter_run(self, number: int) -> FilterRun:
-        """The filter run of an id."""
+        """Load a filter run by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.filter_run, number, "filter run")
             series = arrays.read_all(connection, "filter_run", number, self._media)
@@ -704,7 +704,7 @@ def _insert_one(connection: sa.Connection, table: sa.Table, row: dict[str, Any])
 
 
 def _same(connection: sa.Connection, table: sa.Table, row: dict[str, Any] | None) -> int | None:
-    """Id of the row with the same content, inserted if there is none."""
+    """Id of the row with the same content, which is inserted if there is none."""
     if row is None:
         return None
     found = connection.scalar(

@@ -1,9 +1,9 @@
-"""The tables, as they are after the last migration. Units are at the end of the columns' names.
+"""Database tables, as they are after the last migration. Column names end with their unit.
 
-Whoever writes queries of their own may rely on these names. Rows are written once: triggers refuse
-to change them, but for `deleted_at_utc`. What varies from experiment to experiment (conditions, a
-scene) is JSON; what is long (a path, a signal) is a row of `series`: little-endian float64, row
-after row, or beyond `MEDIA_BYTES` a file in the media folder.
+User-written queries may rely on these names. Rows are written once: triggers reject changes, except
+of `deleted_at_utc`. Data that vary between experiments (conditions, a scene) are JSON. Long data
+(a path, a signal) are rows of `series`: little-endian float64, row by row, or above `MEDIA_BYTES`
+a file in the media folder.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ METADATA: Final = sa.MetaData(
     }
 )
 
-MEDIA_BYTES: Final = 1_000_000  # a longer series is a file
+MEDIA_BYTES: Final = 1_000_000  # a longer series is stored as a file
 
 _FLOAT = sa.Float(53)
 
@@ -91,7 +91,7 @@ experiment = sa.Table(
     *_provenance(),
     sa.Index(None, "dataset", "name"),
     sa.Index(None, "replaces_id"),
-    # Rows are long, for the scene is in them: what only counts should not have to read them.
+    # Rows are long, since they contain the scene; counting should not have to read them.
     sa.Index(None, "deleted_at_utc"),
 )
 
@@ -125,9 +125,9 @@ series = sa.Table(
     sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("owner", sa.String(20), nullable=False),  # experiment, simulation, calibration, ...
     sa.Column("owner_id", sa.Integer, nullable=False),
-    sa.Column("place", sa.Integer, nullable=False),  # among those of its owner
+    sa.Column("place", sa.Integer, nullable=False),  # position among the series of its owner
     sa.Column("name", sa.String(100), nullable=False),
-    sa.Column("columns", sa.JSON, nullable=False),  # JSON list; the first is time_s, mostly
+    sa.Column("columns", sa.JSON, nullable=False),  # JSON list; the first is mostly time_s
     sa.Column("n_row", sa.Integer, nullable=False),
     sa.Column("data", sa.LargeBinary),
     sa.Column("media_sha256", sa.String(64)),
@@ -172,8 +172,8 @@ calibration = sa.Table(
     sa.Column("mean_error_mm2", _FLOAT, nullable=False),
     sa.Column("sum_error_mm2", _FLOAT, nullable=False),
     sa.Column("max_error_mm2", _FLOAT, nullable=False),
-    sa.Column("reasons", sa.JSON, nullable=False),  # JSON: of evaluations that failed, by number
-    sa.Column("estimates", sa.JSON(none_as_null=True)),  # JSON list, one a parameter
+    sa.Column("reasons", sa.JSON, nullable=False),  # JSON: failed evaluation's number -> reason
+    sa.Column("estimates", sa.JSON(none_as_null=True)),  # JSON list, one item per parameter
     *_provenance(),
 )
 

@@ -1,1 +1,1 @@
-"""The schema, version by version; `schema.py` applies them."""
+"""Migrations, one module per schema version; `schema.py` applies them."""

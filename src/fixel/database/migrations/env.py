@@ -1,4 +1,4 @@
-"""Run by Alembic: migrations over a connection that `schema.py` has opened, in its transaction."""
+"""Alembic's entry point: runs migrations in the transaction that `schema.py` has opened."""
 
 from alembic import context
 

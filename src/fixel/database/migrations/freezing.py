@@ -1,4 +1,4 @@
-"""Triggers that refuse to change what has been written, on both engines.
+"""Triggers that reject changes of stored rows, for SQLite and PostgreSQL.
 
 Only `deleted_at_utc` may change: deletion is soft. A row is never deleted.
 """
@@ -10,7 +10,7 @@ SENTENCE = "finished records cannot change; write a new one"
 
 
 def freeze(table: str) -> None:
-    """Refuse every UPDATE but of `deleted_at_utc`, and every DELETE."""
+    """Reject every DELETE from a table, and every UPDATE except of `deleted_at_utc`."""
     connection = op.get_bind()
     columns = [column["name"] for column in sa.inspect(connection).get_columns(table)]
     frozen = ", ".join(f'"{name}"' for name in columns if name != "deleted_at_utc")
@@ -21,7 +21,7 @@ def freeze(table: str) -> None:
 
 
 def thaw(table: str) -> None:
-    """Take the triggers of a table off, for a migration that puts them back."""
+    """Drop the triggers of a table, for a migration that creates them again."""
     on = f' ON "{table}"' if op.get_bind().dialect.name == "postgresql" else ""
     for how in ("frozen", "kept"):
         op.execute(f'DROP TRIGGER "{table}_{how}"{on}')

@@ -1,4 +1,4 @@
-"""Experiments, simulations, parameters, calibrations and filter runs; written once."""
+"""Create tables of experiments, simulations, parameters, calibrations and filter runs."""
 
 import sqlalchemy as sa
 from alembic import op

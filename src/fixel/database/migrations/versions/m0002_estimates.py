@@ -1,4 +1,4 @@
-"""What a calibration says about each parameter: value, interval, verdict."""
+"""Add a column for a calibration's estimates: value, interval and verdict per parameter."""
 
 import sqlalchemy as sa
 from alembic import op

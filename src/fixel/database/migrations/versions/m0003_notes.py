@@ -1,4 +1,4 @@
-"""What people write beside an experiment; counting without reading long rows."""
+"""Add a table of notes, and an index that counts experiments without reading long rows."""
 
 import sqlalchemy as sa
 from alembic import op

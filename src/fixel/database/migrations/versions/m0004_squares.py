@@ -1,6 +1,6 @@
-"""Errors of calibrations that minimised a root mean square: squared, as their columns are named.
+"""Square the errors of calibrations that minimised a root mean square.
 
-They were stored in mm in columns in mm^2. Their unit is in the method.
+They were stored in mm, in columns in mm^2. The method of a calibration names its unit.
 """
 
 import sqlalchemy as sa
