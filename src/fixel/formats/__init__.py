@@ -1,4 +1,4 @@
-"""The outside world: scene files, trajectory files, public datasets."""
+"""File formats: scenes, trajectories, cameras, rigs, plans, recordings, videos and exports."""
 
 from fixel.formats.scene_file import (
     SceneFile,

@@ -1,6 +1,6 @@
-"""Camera files: a lens, where it is above the plate, and what is known of its errors, as YAML.
+"""Camera files, YAML: a lens, its pose above the plate, and the uncertainty of both.
 
-Pixels count from the middle of the upper left one, coefficients are in OpenCV's order.
+Pixels count from the centre of the upper left one; coefficients are in OpenCV's order.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class MatrixRecord(SceneLevel):
 
 
 class PlaceRecord(SceneLevel):
-    """Exactly one form."""
+    """Pose of a camera, in exactly one form."""
 
     looking: LookingRecord | None = Field(None, description="a camera that looks down")
     matrix: MatrixRecord | None = Field(None, description="a rotation and a translation")
@@ -66,7 +66,7 @@ class MeasuredRecord(SceneLevel):
 
 
 class CameraRecord(SceneLevel):
-    """A camera file."""
+    """Content of a camera file."""
 
     fixel_camera: Literal[1] = Field(1, description="version of the format")
     source: str = Field("", description="where it comes from, for people")
@@ -81,7 +81,7 @@ def load_camera(path: str | Path) -> MeasuredCamera:
     Raises
     ------
     InvalidInput
-        The first thing that is wrong, with the path of its key.
+        The first error, with the path of its key.
     """
     raw = read_document(Path(path))
     if not isinstance(raw, dict) or "lens" not in raw:
@@ -96,7 +96,7 @@ def load_camera(path: str | Path) -> MeasuredCamera:
 
 
 def camera_from_dict(raw: Any) -> MeasuredCamera:
-    """The camera whose content is already at hand as dicts and lists."""
+    """Build a camera from the content of a camera file, as dicts and lists."""
     try:
         record = CameraRecord.model_validate(raw)
     except ValidationError as problems:
@@ -116,7 +116,7 @@ def camera_from_dict(raw: Any) -> MeasuredCamera:
 
 
 def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
-    """The content of a camera file as dicts and lists."""
+    """Content of a camera file, as dicts and lists."""
     content: dict[str, Any] = {"fixel_camera": 1}
     if camera.source:
         content["source"] = camera.source
@@ -140,7 +140,7 @@ def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
 
 
 def plain(number: float) -> float:
-    """A number as people write it: `25.4`, and not `25.400000000000002`."""
+    """Round a number to 15 digits: `25.4` instead of `25.400000000000002`."""
     return float(f"{number:.15g}")
 
 

@@ -1,6 +1,6 @@
-"""Cameras that other programs calibrated: MATLAB's toolbox, OpenCV, Kalibr, ROS.
+"""Import of cameras calibrated by other programs: MATLAB's toolbox, OpenCV, Kalibr and ROS.
 
-All four count pixels from the middle of the upper left one, as fixel does; the MATLAB toolbox too,
+All four count pixels from the centre of the upper left one, as fixel does; the MATLAB toolbox too,
 though MATLAB itself counts from 1.
 """
 
@@ -29,7 +29,7 @@ PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}
 @final
 @dataclass(frozen=True, slots=True)
 class ImportedCamera:
-    """A camera of another program.
+    """Camera that another program calibrated.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ImportedCamera:
     format : str
         One of `FORMATS`.
     remarks : tuple of str
-        What to know about it.
+        Caveats, one sentence each.
     """
 
     camera: MeasuredCamera
@@ -53,24 +53,24 @@ def import_camera(
     which: str = "",
     unit: float = 1e-3,
 ) -> ImportedCamera:
-    """Read a camera that another program calibrated.
+    """Load a camera that another program calibrated.
 
     Parameters
     ----------
     path : str or Path
     format : str
-        One of `FORMATS`, or `auto` for what the file looks like.
+        One of `FORMATS`, or `auto` to recognise the format from the file.
     size : (int, int), optional
-        Of the pictures it was calibrated with, where the file does not say [px].
+        Width and height of the calibration pictures, if the file lacks them [px].
     which : str
-        Of several cameras in a Kalibr file: `cam0`.
+        Name of one of several cameras in a Kalibr file, such as `cam0`.
     unit : float
-        Of lengths in a MATLAB file [m]: the toolbox takes what its user typed, mostly millimetres.
+        Unit of lengths in a MATLAB file [m]: the one its user chose, mostly millimetres.
 
     Raises
     ------
     InvalidInput
-        What cannot be read, or would be read wrongly.
+        The file cannot be read, or would be misinterpreted.
     """
     path = Path(path)
     kind = _kind_of(path) if format == "auto" else format
@@ -246,7 +246,7 @@ def _refuse_cropped(raw: dict[str, Any]) -> None:
 
 
 def numbers(raw: Any, key: str, count: int | None, within_key: str = "") -> list[float]:
-    """A number or row of finite numbers under a key."""
+    """Return the finite numbers under a key, a scalar as a list of one; raise if not `count`."""
     value = raw.get(key) if isinstance(raw, dict) else None
     row: list[Any] = value if isinstance(value, list) else [value]
     good = [float(n) for n in row if type(n) in (int, float) and abs(n) < 1e30]

@@ -1,7 +1,7 @@
-"""`Calib_Results` of the camera calibration toolbox for MATLAB by J.-Y. Bouguet, as .m and .mat.
+"""`Calib_Results` (.m and .mat) of the camera calibration toolbox for MATLAB by J.-Y. Bouguet.
 
-Its pixels count from the middle of the upper left one, its coefficients are k1, k2, p1, p2, k3, and
-its uncertainties are three standard deviations. Only numbers are read; nothing is run.
+Its pixels count from the centre of the upper left one, its coefficients are k1, k2, p1, p2, k3, and
+its uncertainties are three standard deviations. Only numbers are read; no code is run.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from fixel.vision.measured_camera import FOCAL, MeasuredCamera
 
 ASSIGNMENT: Final = re.compile(r"^\s*(\w+)\s*=\s*(\[[^\]]*\]|[-+.\deE]+)\s*;?", re.MULTILINE)
 COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
-NEARBY: Final = (0.01, 100.0)  # [m] how far a camera of a bench can be from its plate
+NEARBY: Final = (0.01, 100.0)  # [m] plausible distances of a camera from its plate
 
 Variables = dict[str, FloatArray]
 
 
 def matlab_camera(path: Path, data: bytes, unit: float) -> tuple[MeasuredCamera, tuple[str, ...]]:
-    """The camera of a `Calib_Results` file, and what to know about it."""
+    """Load the camera of a `Calib_Results` file, with caveats; `unit` is that of lengths [m]."""
     found = _of_mat(data) if path.suffix.lower() == ".mat" else _of_m(data)
     lens = _lens(found)
     names, deviations = _deviations(found)
@@ -75,7 +75,7 @@ def _lens(found: Variables) -> Lens:
 
 
 def _deviations(found: Variables) -> tuple[tuple[str, ...], FloatArray]:
-    """What the file says of errors: names and standard deviations."""
+    """Names and standard deviations of the lens parameters whose error is in the file."""
     rows: dict[str, float] = {}
     for key, names in (
         ("fc_error", FOCAL[:2]),
@@ -137,7 +137,7 @@ def _of_m(data: bytes) -> Variables:
             table = [[float(number) for number in row] for row in rows if row]
             found[name] = np.array(table, dtype=np.float64)
         except ValueError:
-            continue  # something computed, or rows of several lengths: nothing that is looked for
+            continue  # an expression, or rows of several lengths: none of the variables needed
     return found
 
 
@@ -154,7 +154,7 @@ def _of_mat(data: bytes) -> Variables:
             hint="in MATLAB: save('Calib_Results_v7.mat', '-v7')",
         ) from None
     except Exception as problem:
-        # scipy raises whatever its parser stumbles over: TypeError, zlib.error, MemoryError, ...
+        # scipy lets any error of its parser pass: TypeError, zlib.error, MemoryError, ...
         raise InvalidInput(
             "file", found=f"what scipy cannot read ({problem})", expected="a MATLAB file"
         ) from None

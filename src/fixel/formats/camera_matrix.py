@@ -1,4 +1,4 @@
-"""OpenCV's camera matrix and what fixel makes of it."""
+"""Conversion between OpenCV's camera matrix and fixel's lens."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def lens_of(
     *,
     fisheye: bool = False,
 ) -> Lens:
-    """A lens from OpenCV's camera matrix and coefficients."""
+    """Build a lens from OpenCV's camera matrix and distortion coefficients."""
     k = np.asarray(matrix, dtype=np.float64)
     if k.shape != (3, 3) or not np.isfinite(k).all():
         raise InvalidInput(
@@ -53,7 +53,7 @@ def lens_of(
 
 
 def refuse_strange(lens: Lens) -> None:
-    """Refuse a lens whose axis is not in its picture: numbers of another resolution, or in mm."""
+    """Reject an implausible lens, for example with numbers of another resolution or in mm."""
     width, height = lens.image_size
     u, v = lens.centre
     if not (0.0 < u < width and 0.0 < v < height):
@@ -70,8 +70,8 @@ def refuse_strange(lens: Lens) -> None:
 
 
 def placed_above(lens: Lens, rotation: FloatArray, translation: FloatArray) -> tuple[Camera, bool]:
-    """The camera at its place, and whether the plane's y and z axes had to be turned round."""
-    # Where the world's z points away from the camera, half a turn about x makes it point to it.
+    """Build a placed camera; also return whether the plane's y and z axes had to be reversed."""
+    # If the world's z points away from the camera, half a turn about x reverses it.
     turned = bool((-rotation.T @ translation)[2] < 0.0)
     if turned:
         rotation = rotation @ np.diag([1.0, -1.0, -1.0])
@@ -79,6 +79,6 @@ def placed_above(lens: Lens, rotation: FloatArray, translation: FloatArray) -> t
 
 
 def matrix_of(lens: Lens) -> FloatArray:
-    """(3, 3) OpenCV's camera matrix."""
+    """OpenCV's camera matrix of a lens, (3, 3)."""
     (fx, fy), (cx, cy) = lens.focal, lens.centre
     return np.array([[fx, fx * lens.skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

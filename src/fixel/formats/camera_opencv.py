@@ -1,4 +1,4 @@
-"""Cameras in OpenCV's storage files (YAML, XML, JSON), and in those of ROS."""
+"""Cameras in OpenCV's storage files (YAML, XML, JSON), and in ROS camera_info files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ENDINGS: Final = {"opencv": (".yml", ".yaml", ".xml", ".json"), "ros": (".yaml",
 
 
 def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
-    """The camera of a storage file; `size` where the file does not say it [px]."""
+    """Load the camera of a storage file; `size` is used if the file has no picture size [px]."""
     cv2 = opencv()
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -44,14 +44,14 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
         raise InvalidInput(
             "file", found=f"what OpenCV cannot read ({problem.err})", expected="its storage"
         ) from None
-    except SystemError:  # how its bindings say that the parser gave up
+    except SystemError:  # raised by its bindings when the parser fails
         raise InvalidInput(
             "file", found="what OpenCV cannot read", expected="its storage"
         ) from None
 
 
 def save_opencv(lens: Lens, path: str | Path) -> None:
-    """Write a lens as OpenCV's own calibration program does."""
+    """Write a lens in the format of OpenCV's calibration program."""
     _refuse_ending(path, "opencv")
     _refuse_skew(lens)
     cv2 = opencv()

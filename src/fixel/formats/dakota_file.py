@@ -1,7 +1,7 @@
-"""Dakota input files of a pattern search, such as the thesis's.
+"""Dakota input files of a pattern search, such as those of the thesis.
 
-Read are the method `coliny_pattern_search` and a block of continuous design variables. What is left
-out takes Dakota's default, not fixel's. Blocks that say how Dakota was run are skipped.
+The method `coliny_pattern_search` and one block of continuous design variables are read. Missing
+keywords take Dakota's defaults, not fixel's. Blocks on how Dakota was run are skipped.
 
 Source: Dakota reference manual, input file formatting and `coliny_pattern_search`; SCOLIB for
 defaults; appendix C.7 of the thesis (RPI).
@@ -22,7 +22,7 @@ from fixel.model.space import ParameterSpace, Unknown
 
 MAX_BYTES: Final = 1_000_000
 
-# Descriptors of the thesis: our name, and what one of theirs is in our unit.
+# Descriptors of the thesis -> fixel's name, and the factor from their unit to fixel's.
 DESCRIPTORS: Final = {
     "fC": ("mu_fixel", 1.0),
     "pCFC": ("mu_pusher", 1.0),
@@ -41,7 +41,7 @@ BLOCKS: Final = (
 )
 _SKIPPED: Final = ("strategy", "environment", "interface", "responses")
 
-# What stands after each keyword, and its newer or shorter name first.
+# Kind of value after each keyword, under the keyword's newer or shorter name.
 _FLAG, _NUMBER, _COUNT, _NUMBERS, _STRINGS = "", "a number", "a whole number", "numbers", "strings"
 _METHOD: Final[dict[str, object]] = {
     "coliny_pattern_search": _FLAG,
@@ -87,7 +87,7 @@ _OTHER_NAMES: Final = {
     "descriptor": "descriptors",
 }
 
-# Dakota's own, where a file says nothing.
+# Dakota's defaults of keywords that a file omits.
 _DEFAULTS: Final = {
     "initial_delta": 1.0,
     "variable_tolerance": 1e-5,
@@ -111,15 +111,15 @@ _TOKEN: Final = re.compile(
 
 
 class DakotaFile(NamedTuple):
-    """What a Dakota input file asks for."""
+    """Search and parameter space that a Dakota input file defines."""
 
     optimiser: PatternSearch
     space: ParameterSpace
-    notes: tuple[str, ...]  # what was skipped or taken from Dakota's defaults
+    notes: tuple[str, ...]  # skipped blocks, and values taken from Dakota's defaults
 
 
 class _Token(NamedTuple):
-    kind: str  # a group of _TOKEN; empty after the last
+    kind: str  # name of a group of _TOKEN; empty at the end of the text
     text: str
     line: int
 
@@ -130,7 +130,7 @@ def load_dakota(path: str | Path) -> DakotaFile:
     Raises
     ------
     InvalidInput
-        The first thing that is wrong or that fixel's search cannot do, with its line.
+        The first error, or keyword that fixel's search does not support, with its line.
     """
     file = Path(path)
     try:
@@ -149,7 +149,7 @@ def load_dakota(path: str | Path) -> DakotaFile:
 
 
 def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
-    """The search and the space in the text of a Dakota input file; `where` names it in errors."""
+    """Parse the text of a Dakota input file; `where` names it in errors."""
     blocks, notes = _blocks(text, where)
     optimiser = _optimiser(_needed(blocks, "method", where), notes)
     space = _space(_needed(blocks, "variables", where))
@@ -160,7 +160,7 @@ def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
 
 
 class _Block:
-    """Keywords of one block and what stands after them."""
+    """Keywords of one block, with their values and lines."""
 
     def __init__(self, name: str, where: str, line: int) -> None:
         self.name = name
@@ -237,7 +237,7 @@ def _value(tokens: _Tokens, keyword: _Token, kind: object) -> Any:
 
 
 class _Tokens:
-    """Words, numbers and strings of a text, one after the other."""
+    """Stream of the words, numbers and strings of a text."""
 
     def __init__(self, text: str, where: str) -> None:
         self._where = where
@@ -267,7 +267,7 @@ class _Tokens:
         return found
 
     def numbers(self) -> list[float]:
-        """Numbers, where `3*0.5` stands for three."""
+        """Take the next numbers; `3*0.5` stands for 0.5 three times."""
         found: list[float] = []
         while self.peek().kind == "number":
             token = self.take()
@@ -363,7 +363,7 @@ def _space(block: _Block) -> ParameterSpace:
 
 
 def _name(descriptor: str, where: str) -> tuple[str, float]:
-    """Our name, and what one of the file's units is in ours."""
+    """Fixel's name of a descriptor, and the factor from the file's unit to fixel's."""
     if descriptor in DESCRIPTORS:
         return DESCRIPTORS[descriptor]
     if descriptor in KNOWN_PARAMETERS:

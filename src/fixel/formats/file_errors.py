@@ -1,4 +1,4 @@
-"""What is wrong with a file of records, as a sentence with the path of its key."""
+"""Errors in files of records, as sentences with the path of the key."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fixel.formats.scene_schema import SceneLevel, written
 
 
 def explained(problems: ValidationError, root: type[SceneLevel], name: str) -> InvalidInput:
-    """The first complaint of a schema without unions as a sentence; `name` is the whole file's."""
+    """First error of a schema without unions, as `InvalidInput`; `name` is that of the file."""
     first = problems.errors(include_url=False)[0]
     path, kind = first["loc"], first["type"]
     if kind == "extra_forbidden":
@@ -36,7 +36,7 @@ def explained(problems: ValidationError, root: type[SceneLevel], name: str) -> I
 
 
 def only_form(record: SceneLevel, path: str) -> str:
-    """The one form that is given, or a refusal."""
+    """Return the name of the one form that is given; raise if there are none or several."""
     forms = list(type(record).model_fields)
     given = [form for form in forms if getattr(record, form) is not None]
     if len(given) != 1:
@@ -50,7 +50,7 @@ def only_form(record: SceneLevel, path: str) -> str:
 
 @contextmanager
 def within(path: str, *prefixes: str) -> Iterator[None]:
-    """Turn the complaints of what is built into those about a key of the file."""
+    """Report errors of built objects at a key of the file, with prefixes of the place removed."""
     try:
         yield
     except InvalidInput as problem:
@@ -75,7 +75,7 @@ def _unknown_key(root: type[SceneLevel], path: Sequence[str | int]) -> InvalidIn
 
 
 def _record_at(root: type[SceneLevel], path: Sequence[str | int]) -> type[SceneLevel] | None:
-    """The kind of record that stands at a path, if a record does."""
+    """Class of the record at a path; None if there is no record."""
     record: type[SceneLevel] | None = root
     for key in path:
         if isinstance(key, str):

@@ -1,7 +1,7 @@
-"""Experiments as two Parquet tables: one row an experiment, and one row a measured pose.
+"""Experiments as two Parquet tables: one row per experiment, and one row per measured pose.
 
-Units are at the end of the columns' names. The pusher has a clock of its own: in `frames` it stands
-interpolated, linearly, at the instants of the object; no value where it was not measured.
+Column names end with their unit. The pusher has its own clock: `frames` has its poses interpolated
+linearly at the times of the object, and no value where it was not measured.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from fixel.typing import FloatArray
 
 EXPERIMENTS: Final = "experiments.parquet"
 FRAMES: Final = "frames.parquet"
-BATCH: Final = 100_000  # [frames] a row group
+BATCH: Final = 100_000  # [frames] per row group
 
 _POSE = ("x_m", "y_m", "theta_rad")
 
 
 def write_frames(experiments: Iterable[Experiment], folder: Path) -> int:
-    """Write both tables into a folder; returns the number of frames."""
-    # A second is spent here at the first call, so not where the module is imported.
+    """Write both tables into a folder; return the number of frames."""
+    # Imported here since the first import of pyarrow takes a second.
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -57,7 +57,7 @@ def write_frames(experiments: Iterable[Experiment], folder: Path) -> int:
 
 
 def experiment_columns(experiment: Experiment) -> dict[str, Any]:
-    """One row an experiment."""
+    """Row of the table of experiments, without `experiment_index`."""
     path = experiment.trajectory
     ends = {
         f"{end}_{label}": float(x)
@@ -88,7 +88,7 @@ def experiment_columns(experiment: Experiment) -> dict[str, Any]:
 
 
 def frame_columns(number: int, experiment: Experiment) -> dict[str, Any]:
-    """One row a measured pose of the object."""
+    """Columns of the table of frames: one row per measured pose of the object."""
     time = experiment.trajectory.time
     n = len(time)
     pusher = pusher_at(experiment, time)
@@ -108,7 +108,7 @@ def frame_columns(number: int, experiment: Experiment) -> dict[str, Any]:
 
 
 def pusher_at(experiment: Experiment, time: FloatArray) -> FloatArray:
-    """(n, 3) poses of the pusher at instants, NaN where it was not measured."""
+    """Poses (n, 3) of the pusher at given times, NaN where it was not measured."""
     pusher = experiment.pusher
     if pusher is None:
         return np.full((len(time), 3), np.nan)
@@ -118,7 +118,7 @@ def pusher_at(experiment: Experiment, time: FloatArray) -> FloatArray:
 
 @contextmanager
 def folder_whole(folder: Path) -> Iterator[Path]:
-    """A folder beside `folder` that takes its name once it is complete; it must be new or empty."""
+    """Yield a temporary folder that replaces `folder`, which must be new or empty, on success."""
     refuse_folder(folder)
     unfinished = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
@@ -137,7 +137,7 @@ def folder_whole(folder: Path) -> Iterator[Path]:
 
 
 def refuse_folder(folder: Path) -> None:
-    """Refuse a folder that has something in it, or cannot be made."""
+    """Raise `InvalidInput` for a folder that is not empty or cannot be created."""
     if folder.exists():
         if not folder.is_dir() or any(folder.iterdir()):
             raise InvalidInput(

@@ -1,4 +1,4 @@
-"""JPEG pictures: as cameras send them, and as recordings hold them."""
+"""JPEG pictures, as cameras send them and recordings store them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from fixel.vision.frame import Gray, Picture
 
 BEGIN: Final = b"\xff\xd8"
 END: Final = b"\xff\xd9"
-# Markers that say how large a picture is; the others of this range are tables.
+# Markers of segments with the picture's size; the others of this range are tables.
 _SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 QUALITY: Final = 95  # with colours at full resolution
 REDUCED: Final = 8
 
 
 def jpeg_of(picture: Picture) -> bytes:
-    """JPEG of high quality, with colours at full resolution."""
+    """Encode a picture as JPEG of high quality, with colours at full resolution."""
     from PIL import Image
 
     height, width = picture.shape[:2]
@@ -32,7 +32,7 @@ def jpeg_of(picture: Picture) -> bytes:
 
 
 def jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height [px] of a whole JPEG picture; None where it is none."""
+    """Width and height [px] of a JPEG picture; None if it is truncated or no JPEG."""
     if not data.startswith(BEGIN) or data.rfind(END) < 0:
         return None
     place = 2
@@ -46,7 +46,7 @@ def jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def decoded(data: bytes, where: str = "picture") -> Picture:
-    """(height, width, 3) uint8, blue, green, red."""
+    """Decode a JPEG picture: (height, width, 3) uint8, blue, green, red."""
     from PIL import Image
 
     try:
@@ -58,15 +58,15 @@ def decoded(data: bytes, where: str = "picture") -> Picture:
 
 
 def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
-    """(height / reduced, width / reduced) uint8; colours are not decoded, nor details beyond that.
+    """Decode only the brightness of a JPEG picture, (height / reduced, width / reduced) uint8.
 
     Parameters
     ----------
     data : bytes
     reduced : int
-        1, 2, 4 or 8.
+        Factor by which width and height shrink: 1, 2, 4 or 8.
     where : str
-        What it is called where it turns out to be spoilt.
+        Name of the picture in errors.
     """
     from PIL import Image
 
@@ -79,7 +79,7 @@ def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
 
 
 def shrunk(picture: Picture) -> Gray:
-    """(height / 8, width / 8) uint8 of brightness, of pixels."""
+    """Brightness (height / 8, width / 8) uint8 of a picture: means of green over 8 x 8 pixels."""
     height, width = (side // REDUCED for side in picture.shape[:2])
     green = picture[: height * REDUCED, : width * REDUCED, 1]
     cells = green.reshape(height, REDUCED, width, REDUCED)
@@ -88,7 +88,7 @@ def shrunk(picture: Picture) -> Gray:
 
 @final
 class JpegPlanes:
-    """A JPEG picture for `Frame`: windows of it are decoded alone, where it is of the usual kind.
+    """JPEG picture for `Frame` that decodes only the requested window, if its coding allows it.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class JpegPlanes:
     size : (int, int)
         Width and height [px].
     where : str
-        What it is called where it turns out to be spoilt.
+        Name of the picture in errors.
     """
 
     __slots__ = ("_blocks", "_data", "_looked", "_luma", "_picture", "_where", "size")
@@ -110,13 +110,13 @@ class JpegPlanes:
         self._looked = False
 
     def luma(self) -> Gray:
-        """(height, width) of brightness."""
+        """Brightness of the picture, (height, width)."""
         if self._luma is None:
             self._luma = brightness(self._data, where=self._where)
         return self._luma
 
     def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """(height, width) of brightness in a window."""
+        """Brightness of a window, (height, width)."""
         if self._luma is None:
             blocks = self._walked()
             window = None if blocks is None else blocks.luma(rows, columns)
@@ -125,7 +125,7 @@ class JpegPlanes:
         return self.luma()[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
-        """(height, width, 3) blue, green, red of a window."""
+        """Colours of a window, (height, width, 3): blue, green, red."""
         width, height = self.size
         whole = rows.indices(height)[:2] == (0, height) and columns.indices(width)[:2] == (0, width)
         if self._picture is None and not whole:

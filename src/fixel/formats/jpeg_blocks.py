@@ -1,11 +1,11 @@
-"""Windows of a JPEG picture, without decoding the rest of it.
+"""Decoding of windows of a JPEG picture, without the rest of it.
 
-Where each block of 8 x 8 pixels begins in the data can be told only by walking there, but the walk
-need not know what it passes: a table steps over several coefficients at once. Blocks inside a
-window are then decoded from where they begin, and nothing else is.
+The start of a block of 8 x 8 pixels in the data is found only by scanning all data before it. The
+scan need not decode them: a table skips several coefficients at once. Then only the blocks in a
+window are decoded.
 
-The pixels are those of libjpeg, to the last bit, but for colours that are stored at half the
-resolution, which are repeated here and smoothed there.
+The pixels are those of libjpeg, bit for bit, except for colours stored at half the resolution,
+which are repeated here and smoothed there.
 
 Source
 ------
@@ -26,10 +26,10 @@ from fixel.formats.jpeg_loops import STATE, bgr_of, find_blocks, read_blocks
 from fixel.formats.jpeg_tables import fill_codes, fill_strides, fill_words
 from fixel.vision.frame import Gray, Picture
 
-SLACK: Final = 128  # words of zeros after the data: more than one block can be long
-AHEAD: Final = 3  # words that may have been looked at when the data end
+SLACK: Final = 128  # words of zeros after the data: longer than any block
+AHEAD: Final = 3  # words that may have been read ahead when the data end
 
-# Where the coefficients of a block stand, in the order they come in.
+# Places of the coefficients in a block, in the zigzag order of the data.
 _ORDER: Final = sorted(
     range(64), key=lambda k: (k // 8 + k % 8, k // 8 if (k // 8 + k % 8) % 2 else k % 8)
 )
@@ -38,24 +38,24 @@ _ORDER: Final = sorted(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class JpegLayout:
-    """What the head of a JPEG says about its data.
+    """Layout of the compressed data of a JPEG, from its header.
 
     Attributes
     ----------
     size : (int, int)
         Width and height [px].
     parts : (n, 6) int64
-        Of brightness and colours: blocks across and down in a unit, number of its first block,
-        blocks across and down in the picture, which tables of codes it has.
+        For brightness and colours: blocks across and down in a unit, number of the first block,
+        blocks across and down in the picture, numbers of its code tables.
     quantum : (n, 64) int64
-        What coefficients are multiplied by, in the order of rows.
+        Factors of the coefficients, row by row.
     codes : (2, 2, 65536) uint16
-        Of tables for first and other coefficients: length and meaning of the code that 16 bits
-        begin with.
+        For the tables of first and other coefficients: length and meaning of the code at the start
+        of each 16 bits.
     strides : (2, 2, 8192) uint32
-        How far one steps by the codes that lie within 13 bits; see `fill_strides`.
+        Bits and coefficients to skip by the codes within each 13 bits; see `fill_strides`.
     units : (int, int)
-        Across and down.
+        Number of units across and down.
     interval : int
         Units between two restarts; 0 for none.
     """
@@ -71,13 +71,13 @@ class JpegLayout:
 
 @final
 class JpegBlocks:
-    """The blocks of one picture.
+    """Decoder of the blocks of one picture.
 
     Parameters
     ----------
     layout : JpegLayout
     data : bytes
-        What comes after its head.
+        Data after the header.
     """
 
     __slots__ = ("_end", "_layout", "_level", "_place", "_state", "_words")
@@ -95,7 +95,7 @@ class JpegBlocks:
         self._state[-1] = layout.interval
 
     def luma(self, rows: slice, columns: slice) -> Gray | None:
-        """(height, width) of brightness in a window; None where the data make no sense."""
+        """Decode the brightness of a window, (height, width); None if the data are corrupt."""
         top, bottom, left, right = self._within(rows, columns)
         if not self._walked(bottom):
             return None
@@ -107,7 +107,7 @@ class JpegBlocks:
         )
 
     def colour(self, rows: slice, columns: slice) -> Picture | None:
-        """(height, width, 3) blue, green, red in a window; None where the data make no sense."""
+        """Decode blue, green, red of a window, (height, width, 3); None if that is impossible."""
         top, bottom, left, right = self._within(rows, columns)
         if len(self._layout.parts) != 3 or not self._walked(bottom):
             return None
@@ -128,7 +128,7 @@ class JpegBlocks:
         return top, max(bottom, top), left, max(right, left)
 
     def _walked(self, bottom: int) -> bool:
-        """Know where all blocks down to a row begin; whether they could be found."""
+        """Whether the starts of all blocks above a row of pixels were found, scanning as needed."""
         layout = self._layout
         tall = 8 * int(layout.parts[:, 1].max())
         until = -(-bottom // tall)
@@ -153,7 +153,7 @@ class JpegBlocks:
     def _plane(
         self, part: int, top: int, bottom: int, left: int, right: int
     ) -> tuple[Gray | None, int, int]:
-        """Whole blocks of a plane that hold a window, and its row and column in that plane."""
+        """Decode the blocks of a plane that cover a window; also return their first row, column."""
         parts = self._layout.parts
         across, down = parts[part, :2] * 8
         wide, tall = parts[:, :2].max(0) * 8
@@ -182,10 +182,10 @@ NATURAL: Final = np.array(_ORDER, dtype=np.int64)
 
 
 def blocks_of(data: bytes) -> JpegBlocks | None:
-    """The blocks of a picture; None where it is none of the usual kind.
+    """Create a decoder of blocks; None for a picture of an unsupported kind.
 
-    That is: baseline, 8 bits, brightness alone or with two colours, all in one scan, and no other
-    colours than those of JFIF.
+    Supported are baseline pictures of 8 bits in one scan, with brightness alone or with the two
+    colours of JFIF.
     """
     start = _scan(data)
     if start is None:
@@ -195,7 +195,7 @@ def blocks_of(data: bytes) -> JpegBlocks | None:
 
 
 def _scan(data: bytes) -> int | None:
-    """Where the data begin, after all segments of the head."""
+    """Offset of the compressed data, after all segments of the header; None if not found."""
     place = 2
     while place + 4 <= len(data) and data[place] == 0xFF:
         end = place + 2 + int.from_bytes(data[place + 2 : place + 4])
@@ -245,7 +245,7 @@ def _read_head(head: bytes) -> JpegLayout | None:
         if scan[1 + 2 * k] != name:
             return None
         chosen = scan[2 + 2 * k]
-        # One plane alone comes block by block, whatever it says.
+        # A single plane is coded block by block, whatever its sampling factors.
         parts[k, :2] = (sampling >> 4, sampling & 15) if n > 1 else (1, 1)
         parts[k, 5] = 2 * (chosen >> 4) + (chosen & 15)
         if max(chosen >> 4, chosen & 15) > 1:
@@ -281,7 +281,7 @@ def _quanta(content: bytes) -> dict[int, NDArray[np.int64]]:
 
 
 def _tables(content: bytes) -> dict[int, bytes]:
-    """Tables of codes by class and number; each as 16 counts and the meanings."""
+    """Code tables by class and number; each has 16 counts, then the meanings."""
     found = {}
     while content:
         end = 17 + sum(content[1:17])

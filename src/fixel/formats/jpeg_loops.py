@@ -1,8 +1,8 @@
-"""The loops of `jpeg_blocks`, compiled.
+"""Compiled loops of `jpeg_blocks`.
 
-As for the kernels: arrays and numbers only, a status in place of exceptions. Bits are kept in a
-word of 64, the next one highest; at least 33 of them before each code, which with what belongs to
-it has 31 at most.
+As in the kernels, they use arrays and numbers only, and a status instead of exceptions. A buffer of
+64 bits has the next bit highest. It has at least 33 bits before each code; a code and its value
+have at most 31.
 """
 
 from typing import Any
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from fixel.kernels.jit import entry, kernel
 from fixel.vision.frame import Gray, Picture
 
-STATE = 6  # units' rows walked, bits walked, three levels, units to the next restart
+STATE = 6  # rows of units scanned, bits scanned, three levels, units to the next restart
 
 Words = NDArray[np.uint32]
 Codes = NDArray[np.uint16]
 Strides = NDArray[np.uint32]
 Whole = NDArray[np.int64]
 
-# What is unsigned mixes with numbers that are not to make fractions.
+# Mixed with signed integers, unsigned ones become floats; `whole` converts them first.
 whole: Any = np.int64
 U32, U48, U51 = np.uint64(32), np.uint64(48), np.uint64(51)
 
@@ -31,7 +31,7 @@ C1501, C1847, C1961, C2053, C2562, C3072 = 12299, 15137, 16069, 16819, 20995, 25
 
 @kernel
 def _value(bits: int, size: int) -> int:
-    """What `size` bits mean as a number with a sign."""
+    """Signed value of `size` bits, as JPEG codes coefficients."""
     return bits if bits >= 1 << (size - 1) else bits - (1 << size) + 1
 
 
@@ -49,28 +49,28 @@ def find_blocks(
     place: Whole,
     level: NDArray[np.int16],
 ) -> bool:
-    """Walk on through rows of units, and note where blocks begin and their first coefficient.
+    """Continue to scan rows of units; store the place and first coefficient of each block.
 
     Parameters
     ----------
     words : (n,) uint32
-        The data, most significant bit first.
+        Compressed data, most significant bit first.
     limit : int
-        The word from which on there are no data.
+        Index of the first word after the data.
     state : (STATE,) int64
-        How far it went; written to.
+        State of the scan; modified.
     until : int
-        Row of units to stop before.
+        Row of units at which the scan stops.
     across : int
         Units in a row.
     interval : int
         Units between restarts, 0 for none.
     parts, codes, strides
-        See `Layout`.
+        See `JpegLayout`.
     place : (n,) int64
-        Bit after the first coefficient of each block; written to.
+        Position of the bit after the first coefficient of each block; modified.
     level : (n,) int16
-        That coefficient; written to.
+        First coefficient of each block; modified.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def find_blocks(
 
 @kernel
 def _transform(block: Whole, start: int, step: int, shift: int) -> None:
-    """Eight numbers, in place, from frequencies to places."""
+    """Inverse cosine transform of eight numbers, in place."""
     a, b = block[start + 2 * step], block[start + 6 * step]
     z1 = (a + b) * C0541
     t2, t3 = z1 - b * C1847, z1 + a * C0765
@@ -223,7 +223,7 @@ def read_blocks(
     top: int,
     out: Gray,
 ) -> bool:
-    """Decode the blocks of a plane from column `left` and row `top` of blocks on, as `out` holds.
+    """Decode the blocks of a plane into `out`, from column `left` and row `top` of blocks on.
 
     Returns
     -------
@@ -287,7 +287,7 @@ def bgr_of(
     left: int,
     out: Picture,
 ) -> None:
-    """Blue, green and red of a window that begins at `top`, `left`, from planes at `corners`."""
+    """Write blue, green and red of a window at `top`, `left`, from planes at `corners`."""
     across, down = parts[0, 0], parts[0, 1]
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):

@@ -1,4 +1,4 @@
-"""What `jpeg_loops` reads from: the data as words, and tables of codes; compiled."""
+"""Compiled preparation of the input of `jpeg_loops`: data as words, and code tables."""
 
 from typing import Any
 
@@ -13,12 +13,12 @@ whole: Any = np.int64
 
 @entry
 def fill_words(data: Gray, words: Words) -> int:
-    """Write the data as words, without the zeros that are stuffed in after each 255.
+    """Write the data as words, without the stuffed zero after each 255.
 
     Returns
     -------
     int
-        How many words there are; zeros follow.
+        Number of words; zeros follow.
     """
     n, count, word = 0, 0, 0
     stuffed = False
@@ -41,7 +41,7 @@ def fill_words(data: Gray, words: Words) -> int:
 
 @entry
 def fill_codes(counts: Gray, meanings: Gray, codes: Codes) -> bool:
-    """Write length (high byte) and meaning (low byte) for every 16 bits that begin with a code."""
+    """Write length (high byte) and meaning (low byte) of the code at the start of every 16 bits."""
     code, used = 0, 0
     for length in range(1, 17):
         for _ in range(counts[length - 1]):
@@ -58,11 +58,11 @@ def fill_codes(counts: Gray, meanings: Gray, codes: Codes) -> bool:
 
 @entry
 def fill_strides(codes: Codes, many: bool, strides: Strides) -> None:
-    """Write, for every 13 bits, how far one may step by the codes that lie wholly within them.
+    """Write, for every 13 bits, how far the codes that lie wholly within them reach.
 
-    Bits in the lowest byte, what belongs to the last code included; coefficients passed in the
-    next; and above that whether the block ends there. 0: the first code is longer. Of a first
-    coefficient (not `many`) there is one only, and it is its meaning that is in the second byte.
+    The lowest byte has the number of bits, including the value of the last code. The next byte has
+    the number of coefficients, and the bit above it is set if the block ends there. 0 means that
+    the first code is longer. For a first coefficient (not `many`), the second byte is its meaning.
     """
     for start in range(len(strides)):
         used, passed, ended = 0, 0, 0

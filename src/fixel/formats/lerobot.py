@@ -1,9 +1,9 @@
-"""Experiments as a LeRobot dataset, version 3.0, without videos.
+"""Export of experiments as a LeRobot dataset, version 3.0, without videos.
 
-LeRobot wants one frame rate for all: paths are sampled anew at even steps, linearly, angles the
-short way. A frame's state is the object's pose and the pusher's, its action the pusher's pose a
-frame later. Simulated episodes say so in `info.json`, in their row of `meta/episodes`, and in every
-frame, as `is_real`.
+LeRobot requires one frame rate: trajectories are resampled at even steps, linearly, angles the
+short way. A frame's state is the pose of the object and of the pusher; its action is the pusher's
+pose one frame later. Simulated episodes are marked in `info.json`, in their row of
+`meta/episodes`, and in every frame, by `is_real`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
 CHUNK_FILES: Final = 1000
 FILE_MB: Final = 100
-FILE_FRAMES: Final = 1_000_000  # about 60 MB, so that no file grows beyond FILE_MB
+FILE_FRAMES: Final = 1_000_000  # about 60 MB, so that no file exceeds FILE_MB
 QUANTILES: Final = (1, 10, 50, 90, 99)  # [%]
 
 _STATE = tuple(f"{who}_{x}" for who in ("object", "pusher") for x in ("x_m", "y_m", "theta_rad"))
@@ -45,7 +45,7 @@ Columns = dict[str, NDArray[Any]]
 @final
 @dataclass(slots=True)
 class _Dataset:
-    """What is known of the dataset after the episodes so far."""
+    """Counts and metadata of the episodes written so far."""
 
     fps: int
     tasks: dict[str, int] = field(default_factory=dict)
@@ -64,18 +64,18 @@ def write_lerobot(
     name: str,
     rights: Mapping[str, Any],
 ) -> int:
-    """Write a LeRobot dataset into an empty folder; returns the number of frames.
+    """Write a LeRobot dataset into an empty folder; return the number of frames.
 
     Parameters
     ----------
     experiments : iterable of Experiment
     folder : Path
     fps : int
-        Frames a second.
+        Frames per second.
     name : str
-        Of the dataset, for its card.
+        Name of the dataset, for its card.
     rights : mapping of str to (licence, citation)
-        Of the sources, by the names of datasets.
+        Licence and citation of each source dataset, by its name.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -101,7 +101,7 @@ def write_lerobot(
 
 
 def frames_of(experiment: Experiment, fps: int) -> Columns:
-    """Features of an episode's frames that do not depend on the other episodes."""
+    """Frame features of an episode that do not depend on other episodes."""
     first = experiment.trajectory.time[0]
     n = int(np.floor(experiment.duration * fps + 1e-6)) + 1
     steps = np.arange(n, dtype=np.int64)
@@ -118,7 +118,7 @@ def frames_of(experiment: Experiment, fps: int) -> Columns:
 
 
 def _add(found: _Dataset, experiment: Experiment, file: int) -> Columns:
-    """Enter an episode; returns its frames."""
+    """Add an episode to the metadata; return the columns of its frames."""
     episode = len(found.episodes)
     task = f"push {experiment.object_name}"
     columns = frames_of(experiment, found.fps)
@@ -158,14 +158,14 @@ def _add(found: _Dataset, experiment: Experiment, file: int) -> Columns:
 
 
 def statistics_of(columns: Columns) -> dict[str, dict[str, list[float]]]:
-    """Statistics of each feature, component by component, over the values there are."""
+    """Statistics of each feature per component, without missing values."""
     return {key: _statistics(values) for key, values in columns.items()}
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
     table = values.reshape(len(values), -1).astype(np.float64)
     there = [column[~np.isnan(column)] for column in table.T]
-    # A component that nobody measured counts as 0: LeRobot divides by what stands here.
+    # A component that was never measured counts as 0: LeRobot computes with these numbers.
     there = [column if len(column) else np.zeros(1) for column in there]
     found: dict[str, list[float]] = {
         "min": [float(column.min()) for column in there],
@@ -216,7 +216,7 @@ def _write_meta(pa: Any, found: _Dataset, folder: Path) -> None:
 
 
 def _tasks(pa: Any, found: _Dataset) -> Any:
-    """Tasks by their text, which LeRobot reads as the index of a pandas table."""
+    """Table of tasks; LeRobot reads their text as the index of a pandas table."""
     table = pa.table({"task_index": list(found.tasks.values()), "task": list(found.tasks)})
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy}
@@ -255,7 +255,7 @@ def _info(found: _Dataset) -> dict[str, Any]:
 
 
 def _card(found: _Dataset, name: str, rights: Mapping[str, Any]) -> str:
-    """The README: what it is, where it comes from, whose it is."""
+    """Text of the README: description, sources, licences and citations."""
     n = len(found.episodes)
     sources = []
     for source, count in sorted(found.sources.items()):

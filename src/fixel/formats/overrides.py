@@ -1,4 +1,4 @@
-"""Changing single values of a scene file: `bodies.0.mass=0.2`, `bodies.object.mass=0.2`."""
+"""Overrides of single values of a scene file: `bodies.0.mass=0.2`, `bodies.object.mass=0.2`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def apply_override(raw: Any, override: str) -> None:
     raw : dict
         Content of a scene file.
     override : str
-        `path.to.key=value`. Entries of lists go by number, those with a name by name as well; the
-        value is YAML. A key that is not in the file is added if scene files can have it there.
+        `path.to.key=value`, the value in YAML. List items are addressed by number or, if they have
+        one, by name. A key missing in the file is added if scene files allow it there.
 
     Raises
     ------
     InvalidInput
-        A path that leads nowhere, with what there is.
+        The path does not exist; the message lists what does.
     """
     text, equals, value = override.partition("=")
     if not equals or not text.strip():
@@ -44,7 +44,7 @@ def apply_override(raw: Any, override: str) -> None:
 
 
 def _key(container: Any, segment: str, path: Path) -> str | int:
-    """The key or number that a segment of a path means here."""
+    """Key or list index that a segment of a path refers to in a container."""
     if isinstance(container, list):
         names = [item.get("name") if isinstance(item, dict) else None for item in container]
         if segment in names:

@@ -1,7 +1,7 @@
-"""Plan files: a sampling plan as one small YAML or JSON file.
+"""Plan files: a sampling plan as a small YAML or JSON file.
 
-The file holds the scheme, not the experiments it unfolds to. Lengths are in metres, angles in
-radians, as in scene files.
+The file contains the scheme, not the experiments generated from it. Lengths are in metres, angles
+in radians, as in scene files.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RegularRecord(SceneLevel):
 
 
 class OutlineRecord(SceneLevel):
-    """Exactly one form."""
+    """Outline of a head or an object, in exactly one form."""
 
     polygon: list[Point] | None = Field(None, description="corners x, y [m]")
     disk: Positive | None = Field(None, description="radius [m]")
@@ -70,7 +70,7 @@ class OutlineRecord(SceneLevel):
 
 
 class RestRecord(SceneLevel):
-    """Exactly one form."""
+    """Support of an object, in exactly one form."""
 
     tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
     points: PointsRecord | None = Field(None, description="support at given points")
@@ -134,7 +134,7 @@ class SampleRecord(SceneLevel):
 
 
 class OffsetsRecord(SceneLevel):
-    """Exactly one form."""
+    """Scheme of offsets from the nominal pose, in exactly one form."""
 
     nominal: NoneRecord | None = Field(None, description="the nominal pose: {}")
     axis: AxisRecord | None = Field(None, description="steps along one axis, without step 0")
@@ -144,7 +144,7 @@ class OffsetsRecord(SceneLevel):
 
 
 class PlanRecord(SceneLevel):
-    """A plan file."""
+    """Content of a plan file."""
 
     fixel_plan: Literal[1] = Field(description="version of the format")
     name: str
@@ -163,18 +163,18 @@ def load_plan(path: str | Path) -> Plan:
     Raises
     ------
     InvalidInput
-        The first thing that is wrong, with the path of its key.
+        The first error, with the path of its key.
     """
     return _plan(read_document(Path(path)))
 
 
 def plan_from_text(text: str, where: str = "plan") -> Plan:
-    """The plan in a YAML text; `where` names it in errors."""
+    """Parse a plan from YAML text; `where` names it in errors."""
     return _plan(parse_yaml(text, where))
 
 
 def plan_text(plan: Plan) -> str:
-    """A plan as the text of a YAML file, which reads back as an equal plan."""
+    """Return a plan as YAML text, from which `plan_from_text` builds an equal plan."""
     return yaml_text(_content(plan))
 
 

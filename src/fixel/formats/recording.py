@@ -1,12 +1,12 @@
-"""A recording: a folder with a video, a row a frame, and what is known of both.
+"""Recordings: folders with a video, a table with one row per frame, and metadata.
 
-    recording.json   what was known before the first frame
-    video.nut        the pictures
-    frames.csv       a row a frame: when it came, what the fixels felt, which picture it belongs to
-    end.json         why it ended; only where it was ended well
+    recording.json   header, written before the first frame
+    video.nut        pictures
+    frames.csv       one row per frame: arrival time, tactile reading, checksum of its picture
+    end.json         reason of the end; missing after a crash
 
-Every row names its picture by time, length and checksum. Of a recording that broke off, the longest
-beginning in which each row has its picture is read; anything else that does not fit is refused.
+Every row identifies its picture by time, length and checksum. From an interrupted recording, the
+longest beginning in which each row has its picture is read; any other mismatch is an error.
 """
 
 from __future__ import annotations
@@ -58,23 +58,23 @@ NO_READING: Final = -1
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """A recording that was read and checked.
+    """Recording that has been loaded and checked.
 
     Attributes
     ----------
     folder : Path
     header : RecordingHeader
     end : RecordingEnd or None
-        None where it broke off.
+        End mark; None if the recording was interrupted.
     time : (n,) float64
-        When each frame came, since the recording began [s].
+        Arrival time of each frame, since the recording began [s].
     readings : (n,) int64
-        The tactile byte of each frame, -1 for none.
+        Tactile byte of each frame, -1 for none.
     reading_time : (n,) float64
-        When it was read [s], NaN for none.
+        Time at which the tactile byte was read [s], NaN for none.
     video : Path
     problems : tuple of str
-        What is missing or was cut off, one sentence each.
+        Defects, such as missing frames, one sentence each.
     """
 
     folder: Path
@@ -88,28 +88,28 @@ class Recording:
 
     @property
     def complete(self) -> bool:
-        """Whether it was ended well, and nothing is missing."""
+        """Whether the recording has an end mark and no frames are missing."""
         return self.end is not None and self.end.frames == len(self.time)
 
     @property
     def n_frames(self) -> int:
-        """How many frames can be read."""
+        """Number of readable frames."""
         return len(self.time)
 
     def jpegs(self) -> Iterator[tuple[float, bytes]]:
-        """Time [s] and picture of every frame, as the video holds it; not of an exact one."""
+        """Yield time [s] and JPEG data of every frame; raise for the codec `exact`."""
         if self.header.codec == "exact":
             raise InvalidInput(str(self.folder), found="an exact recording", expected="JPEG")
         for time, packet in zip(self.time, packets(self.video), strict=False):
             yield float(time), packet.data
 
     def frames(self) -> Iterator[Frame]:
-        """Every frame in turn, at its exact time.
+        """Yield all frames in order, with their recorded times.
 
         Raises
         ------
         InvalidInput
-            A picture that cannot be decoded: the camera sent it so.
+            A picture that cannot be decoded because the camera sent it corrupt.
         """
         decoder = PictureDecoder(self.header.size, exact=self.header.codec == "exact")
         for k, packet in enumerate(packets(self.video)):
@@ -129,7 +129,7 @@ class Recording:
 
 
 class _Agreement(NamedTuple):
-    """How far rows and pictures agree."""
+    """Rows of a recording, and the number of them whose pictures match."""
 
     rows: RecordingRows
     matched: int
@@ -137,17 +137,17 @@ class _Agreement(NamedTuple):
 
 
 def is_recording(folder: str | Path) -> bool:
-    """Whether this is the folder of a recording."""
+    """Whether a folder contains a recording."""
     return (Path(folder) / HEADER).is_file()
 
 
 def open_recording(folder: str | Path) -> Recording:
-    """Read a recording and check every row against its picture.
+    """Load a recording and check every row against its picture.
 
     Raises
     ------
     InvalidInput
-        No recording, or one in which frames and readings do not belong together.
+        No recording, or one whose rows and pictures do not match.
     """
     folder = Path(folder)
     header, end = read_header(folder), read_end(folder)
@@ -174,14 +174,14 @@ def open_recording(folder: str | Path) -> Recording:
 
 
 def repair_recording(folder: str | Path) -> Recording:
-    """Cut off what has no counterpart at the end of a recording, and mark it as ended.
+    """Cut off rows and pictures without a counterpart at the end, and write the end mark.
 
-    Both files are shortened in place, the rows first: an interrupt leaves what can be repaired.
+    Both files are shortened in place, rows first, so that an interrupted repair can be repeated.
 
     Raises
     ------
     InvalidInput
-        As `open_recording`, or a folder that cannot be written to.
+        As in `open_recording`; or the folder cannot be written to.
     """
     folder = Path(folder)
     recording = open_recording(folder)
@@ -213,14 +213,14 @@ def repair_recording(folder: str | Path) -> Recording:
 
 
 def _checked(folder: Path) -> _Agreement:
-    """How far rows and pictures agree, or a refusal where it is not just the end that is torn."""
+    """Compare rows with pictures; raise if more than the end of the recording is damaged."""
     rows = read_rows(folder / ROWS)
     matched = seen = 0
     for seen, packet in enumerate(packets(folder / VIDEO), 1):
         fits = seen <= len(rows.rows) and _belong(rows.rows[seen - 1], packet)
         matched += fits and matched == seen - 1
     strangers = min(seen, len(rows.rows)) - matched
-    # A picture that was being written when the end came is torn; more than one is another matter.
+    # Only the picture that was being written at the crash can be torn; more indicate other damage.
     if strangers > 1 or (strangers == 1 and seen > len(rows.rows)):
         raise InvalidInput(
             f"{folder / VIDEO}, frame {matched}",
@@ -244,7 +244,7 @@ def _belong(row: RecordingRow, packet: Packet) -> bool:
 
 
 def _problems(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
-    """What a reader should know, in sentences."""
+    """Defects of a recording, one sentence each."""
     yield from _broken_off(check, end)
     if end is not None:
         yield from end.problems
@@ -253,7 +253,7 @@ def _problems(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
 
 
 def _broken_off(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
-    """What is missing at the end."""
+    """Defects at the end of a recording, one sentence each."""
     n, n_rows = check.matched, len(check.rows.rows)
     seconds = check.rows.rows[n - 1].time_us / MICRO
     if end is None:

@@ -1,4 +1,4 @@
-"""What a recording says of itself: `recording.json`, and `end.json` once it was ended well."""
+"""Metadata files of a recording: `recording.json`, and `end.json` after a regular end."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ CLOCK: Final = "monotonic, in seconds since the recording began; one for frames 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingHeader:
-    """What is known before the first frame.
+    """Header of a recording, written before the first frame.
 
     Parameters
     ----------
     size : (int, int)
         Width and height of the pictures [px].
     codec : str
-        `as-it-comes` keeps the JPEG pictures of a camera bit by bit, `near` writes JPEG of high
-        quality, `exact` loses nothing.
+        `as-it-comes` stores the JPEG pictures of a camera bit for bit, `near` writes JPEG of high
+        quality, `exact` is lossless.
     rig : str
         Name of the rig; empty for none.
     source : str
-        Where the pictures come from.
+        Source of the pictures.
     simulated_by : str
-        What made the pictures, where no camera did.
+        Program that generated the pictures, if no camera did.
     started : str
-        When the clock was zero, as ISO 8601 in UTC; now, where empty.
+        Time at which the clock was zero, ISO 8601 in UTC; empty for now.
     rate : float
-        Frames a second as the source promises them, 0 for unknown; times are in the rows.
+        Nominal frames per second of the source, 0 for unknown; exact times are in the rows.
     about : mapping of str to anything JSON can hold
-        Whatever else is worth keeping.
+        Further metadata.
     """
 
     size: tuple[int, int]
@@ -82,20 +82,20 @@ class RecordingHeader:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingEnd:
-    """What is known once a recording was ended well.
+    """End mark of a recording, written after a regular end.
 
     Parameters
     ----------
     frames : int
-        How many there are.
+        Number of frames.
     seconds : float
-        Time of the last [s].
+        Time of the last frame [s].
     reason : str
-        Why it ended, in words.
+        Reason why the recording ended.
     lost : int
-        Frames the camera sent and the recorder was too slow for.
+        Number of frames lost because the recorder was too slow.
     problems : tuple of str
-        What else went wrong, one sentence each.
+        Other problems, one sentence each.
     """
 
     frames: int
@@ -116,12 +116,12 @@ def write_header(folder: Path, header: RecordingHeader) -> None:
 
 
 def write_end(folder: Path, end: RecordingEnd) -> None:
-    """Write `end.json`: the mark of a recording that was ended well."""
+    """Write `end.json`, the mark of a regular end."""
     _write(folder / END, asdict(end))
 
 
 def read_header(folder: Path) -> RecordingHeader:
-    """Read `recording.json`, or say why not."""
+    """Load `recording.json`; raise `InvalidInput` if it is missing or invalid."""
     content = _read(folder / HEADER)
     if content is None:
         raise InvalidInput(
@@ -142,7 +142,7 @@ def read_header(folder: Path) -> RecordingHeader:
 
 
 def read_end(folder: Path) -> RecordingEnd | None:
-    """Read `end.json`; None where there is none."""
+    """Load `end.json`; None if there is none."""
     content = _read(folder / END)
     if content is None:
         return None

@@ -1,7 +1,7 @@
-"""Rows of `frames.csv`: one a frame, each with a checksum, only ever appended.
+"""Rows of `frames.csv`: one per frame, each with a checksum, append-only.
 
-A row says which picture of the video it belongs to: by time, length and checksum. Any program that
-reads CSV can read it; the checksum at its end is that of the text before it.
+A row identifies its picture in the video by time, length and checksum. Any program that reads CSV
+can read the file; the checksum at the end of a row is that of the text before it.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ MICRO: Final = 1_000_000
 
 
 class RecordingRow(NamedTuple):
-    """One frame.
+    """Row of one frame.
 
     Attributes
     ----------
     frame : int
-        Counted from 0.
+        Number of the frame, from 0.
     time_us : int
-        Of its arrival [µs].
+        Time of its arrival [µs].
     reading : int
-        The tactile byte, -1 for none.
+        Tactile byte, -1 for none.
     reading_time_us : int
-        When it was read [µs], -1 for none.
+        Time at which the tactile byte was read [µs], -1 for none.
     size : int
-        Of its picture, as it is in the video [bytes].
+        Size of its picture in the video [bytes].
     video_end : int
-        Where it ends in the file of the video [bytes].
+        Offset of the end of its picture in the video file [bytes].
     crc : int
-        CRC-32 of its picture as it is in the video.
+        CRC-32 of its picture in the video.
     """
 
     frame: int
@@ -47,16 +47,16 @@ class RecordingRow(NamedTuple):
 
 
 class RecordingRows(NamedTuple):
-    """The rows of a file.
+    """Intact rows of a file.
 
     Attributes
     ----------
     rows : list of RecordingRow
-        All that are whole.
+        All intact rows.
     ends : list of int
-        Where each ends in the file [bytes].
+        Offset of the end of each row in the file [bytes].
     torn : bool
-        Whether something that is no whole row stands at the end.
+        Whether the file ends with an incomplete row.
     """
 
     rows: list[RecordingRow]
@@ -65,7 +65,7 @@ class RecordingRows(NamedTuple):
 
 
 def row_text(row: RecordingRow) -> bytes:
-    """A row as it stands in the file."""
+    """Encode a row as a line of the file, with its checksum."""
     reading = "" if row.reading < 0 else str(row.reading)
     text = (
         f"{row.frame},{_seconds(row.time_us)},{reading},{_seconds(row.reading_time_us)},"
@@ -75,12 +75,12 @@ def row_text(row: RecordingRow) -> bytes:
 
 
 def read_rows(path: Path) -> RecordingRows:
-    """Read all whole rows.
+    """Load all intact rows.
 
     Raises
     ------
     InvalidInput
-        No such file, or a row that is damaged, or missing, before others that are whole.
+        No such file, or a damaged or missing row before intact ones.
     """
     try:
         lines = path.read_bytes().splitlines(keepends=True)
@@ -127,7 +127,7 @@ def _micro(seconds: bytes) -> int:
 
 
 def _row(line: bytes) -> RecordingRow | None:
-    """The row of a line, None where it is torn or damaged."""
+    """Parse a line; None if it is torn or damaged."""
     text, comma, crc = line.rstrip(b"\n").rpartition(b",")
     if not line.endswith(b"\n") or not comma or b"%08x" % zlib.crc32(text) != crc:
         return None

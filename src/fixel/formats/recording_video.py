@@ -1,7 +1,7 @@
-"""The video of a recording: a NUT file, appended to packet by packet.
+"""Video of a recording: a NUT file, appended packet by packet.
 
-NUT needs no index and no end: whatever was written can be read. It keeps the packets as they are,
-with times to the microsecond, so that each can be found again by its checksum.
+NUT needs no index and no trailer, so an interrupted file can be read. It stores the packets
+unchanged, with times to the microsecond, so that each can be identified by its checksum.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ LOSSLESS: Final = "magicyuv"
 
 
 class FrameFate(NamedTuple):
-    """What a picture became in the video.
+    """Packet of a picture in the video: size, checksum and place.
 
     Attributes
     ----------
     size : int
-        Of its packet [bytes].
+        Size of its packet [bytes].
     crc : int
         CRC-32 of its packet.
     end : int
-        Size of the video after it [bytes].
+        Size of the video file after it was appended [bytes].
     """
 
     size: int
@@ -43,12 +43,12 @@ class FrameFate(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """A picture as it is in the video.
+    """Encoded picture in the video.
 
     Attributes
     ----------
     time_us : int
-        [µs].
+        Time of the picture [µs].
     data : bytes
     """
 
@@ -58,7 +58,7 @@ class Packet(NamedTuple):
 
 @final
 class VideoSink:
-    """Appends pictures to a new video; what was appended is with the operating system at once.
+    """Writer of pictures to a new video, without buffering in the process.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class VideoSink:
     size : (int, int)
         Width and height [px].
     exact : bool
-        Without any loss, else as JPEG.
+        Whether to encode without loss instead of as JPEG.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], *, exact: bool) -> None:
@@ -94,7 +94,7 @@ class VideoSink:
         self._stream.time_base = MICROSECOND
 
     def append_picture(self, time_us: int, picture: Picture) -> FrameFate:
-        """Encode and append a picture, in the manner of this video."""
+        """Encode a picture with the codec of this video and append it."""
         import av
 
         if self._encoded is None:
@@ -105,7 +105,7 @@ class VideoSink:
         return self._append(packet)
 
     def append_jpeg(self, time_us: int, jpeg: bytes) -> FrameFate:
-        """Append a JPEG picture as it is."""
+        """Append a JPEG picture unchanged."""
         import av
 
         packet = av.Packet(jpeg)
@@ -125,7 +125,7 @@ class VideoSink:
         return FrameFate(size, crc, self.path.stat().st_size)
 
     def close(self) -> None:
-        """Let go of the file; there is nothing left to write."""
+        """Close the file; all pictures have already been written."""
         try:
             self._container.close()
         except OSError:
@@ -134,7 +134,7 @@ class VideoSink:
 
 
 def warm_up() -> None:
-    """Load what writing needs: the first frame of a camera should not wait for it."""
+    """Import the encoders in advance, so that the first frame of a camera is not delayed."""
     import av
     from PIL import Image
 
@@ -143,7 +143,7 @@ def warm_up() -> None:
 
 
 def packets(path: Path) -> Iterator[Packet]:
-    """All packets of a video, the last perhaps torn; none where it ends before the first."""
+    """Yield all packets of a video, of which the last may be torn; none if it has no data."""
     import av
 
     try:
@@ -156,12 +156,12 @@ def packets(path: Path) -> Iterator[Packet]:
             str(path), found=str(problem.strerror).lower(), expected="the video of a recording"
         ) from None
     except (av.error.FFmpegError, IndexError):
-        return  # its end is torn: what was whole has been handed out
+        return  # the end is torn: all intact packets have been yielded
 
 
 @final
 class PictureDecoder:
-    """Turns the packets of a video into frames, one by one.
+    """Decoder of the packets of a video into frames.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class PictureDecoder:
         self._codec = _lossless(size) if exact else None
 
     def frame(self, time: float, data: bytes, where: str) -> Frame | None:
-        """The frame in a packet, None where there is no picture of this size in it."""
+        """Decode a packet; None if it contains no picture of the expected size."""
         if self._codec is None:
             fits = jpeg_size(data) == self._size
             return Frame(time, planes=JpegPlanes(data, self._size, where)) if fits else None

@@ -1,4 +1,4 @@
-"""Writes a recording, such that whatever ends it leaves it readable up to then."""
+"""Writer of recordings that stay readable however they end."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from fixel.formats.recording_video import FrameFate, VideoSink
 from fixel.vision.frame import Frame
 
 MAX_READING: Final = 255
-RESERVE: Final = ".reserve"  # room for the end mark on a disk that ran full
+RESERVE: Final = ".reserve"  # reserves space for the end mark, in case the disk becomes full
 RESERVED: Final = 65536  # [bytes]
 
 
 @final
 class RecordingWriter:
-    """Writes a recording frame by frame; nothing is held back.
+    """Writer of a recording, frame by frame and without buffering.
 
     Parameters
     ----------
     folder : str or Path
-        To be made.
+        Folder to create.
     header : RecordingHeader
 
     Raises
     ------
     InvalidInput
-        A folder that is there already, or cannot be made.
+        The folder exists already or cannot be created.
 
     Examples
     --------
@@ -75,23 +75,23 @@ class RecordingWriter:
     def write(
         self, frame: Frame, reading: int | None = None, reading_time: float | None = None
     ) -> None:
-        """Append a frame, and what the fixels felt meanwhile.
+        """Append a frame and its tactile reading.
 
         Parameters
         ----------
         frame : Frame
-            Later than the one before, by a microsecond at least.
+            Frame at least a microsecond later than the previous one.
         reading : int, optional
-            The tactile byte; None where none came.
+            Tactile byte; None if none arrived.
         reading_time : float, optional
-            When it was read, on the clock of the frames [s].
+            Time at which the tactile byte was read, on the clock of the frames [s].
 
         Raises
         ------
         InvalidInput
-            A picture of another size, a time going back, a reading that is no byte.
+            A picture of another size, a time that does not increase, a reading that is no byte.
         OSError
-            The disk is full, or gone.
+            The disk is full or not available.
         """
         width, height = self.header.size
         if self.header.codec == "as-it-comes":
@@ -118,10 +118,10 @@ class RecordingWriter:
         reading: int | None = None,
         reading_time: float | None = None,
     ) -> None:
-        """Append a JPEG picture as it came, and what the fixels felt meanwhile; like `write`."""
+        """Append an unchanged JPEG picture and its tactile reading; see `write`."""
         if self.header.codec == "exact":
             raise InvalidInput("recording.codec", found="exact", expected="as-it-comes for JPEG")
-        if not jpeg:  # the video would leave it out, and its row would stand without a picture
+        if not jpeg:  # the video would omit it, and its row would have no picture
             raise InvalidInput(f"frame {self.frames}", found="no bytes", expected="a JPEG picture")
         time_us = self._micro(time)
         self._check_reading(reading)
@@ -129,7 +129,7 @@ class RecordingWriter:
         self._note(time_us, reading, reading_time, written)
 
     def close(self, reason: str = "done", lost: int = 0, problems: tuple[str, ...] = ()) -> None:
-        """Mark the recording as ended well, and let go of it; once is enough."""
+        """Write the end mark and close the files; further calls do nothing."""
         if self._closed:
             return
         self._let_go()
@@ -139,7 +139,7 @@ class RecordingWriter:
         write_end(self.folder, end)
 
     def abandon(self) -> None:
-        """Let go of the recording without the mark of a good end."""
+        """Close the files without writing the end mark."""
         if not self._closed:
             self._let_go()
 
@@ -160,7 +160,7 @@ class RecordingWriter:
     def _note(
         self, time_us: int, reading: int | None, reading_time: float | None, written: FrameFate
     ) -> None:
-        """The row of a picture that is in the video: a picture without one does not count."""
+        """Append the row of a picture already in the video; without a row it would not count."""
         row = RecordingRow(
             frame=self.frames,
             time_us=time_us,
@@ -179,7 +179,7 @@ class RecordingWriter:
         self._last_us = time_us
 
     def _micro(self, time: float) -> int:
-        """A time in microseconds, or a refusal."""
+        """Convert a time to microseconds; raise if it does not increase."""
         if not math.isfinite(time) or time < 0.0 or (micro := round(time * MICRO)) <= self._last_us:
             raise InvalidInput(
                 f"frame {self.frames}",
@@ -196,7 +196,7 @@ class RecordingWriter:
         self._closed = True
         self._rows.close()
         self._video.close()
-        with suppress(OSError):  # what a full disk took of a frame that did not fit
+        with suppress(OSError):  # cut off the part of a frame that a full disk accepted
             if self.frames:
                 os.truncate(self.folder / ROWS, self._rows_end)
                 os.truncate(self.folder / VIDEO, self.bytes)
@@ -204,7 +204,7 @@ class RecordingWriter:
 
 
 def _make(folder: Path) -> None:
-    """Make a folder that must not be there yet."""
+    """Create a folder; raise if it exists already."""
     if (folder / HEADER).exists():
         raise InvalidInput(
             str(folder), found="a recording", expected="a folder that is not there yet"

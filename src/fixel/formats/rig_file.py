@@ -1,7 +1,7 @@
-"""Rig files: a camera over a plate, and the marks by which it tells the parts apart, as YAML.
+"""Rig files, YAML: a camera above a plate, and the markers by which it identifies the parts.
 
-Parts have the names that the scene calls body and pusher: `object` and `actuator` in all scenes of
-the thesis, whatever the shape; `part` and `probe` under the microscope.
+Parts are named like the body and pusher of the scene: `object` and `actuator` in all scenes of the
+thesis, whatever the shape; `part` and `probe` under the microscope.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class PlacementRecord(SceneLevel):
 
 
 class RigRecord(SceneLevel):
-    """A rig file."""
+    """Content of a rig file."""
 
     fixel_rig: Literal[1] = Field(description="version of the format")
     name: str = Field(description="of the bench")
@@ -69,12 +69,12 @@ class RigRecord(SceneLevel):
 
 
 def rig_of(name_or_path: str | Path) -> Rig:
-    """A rig by the name of an example, or from a rig file.
+    """Load a rig by the name of an example, or from a rig file.
 
     Parameters
     ----------
     name_or_path : str or Path
-        One of `EXAMPLES`, or a file.
+        One of `EXAMPLES`, or the path of a rig file.
     """
     if str(name_or_path) in EXAMPLES:
         folder = files("fixel") / "testing" / "examples" / "rigs"
@@ -91,7 +91,7 @@ def rig_of(name_or_path: str | Path) -> Rig:
 
 
 def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
-    """Tags on the plate of a rig, whose camera may not be placed yet; see `rig_of`."""
+    """Load the tags on the plate of a rig, whose camera need not be placed yet; see `rig_of`."""
     if str(name_or_path) in EXAMPLES:
         return rig_of(name_or_path).plate
     return _plate(_record(read_document(Path(name_or_path))))
@@ -103,14 +103,14 @@ def load_rig(path: str | Path) -> Rig:
     Raises
     ------
     InvalidInput
-        The first thing that is wrong, with the path of its key.
+        The first error, with the path of its key.
     """
     path = Path(path)
     return rig_from_dict(read_document(path), path.parent)
 
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
-    """The rig whose content is already at hand; a camera file is looked for in `folder`."""
+    """Build a rig from the content of a rig file; camera files are searched in `folder`."""
     record = _record(raw)
     measured = _camera(record.camera, folder)
     return Rig(
@@ -127,7 +127,7 @@ def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
 
 
 def rig_dict(rig: Rig) -> dict[str, Any]:
-    """The content of a rig file as dicts and lists, camera and all."""
+    """Content of a rig file as dicts and lists, including the camera."""
     measured = rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera)
     camera = camera_dict(measured)
     return {
@@ -146,7 +146,7 @@ def rig_dict(rig: Rig) -> dict[str, Any]:
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:
-    """Write a rig file that needs no other."""
+    """Write a self-contained rig file, including the camera."""
     with written_whole(path) as unfinished:
         unfinished.write_text(yaml_text(rig_dict(rig)), encoding="utf-8")
 

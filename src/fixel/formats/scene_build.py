@@ -1,4 +1,4 @@
-"""From the records of a scene file to the model; complaints carry the path of their key."""
+"""Conversion of the records of a scene file to the model; errors have the path of their key."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from fixel.model import (
 
 
 def scene_of(record: schema.SceneRecord) -> Scene:
-    """The scene a checked record describes."""
+    """Build the scene that a validated record describes."""
     return Scene(
         bodies=tuple(_body(body, f"bodies[{k}]") for k, body in enumerate(record.bodies)),
         pushers=tuple(_pusher(pusher, f"pushers[{k}]") for k, pusher in enumerate(record.pushers)),
@@ -177,7 +177,7 @@ def _plane(record: schema.PlaneRecord | None) -> Plane:
 
 
 def _only_form(record: schema.SceneLevel, forms: Sequence[str], path: str) -> None:
-    """Refuse a record that has none of its forms, or more than one."""
+    """Raise `InvalidInput` for a record with none of its forms, or more than one."""
     given = [form for form in forms if getattr(record, form) is not None]
     if len(given) != 1:
         raise InvalidInput(
@@ -189,7 +189,7 @@ def _only_form(record: schema.SceneLevel, forms: Sequence[str], path: str) -> No
 
 @contextmanager
 def _within(path: str, prefix: str = "") -> Iterator[None]:
-    """Turn the complaints of the model into those about a key of the file."""
+    """Report errors of the model at a key of the file."""
     try:
         yield
     except InvalidInput as problem:

@@ -1,4 +1,4 @@
-"""From the model to the keys of a scene file."""
+"""Conversion of the model to the keys of a scene file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fixel.model import (
 
 
 def scene_content(scene: Scene) -> dict[str, Any]:
-    """A scene as the keys of a scene file, what is usual left out."""
+    """Return a scene as the keys of a scene file, mostly without defaults."""
     return _without_none(
         {
             "gravity": scene.gravity,

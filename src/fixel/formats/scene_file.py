@@ -1,4 +1,4 @@
-"""Scene files: one plain file, YAML or JSON, with everything a rollout needs."""
+"""Scene files: one YAML or JSON file with all inputs of a rollout."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from fixel.model import Scene
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneFile:
-    """A scene with the method its file asks for.
+    """Scene with the method that its file requests.
 
     Parameters
     ----------
     scene : Scene
-        What there is.
+        Scene of the file.
     motion : str
-        `dynamic`, `quasistatic` or `first-order`.
+        Motion model: `dynamic`, `quasistatic` or `first-order`.
     step : float or None
         Time step [s]; None: the stepper's own choice.
     output_interval : float or None
-        Between recorded poses [s]; None: every step.
+        Time between recorded poses [s]; None: every step.
     """
 
     scene: Scene
@@ -48,18 +48,18 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
     path : str or Path
         YAML, or JSON if the name ends in `.json`.
     overrides : sequence of str
-        Changes as `path.to.key=value`, applied in order before anything is checked.
+        Changes as `path.to.key=value`, applied in order before validation.
 
     Raises
     ------
     InvalidInput
-        The first thing that is wrong, with the path of its key.
+        The first error, with the path of its key.
     """
     return scene_file_from_dict(read_document(Path(path)), overrides)
 
 
 def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) -> SceneFile:
-    """The scene file whose content is already at hand as dicts and lists; see `load_scene`."""
+    """Build a scene file from its content as dicts and lists; see `load_scene`."""
     changed = copy.deepcopy(raw) if overrides else raw
     for override in overrides:
         apply_override(changed, override)
@@ -73,7 +73,7 @@ def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) 
 
 
 def scene_dict(scene_file: SceneFile) -> dict[str, Any]:
-    """The content of a scene file as dicts and lists, what is usual left out."""
+    """Content of a scene file as dicts and lists, mostly without defaults."""
     method = {
         "motion": scene_file.motion,
         "step": scene_file.step,

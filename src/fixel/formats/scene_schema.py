@@ -1,7 +1,7 @@
-"""The keys of a scene file, level by level: names, kinds of value, units.
+"""Schema of scene files: keys, kinds of value, units.
 
-Whether a polygon crosses itself or a body tips over is for `fixel.model` to say; here is only what
-a text editor could check.
+It contains only what a text editor could check. Whether a polygon crosses itself or a body tips
+over is checked in `fixel.model`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
 
-MAX_KEYS = 1000  # of one mapping; scenes have about ten
+MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -25,7 +25,7 @@ Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Waypoint = Annotated[list[Number], Field(min_length=4, max_length=4)]
 Path = tuple[str | int, ...]
 
-# Stands in a template for what only the user knows.
+# Placeholder in a template for a value that only the user knows.
 FILL_IN: Final = "FILL_IN"
 
 
@@ -34,13 +34,13 @@ def _one_of(*forms: str) -> dict[str, Any]:
 
 
 class SceneLevel(BaseModel):
-    """A level of the file: exactly these keys, numbers written as numbers."""
+    """Base of all records: rejects unknown keys, and numbers written as text."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class ShapeRecord(SceneLevel):
-    """Exactly one form."""
+    """Shape, in exactly one form."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("polygon", "disk"))
     polygon: list[Point] | None = Field(None, description="corners x, y [m]")
@@ -71,11 +71,11 @@ class EllipsoidRecord(SceneLevel):
 
 
 class NoneRecord(SceneLevel):
-    """Empty."""
+    """Record without keys."""
 
 
 class SupportRecord(SceneLevel):
-    """Exactly one form."""
+    """Support of a body, in exactly one form."""
 
     model_config = ConfigDict(
         json_schema_extra=_one_of("tripod", "points", "uniform", "ellipsoid", "none")
@@ -106,7 +106,7 @@ class BodyRecord(SceneLevel):
 
 
 class DriveRecord(SceneLevel):
-    """Either a direction with a speed, or waypoints."""
+    """Drive of a pusher: either a direction with a speed, or waypoints."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("direction", "waypoints"))
     direction: Point | None = Field(None, description="of the motion, world axes")
@@ -158,7 +158,7 @@ class PlaneRecord(SceneLevel):
 
 
 class SceneRecord(SceneLevel):
-    """A scene file."""
+    """Content of a scene file."""
 
     fixel: Literal[1] = Field(1, description="version of the format")
     gravity: NonNegative = Field(9.81, description="[m/s^2]")
@@ -177,12 +177,12 @@ class SceneRecord(SceneLevel):
 
 
 def scene_record(raw: Any) -> SceneRecord:
-    """The raw content of a scene file with every key and kind of value checked.
+    """Validate every key and kind of value in the raw content of a scene file.
 
     Raises
     ------
     InvalidInput
-        The first thing that is wrong, with the path of its key.
+        The first error, with the path of its key.
     """
     _refuse_many_keys(raw)
     try:
@@ -194,7 +194,7 @@ def scene_record(raw: Any) -> SceneRecord:
 
 
 def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
-    """Refuse mappings that no scene has before each of their keys becomes a complaint."""
+    """Reject huge mappings, before validation creates an error for each of their keys."""
     if isinstance(raw, dict) and len(raw) > MAX_KEYS:
         raise InvalidInput(where, found=f"{len(raw)} keys", expected=f"at most {MAX_KEYS}")
     for value in raw.values() if isinstance(raw, dict) else raw if isinstance(raw, list) else ():
@@ -203,7 +203,7 @@ def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
 
 
 def record_at(path: Path) -> type[SceneLevel] | None:
-    """The kind of record that stands at a path, if a record does."""
+    """Class of the record at a path; None if there is no record."""
     record: type[SceneLevel] | None = SceneRecord
     for key in path:
         if isinstance(key, str):
@@ -213,7 +213,7 @@ def record_at(path: Path) -> type[SceneLevel] | None:
 
 
 def empty_at(path: Path) -> dict[str, Any] | list[Any] | None:
-    """What a key that is left out stands for while something is added under it."""
+    """Empty container to insert for a missing key: a list, a dict, or None for a value."""
     parent, key = record_at(path[:-1]), path[-1]
     field = parent.model_fields.get(str(key)) if parent else None
     if field and get_origin(field.annotation) is list:
@@ -222,12 +222,12 @@ def empty_at(path: Path) -> dict[str, Any] | list[Any] | None:
 
 
 def written(path: Path) -> str:
-    """A path as one writes it: `bodies[0].shape.polygon[2]`."""
+    """Format a path as `bodies[0].shape.polygon[2]`."""
     return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in path).removeprefix(".")
 
 
 def unknown_key(path: Path, key: str) -> InvalidInput:
-    """The complaint about a key that the record at a path does not have."""
+    """Error for a key that the record at a path does not have."""
     record = record_at(path)
     known = list(record.model_fields) if record else []
     close = difflib.get_close_matches(key, known, n=1)
@@ -247,7 +247,7 @@ def _record_in(annotation: Any) -> type[SceneLevel] | None:
 
 
 def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
-    """Paths at which the placeholder of a template is left."""
+    """Yield the paths of placeholders that are left from a template."""
     if raw == FILL_IN:
         yield path
     entries = (
@@ -281,7 +281,7 @@ def _explained(problems: ValidationError, raw: Any) -> InvalidInput:
 
 
 def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> Path:
-    """A location without the names pydantic gives to the members of unions."""
+    """Path of a pydantic location, without its names for the members of unions."""
     path: list[str | int] = []
     for depth, key in enumerate(location):
         is_last = depth == len(location) - 1

@@ -1,6 +1,6 @@
 """Trajectory files: one row per sample, as CSV or Parquet.
 
-Columns, in this order, the same for every simulation of a scene that touches the same pairs:
+Columns, in this order, the same for every simulation of a scene with the same contact pairs:
 
 - ``time_s``;
 - per body and pusher ``NAME.x_m``, ``.y_m``, ``.theta_rad`` of its shape frame and ``.vx_m_per_s``,
@@ -32,12 +32,12 @@ _TWIST = ("vx_m_per_s", "vy_m_per_s", "omega_rad_per_s")
 
 
 def save_trajectory(simulation: Simulation, path: str | Path) -> None:
-    """Write the motion, contacts and drives of a simulation.
+    """Write motion, contacts and drives of a simulation to a file.
 
     Parameters
     ----------
     simulation : Simulation
-        A failed one too, up to where it stopped.
+        Simulation; a failed one is written up to where it stopped.
     path : str or Path
         `.csv` or `.parquet`; the latter also carries the summary of the simulation, as JSON under
         the key ``fixel`` of its metadata.
@@ -45,11 +45,11 @@ def save_trajectory(simulation: Simulation, path: str | Path) -> None:
     Raises
     ------
     InvalidInput
-        Another ending, or a folder that cannot be written to.
+        Unknown ending, or a folder that cannot be written to.
     """
     path = Path(path)
     refuse_trajectory_ending(path)
-    # A second is spent here at the first call, so not where the module is imported.
+    # Imported here since the first import of pyarrow takes a second.
     import pyarrow as pa
     import pyarrow.csv as pa_csv
     import pyarrow.parquet as pa_parquet
@@ -65,7 +65,7 @@ def save_trajectory(simulation: Simulation, path: str | Path) -> None:
 
 
 def refuse_trajectory_ending(path: str | Path) -> None:
-    """Refuse a file name whose ending says no format."""
+    """Raise `InvalidInput` for a file name whose ending is no known format."""
     ending = Path(path).suffix
     if ending.lower() not in TRAJECTORY_ENDINGS:
         raise InvalidInput(
@@ -90,7 +90,7 @@ def trajectory_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:
 
 
 def plain_numbers(value: Any) -> Any:
-    """The same value for strict JSON: numbers that are not finite become None."""
+    """Convert a value for strict JSON: numbers that are not finite become None."""
     if isinstance(value, dict):
         return {key: plain_numbers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Video files: frames with the time stamps of the container, and nothing guessed."""
+"""Video files: frames with the time stamps of their container, never guessed ones."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from fixel.formats.video_planes import DecodedPlanes
 from fixel.io.atomic import refuse_unwritable
 from fixel.vision.frame import Frame
 
-# Steps of time may differ by this share of their median and still be one rate: containers round.
+# Time steps may differ by this share of the usual one and still be one rate: containers round.
 SAME_RATE: Final = 0.1
-# Matroska keeps milliseconds; a step that is rounded both ways differs by this much.
+# Matroska stores milliseconds; a step with both ends rounded differs by up to this much.
 ROUNDING: Final = 2e-3  # [s]
 MAX_FRAMES_A_SECOND: Final = 10_000.0
 
-# Encoder, pixels and options of each codec one may ask for. `h264` is visually without loss, and
-# decodes fast; `ffv1` is without any loss, of pixels that are stored as they come; `mjpeg` keeps
-# every frame by itself.
+# Encoder, pixel format and options of each available codec. `h264` is visually lossless and
+# decodes fast; `ffv1` is lossless and stores pixels without colour conversion; `mjpeg` encodes
+# every frame independently.
 CODECS: Final[dict[str, tuple[str, str, dict[str, str]]]] = {
     "h264": ("libx264", "yuv420p", {"crf": "16", "preset": "veryfast", "tune": "fastdecode"}),
     "ffv1": ("ffv1", "bgr0", {"level": "3", "slicecrc": "1"}),
     "mjpeg": ("mjpeg", "yuvj420p", {"qmin": "2", "qmax": "3"}),
 }
 ENDINGS: Final = (".mp4", ".mkv", ".mov", ".avi")
-# Ticks a second that files are written with; 30, 25, 24 and 60 frames a second are whole numbers
-# of them. Matroska keeps milliseconds whatever it is asked.
+# Ticks per second of written files; a frame lasts a whole number of them at 24, 25, 30 and 60
+# frames per second. Matroska stores milliseconds whatever is requested.
 TICKS: Final = 90_000
 
 
 @final
 @dataclass(slots=True, kw_only=True)
 class VideoFile:
-    """A video file.
+    """Video file that can be read frame by frame.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class VideoFile:
     size : (int, int)
         Width and height [px].
     n_frames : int or None
-        As the container says, if it does; a damaged file may hold fewer.
+        Number of frames according to the container, if known; a damaged file may have fewer.
     codec : str
     note : str
-        What was written into it by whoever made it.
+        Comment in the metadata of the file.
     remarks : list of str
-        What was found on reading that one should know; complete once all frames were read.
+        Defects found on reading; complete once all frames were read.
     """
 
     path: Path
@@ -66,12 +66,12 @@ class VideoFile:
     remarks: list[str] = field(default_factory=list)
 
     def frames(self) -> Iterator[Frame]:
-        """Frames in order, with the time the container gives them, counted from its own zero [s].
+        """Yield frames in order, with the container's times, counted from its own zero [s].
 
         Raises
         ------
         InvalidInput
-            Frames without time stamps, or time standing still or going back.
+            Frames without time stamps, or times that do not increase.
         """
         self.remarks.clear()
         clock = _StampReader(self.path)
@@ -97,7 +97,7 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
     ----------
     path : str or Path
     threads : int
-        That decode; 0: as many as the decoder likes.
+        Number of decoding threads; 0: chosen by the decoder.
 
     Raises
     ------
@@ -129,25 +129,25 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
 
 @final
 class VideoWriter:
-    """Writes frames as they come; the file is whole or absent.
+    """Writer of a video file; the file appears only when it is complete.
 
     Parameters
     ----------
     path : str or Path
-        `.mp4`, `.mkv`, `.mov` or `.avi`. Times are kept to 1/90,000 s in MP4, to 1 ms in Matroska.
+        `.mp4`, `.mkv`, `.mov` or `.avi`. Times are rounded to 1/90,000 s in MP4, 1 ms in Matroska.
     size : (int, int)
         Width and height [px]; both even for `h264` and `mjpeg`.
     codec : str
-        `h264`, `ffv1` (without any loss) or `mjpeg`.
+        `h264`, `ffv1` (lossless) or `mjpeg`.
     rate : float
-        About how many frames a second; their own times count.
+        Approximate frames per second; each frame is written at its own time.
     note : str
-        Kept in the file. What no camera has seen says so: a note that begins with `SIMULATED`.
+        Comment stored in the file. Rendered videos have one that begins with `SIMULATED`.
 
     Raises
     ------
     InvalidInput
-        Another ending or codec, a file that cannot be written, an odd size.
+        Unknown ending or codec, a file that cannot be written, an odd size.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class VideoWriter:
         self._stream = stream
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; the first one's time may be anything of at least 0, and then it grows."""
+        """Append a frame; its time must be at least 0 and later than that of the previous one."""
         picture = np.ascontiguousarray(frame.picture)
         if picture.shape[1::-1] != tuple(self.size):
             raise InvalidInput(
@@ -201,7 +201,7 @@ class VideoWriter:
         self._container.mux(self._stream.encode(decoded))
 
     def close(self) -> None:
-        """Finish the file and put it in its place."""
+        """Finish the file and move it to its final path."""
         if self._last >= 0:
             self._container.mux(self._stream.encode(None))
         self._container.close()
@@ -211,7 +211,7 @@ class VideoWriter:
         os.replace(self._temporary, self.path)
 
     def abandon(self) -> None:
-        """Leave no file."""
+        """Discard the unfinished file."""
         self._container.close()
         self._temporary.unlink(missing_ok=True)
 
@@ -227,7 +227,7 @@ class VideoWriter:
 
 @final
 class _StampReader:
-    """Reads time stamps, and refuses what cannot be a time."""
+    """Reader of time stamps; rejects missing and non-increasing ones."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -275,12 +275,12 @@ class _StampReader:
 
 @final
 class _Spoilt:
-    """Counts what could not be decoded, and where."""
+    """Counter of frames and packets that could not be decoded."""
 
     def __init__(self) -> None:
         self.frames: list[float] = []
         self.packets = 0
-        self._since = 0  # packets spoilt since the last good frame
+        self._since = 0  # damaged packets since the last good frame
         self._last: float | None = None
         self._before: float = 0.0
 
@@ -315,7 +315,7 @@ class _Spoilt:
 
 
 def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:
-    """Frames of all packets; a packet that cannot be decoded is counted."""
+    """Yield the frames of all packets; count packets that cannot be decoded."""
     packets = container.demux(stream)
     while True:
         try:
@@ -352,13 +352,13 @@ def _opened(path: Path) -> Any:
 
 
 def _note(container: Any) -> str:
-    """What the maker of the file wrote; some containers keep names in capitals."""
+    """Comment in a file's metadata; some containers store its name in capitals."""
     kept = {name.lower(): words for name, words in container.metadata.items()}
     return str(kept.get("comment", ""))
 
 
 def _seconds(stream: Any, container: Any) -> float | None:
-    """How long the container says it is [s]."""
+    """Duration according to the container [s]."""
     if stream.duration is not None and stream.time_base:
         return float(((stream.start_time or 0) + stream.duration) * stream.time_base)
     return None if container.duration is None else container.duration / 1e6

@@ -1,4 +1,4 @@
-"""Decoded pictures whose colours are computed where they are asked for."""
+"""Decoded pictures whose colours are computed only in the requested window."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from fixel.vision.frame import LUMA, Gray, Picture
 
-# Formats with planes of their own for colour, and how many pixels across and down share a value.
+# Formats with separate colour planes, and how many pixels across and down share a value.
 SHARED: Final = {
     "yuv420p": (2, 2),
     "yuvj420p": (2, 2),
@@ -17,16 +17,16 @@ SHARED: Final = {
     "yuv444p": (1, 1),
     "yuvj444p": (1, 1),
 }
-BRIGHT_FIRST: Final = (*SHARED, "gray", "nv12")  # whose first plane is brightness
+BRIGHT_FIRST: Final = (*SHARED, "gray", "nv12")  # formats whose first plane is brightness
 
-# Rec. 601: red and blue over brightness, and what green loses by them, a unit of the differences.
+# Rec. 601: coefficients of the colour differences u and v in red, green and blue.
 RED_V, GREEN_U, GREEN_V, BLUE_U = 1.402, 0.344136, 0.714136, 1.772
 FULL_RANGE: Final = 2  # AVCOL_RANGE_JPEG
 
 
 @final
 class DecodedPlanes:
-    """Planes of a frame of PyAV.
+    """Planes of a decoded PyAV frame, for `Frame`.
 
     Parameters
     ----------
@@ -47,17 +47,17 @@ class DecodedPlanes:
         return self._size
 
     def luma(self) -> Gray:
-        """(height, width) of brightness, as it is stored."""
+        """Brightness of the picture as stored, (height, width)."""
         if self._format in BRIGHT_FIRST:
             return self._plane(0, *self._size)
         return np.asarray(np.rint(self._all() @ LUMA), dtype=np.uint8)
 
     def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """(height, width) of brightness in a window."""
+        """Brightness of a window, (height, width)."""
         return self.luma()[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
-        """(height, width, 3) blue, green, red of a window."""
+        """Colours of a window, (height, width, 3): blue, green, red."""
         width, height = self._size
         top, bottom, _ = rows.indices(height)
         left, right, _ = columns.indices(width)
@@ -76,7 +76,7 @@ class DecodedPlanes:
         return np.frombuffer(plane, np.uint8, row * height).reshape(height, row)[:, :width]
 
     def _window(self, top: int, bottom: int, left: int, right: int) -> Picture:
-        """As `_all` does it, for a window."""
+        """Convert only a window to blue, green, red, with the same formula as `_all`."""
         width, height = self._size
         across, down = SHARED[self._format]
         coarse = -(-width // across), -(-height // down)
