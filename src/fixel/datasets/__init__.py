@@ -1,4 +1,4 @@
-"""From recorded data to experiments: a reader for each dataset, and one for your own tables."""
+"""Import of recorded data as experiments: an importer per dataset, and one for your own tables."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(
 
 
 def importer_for(source: Path, name: str | None = None) -> Importer:
-    """The importer of that name, or the first that recognises a file or folder.
+    """Return the importer of a given name, or the first that recognises a file or folder.
 
     Raises
     ------
     InvalidInput
         No importer of that name.
     DatasetMissing
-        Nothing there, or nothing that an importer recognises.
+        The source does not exist, or no importer recognises it.
     """
     known = ", ".join(IMPORTERS)
     if name is not None:
@@ -48,7 +48,7 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
 
 
 def _hint(source: Path) -> str:
-    """The folders inside this one that would do, or to say what it is."""
+    """Hint that names subfolders with known data, or else the option to name an importer."""
     inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
     found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
     return f"look inside: {', '.join(found)}" if found else "name the importer to use"

@@ -1,4 +1,4 @@
-"""What the importers share: the plan of an import, guards against bad files, and common parts."""
+"""Base of the importers: the plan of an import, protection from bad files, and common functions."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import Experiment, Flag, Provenance, Scene
 from fixel.typing import BoolArray, FloatArray
 
-# Numbers beyond this are no readings, not even microseconds since 1970; their squares stay far
-# inside float64.
+# Larger numbers cannot be readings, not even microseconds since 1970. Squares of smaller ones stay
+# far inside float64.
 LARGEST_NUMBER: Final = 1e18
 
-# What a reader trips over when a file holds something else than its format says.
+# Exceptions that a reader may raise on a file that violates its format.
 _TRIPPED = (
     ArithmeticError,
     AttributeError,
@@ -38,19 +38,19 @@ _TRIPPED = (
 @final
 @dataclass(frozen=True)
 class ImportPlan:
-    """What would be imported: nothing is built until asked for.
+    """Plan of an import; experiments are built lazily.
 
     Parameters
     ----------
     importer : str
-        Its name.
+        Name of the importer.
     source : Path
-        File or folder.
+        File or folder to import.
     understood : tuple of str
-        How the source was read, a sentence each: rows, rates, units, frames, quirks, guesses.
+        How the source was interpreted: rows, rates, units, frames, quirks, guesses; sentences.
     n_experiments : int
     make : callable
-        Builds the experiments, one at a time.
+        Function that yields the experiments, built one at a time.
     """
 
     importer: str
@@ -60,16 +60,16 @@ class ImportPlan:
     make: Callable[[], Iterator[Experiment]] = field(repr=False, compare=False)
 
     def experiments(self) -> Iterator[Experiment]:
-        """The experiments, one at a time.
+        """Yield the experiments, built one at a time.
 
         Raises
         ------
         InvalidInput
-            A record that cannot be one; those before it have been handed out.
+            An invalid record; those before it have been yielded.
         """
         making = self.make()
         while True:
-            # Around each step and not around the loop: what the caller does in between is its own.
+            # Guard each step, not the whole loop: errors of the caller in between must pass.
             with guarded(self.source.name):
                 experiment = next(making, None)
             if experiment is None:
@@ -78,31 +78,31 @@ class ImportPlan:
 
 
 class Importer(ABC):
-    """Turns one kind of recorded data into experiments."""
+    """Base class of importers, which convert one kind of recorded data to experiments."""
 
     name: ClassVar[str]
     title: ClassVar[str]
     licence: ClassVar[str]
     citation: ClassVar[str]
-    options: ClassVar[Mapping[str, str]] = {}  # name and what it is for
+    options: ClassVar[Mapping[str, str]] = {}  # name -> purpose
 
     @abstractmethod
     def recognised(self, source: Path) -> bool:
-        """Whether a file or folder looks like this kind; nothing is read but names."""
+        """Whether a file or folder is of this kind, judged by file names only."""
 
     @abstractmethod
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
-        """Read what is needed to say what is there."""
+        """Read enough of the source to plan its import."""
 
     def read(self, source: Path, **options: object) -> ImportPlan:
-        """Read a file or folder.
+        """Read a file or folder and plan its import.
 
         Raises
         ------
         DatasetMissing
-            Files are not there.
+            Files are missing.
         InvalidInput
-            An option there is not, or a file that does not hold what it should.
+            An unknown option, or a file with invalid content.
         """
         source = Path(source)
         for option in options:
@@ -121,10 +121,10 @@ class Importer(ABC):
 
 @contextmanager
 def guarded(source: str) -> Iterator[None]:
-    """Turn whatever a hostile file makes a reader trip over into one clear refusal.
+    """Raise `InvalidInput` for any exception that a malformed file causes in a reader.
 
-    The readers check what they expect; this is for what nobody expected, such as a text where a
-    JSON file has always had a number.
+    The readers check expected errors; this is for unexpected ones, such as a text where a JSON file
+    has always had a number.
     """
     try:
         with np.errstate(invalid="raise", over="raise", divide="raise"):
@@ -140,18 +140,18 @@ def guarded(source: str) -> Iterator[None]:
 
 
 def remark(name: str, detail: str = "") -> Flag:
-    """Something worth knowing that does not keep an experiment from being used."""
+    """Create a flag that informs but does not exclude an experiment from use."""
     return Flag(name, detail, fault=False)
 
 
 class Origin:
-    """Provenance of what is read from files: each is summed up once."""
+    """Provenance of imported files; the checksum of each is computed once."""
 
     def __init__(self) -> None:
         self._known: dict[Path, Provenance] = {}
 
     def of(self, path: Path) -> Provenance:
-        """Which file, with its checksum, and which fixel read it."""
+        """Provenance of a file: its name and checksum, and the version of fixel."""
         if path not in self._known:
             with path.open("rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
@@ -162,12 +162,12 @@ class Origin:
 def _version() -> str:
     try:
         return version("fixel")
-    except PackageNotFoundError:  # run from a folder that was never installed
+    except PackageNotFoundError:  # run from a source folder that was never installed
         return "unknown"
 
 
 def scene_or_flag(build: Callable[[], Scene]) -> tuple[Scene | None, tuple[Flag, ...]]:
-    """A scene, or none and why: what was measured is worth keeping without one."""
+    """Build a scene; on error return None and a flag, since measurements are useful without it."""
     try:
         return build(), ()
     except InvalidInput as problem:
@@ -175,7 +175,7 @@ def scene_or_flag(build: Callable[[], Scene]) -> tuple[Scene | None, tuple[Flag,
 
 
 def whole_numbers(table: CsvRows, column: str, largest: int = 2**31) -> NDArray[np.int64]:
-    """(n,) one column as whole numbers of at least 0."""
+    """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
     numbers = table.numbers(column)
     wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
     if wrong.any():
@@ -189,7 +189,7 @@ def whole_numbers(table: CsvRows, column: str, largest: int = 2**31) -> NDArray[
 
 
 def refuse_giants(table: CsvRows, *columns: str) -> None:
-    """Refuse numbers that no rig measures, before their squares overflow."""
+    """Raise `InvalidInput` for absurdly large numbers, before their squares overflow."""
     for column in columns:
         numbers = np.abs(table.numbers(column, blank=True))
         if (numbers > LARGEST_NUMBER).any():
@@ -202,7 +202,7 @@ def refuse_giants(table: CsvRows, *columns: str) -> None:
 
 
 def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
-    """Refuse a table with two experiments of one name."""
+    """Raise `InvalidInput` if a name of an experiment is repeated."""
     seen: set[str] = set()
     for row, name in enumerate(names):
         if name in seen:
@@ -215,20 +215,20 @@ def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
 
 
 def rows_of(names: NDArray[np.str_]) -> dict[str, NDArray[np.intp]]:
-    """Row numbers of each name, in the order they stand in."""
+    """Row numbers of each name, in the order of the table."""
     order = np.argsort(names, kind="stable")
     found, first = np.unique(names[order], return_index=True)
     return dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
 
 
 def advancing(time: FloatArray) -> BoolArray:
-    """(n,) which instants lie after all those before."""
+    """Mask (n,) of the times that are later than all previous ones."""
     latest = np.maximum.accumulate(time)
     return np.append(True, time[1:] > latest[:-1])[: len(time)]
 
 
 def rate_of(time: FloatArray) -> float:
-    """Readings a second [1/s], from the median interval; 0 for fewer than two."""
+    """Readings per second [1/s], from the median interval; 0 for fewer than two."""
     steps = np.diff(time)
     typical = float(np.median(steps)) if len(steps) else 0.0
     return 1.0 / typical if typical > 0.0 else 0.0

@@ -52,13 +52,13 @@ OBJECT, FINGER = "block", "finger"
 PUSHES, SETUP = "pushes.csv", "setup.json"
 FORCE, ROBOT = ("force.csv.gz", "force.csv"), ("robot.csv.gz", "robot.csv")
 
-# Friction of the finger on the block was not recorded; the authors search about this value.
+# Friction of the finger on the block was not recorded; the authors search around this value.
 MU_FINGER = 0.5
 
-# Final gaps beyond these are no error of calibration [m].
+# Larger final gaps cannot be explained by errors of calibration [m].
 LARGEST_GAP = 1.3e-3
 
-# How long the correction of a path lasts that starts inside the object [s].
+# Duration of the correction of a path that starts inside the object [s].
 FADE = 0.5
 
 POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
@@ -66,7 +66,7 @@ POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
 
 @final
 class CmuTripod(Importer):
-    """Single-point pushes with force, of a block on three machined points or on its face."""
+    """Importer of pushes with force, of a block on three machined points or on its face."""
 
     name = DATASET
     title = "CMU tripod: pushes of a block on known support points, with force (2015)"
@@ -77,7 +77,7 @@ class CmuTripod(Importer):
     )
 
     def recognised(self, source: Path) -> bool:
-        """A folder with pushes.csv, setup.json, force and robot."""
+        """Whether a folder has pushes.csv, setup.json, and tables of force and robot."""
         groups = ((PUSHES,), (SETUP,), FORCE, ROBOT)
         return all(any((source / name).is_file() for name in names) for names in groups)
 
@@ -111,12 +111,12 @@ class CmuTripod(Importer):
 @final
 @dataclass(frozen=True)
 class _TripodData:
-    """All files of the folder, as numbers."""
+    """Content of all files of the folder, as numbers."""
 
     table: CsvRows
     names: list[str]
     poses: FloatArray  # (n, 6) before and after [m, m, rad]
-    gaps: FloatArray  # (n, 2) first and last [m]
+    gaps: FloatArray  # (n, 2) at start and end [m]
     surface: list[str]
     support: list[str]
     log: list[str]
@@ -173,7 +173,7 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
     points = member(setup, "support_points_m", SETUP)
     if support not in points:
         raise InvalidInput(PUSHES, found=f"the support {support}", expected=", ".join(points))
-    # Three points carry what the balance says, which are the load fractions of the authors.
+    # Statics determines the loads on three points; they equal the load fractions of the authors.
     rests: Support = (
         UniformPressure(friction=friction)
         if points[support] is None

@@ -30,11 +30,11 @@ DATASET: Final = "cmu-two-point"
 RUNS, POSES = "runs.csv", ("poses.csv.gz", "poses.csv")
 
 FINGER_RADIUS = 2.5e-3  # [m]
-FINGER_SPACING = 18e-3  # of all but an early script, which had 24 mm [m]
+FINGER_SPACING = 18e-3  # [m]; an early script had 24 mm
 
 MEASURED = ("t", "obj_x_mm", "obj_y_mm", "obj_th", "pusher_x_mm", "pusher_y_mm", "pusher_th")
 
-# What no recorded scene can do without; so there is none.
+# Missing data, without which no scene can be built.
 UNKNOWN = (
     remark("no-mass", "masses of the blocks were not recorded: no scene"),
     remark("pusher-offset", "the frame of the fingers is off by millimetres in each action"),
@@ -44,7 +44,7 @@ NO_SUPPORT = remark("no-support", "where the three support points are was not re
 
 @final
 class CmuTwoPoint(Importer):
-    """Stable pushes by two parallel fingers, each start repeated."""
+    """Importer of stable pushes by two parallel fingers, with repeated starts."""
 
     name = DATASET
     title = "CMU two-point: repeated two-finger pushes of small blocks (2017)"
@@ -54,7 +54,7 @@ class CmuTwoPoint(Importer):
     )
 
     def recognised(self, source: Path) -> bool:
-        """A folder with runs.csv and poses.csv.gz."""
+        """Whether a folder has runs.csv and poses.csv.gz or poses.csv."""
         return (source / RUNS).is_file() and any((source / name).is_file() for name in POSES)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
@@ -79,7 +79,7 @@ class CmuTwoPoint(Importer):
 
         def make() -> Iterator[Experiment]:
             for row, name in enumerate(names):
-                own = rows[name][1:]  # the first row belongs to the action before
+                own = rows[name][1:]  # the first row belongs to the previous action
                 yield _run(
                     name,
                     {key: runs.columns[key][row] for key in ("object", "start_pose")},

@@ -1,7 +1,7 @@
 """Importer of MIT's "more than a million ways to be pushed": the end-point set, and single pushes.
 
-The published data set has one HDF5 file a push, named for what was done; the few that are in public
-repositories are JSON with the same keys. The end-point set has two poses a push, in one table.
+The published data set has one HDF5 file per push, named after its conditions; the few in public
+repositories are JSON with the same keys. The end-point set has two poses per push, in one table.
 """
 
 from __future__ import annotations
@@ -55,35 +55,35 @@ from fixel.typing import FloatArray
 DATASET: Final = "mit-push"
 OBJECT, PUSHER = "object", "pusher"
 
-# Nominal friction: at the tip as in the published simulator; the plane drops out of quasi-static
-# motion.
+# Nominal friction: at the tip as in the published simulator; that of the plane has no effect on
+# quasi-static motion.
 MU_PUSHER, MU_SUPPORT = 0.25, 0.3
 
-# Beyond these a record does not fit its own geometry [m].
+# A larger gap means that a record contradicts its own geometry [m].
 LARGEST_GAP = 3e-3
 
-# Surfaces and shapes whose registration is off by 1 to 3 mm throughout.
+# Surfaces and shapes whose registration is off by 1 to 3 mm in all pushes.
 SYSTEMATIC = frozenset(("plywood", shape) for shape in ("ellip2", "ellip3", "hex", "rect2"))
-# Surface, shape and speed [m/s] whose pushes no published model explains.
+# Surface, shape and speed [m/s] of pushes that no published model explains.
 UNEXPLAINED = ("abs", "rect1", 0.02)
 
 RECORDS = ("motion_surface=*.h5", "motion_surface=*.json", "push_*.json", "push_*.h5")
 
-# How long the correction of a path lasts that starts inside the object [s].
+# Duration of the correction of a path that starts inside the object [s].
 FADE = 0.05
 
-# What the name of a published file says.
+# Conditions in the name of a published file.
 _IN_NAME = re.compile(
     r"motion_surface=(?P<surface>[^_]+)_shape=(?P<shape>[^_]+)_a=(?P<a>[-\d.]+)_v=(?P<v>[-\d.]+)"
     r"(?:_i=(?P<i>[-\d.]+?))?(?:_s=(?P<s>[-\d.]+?))?(?:_t=(?P<t>[-\d.]+?))?$"
 )
 
-_KEYS = {"object_pose": 4, "tip_pose": 3, "ft_wrench": 4}  # and how many columns at least
+_KEYS = {"object_pose": 4, "tip_pose": 3, "ft_wrench": 4}  # key -> minimum number of columns
 
 
 @final
 class MitPush(Importer):
-    """Straight pushes of steel plates by a round tip."""
+    """Importer of straight pushes of steel plates by a round tip."""
 
     name = DATASET
     title = "MIT push dataset: straight pushes of steel plates (2016)"
@@ -97,7 +97,7 @@ class MitPush(Importer):
     }
 
     def recognised(self, source: Path) -> bool:
-        """A folder of the end-point set, or files named motion_surface=...; one named push_ too."""
+        """Whether this is the end-point set, a folder of motion_surface=... files, or one push."""
         if source.is_file():
             return any(source.match(mask) for mask in RECORDS)
         if any(next(source.glob(mask), None) for mask in _masks(RECORDS[:2])):
@@ -117,14 +117,14 @@ class MitPush(Importer):
 @final
 @dataclass(frozen=True)
 class _Pushes:
-    """The table, with what is worked out for all rows at once."""
+    """Table of pushes, with quantities computed for all rows at once."""
 
     data: mit_push.MitPushes
     names: NDArray[np.str_]
     surface: NDArray[np.str_]
     shape: NDArray[np.str_]
-    gap: FloatArray  # (n,) measured here, at the start [m]
-    offset: FloatArray  # (n, 2) of the start of the tip in the scene [m]
+    gap: FloatArray  # (n,) at the start, computed by fixel [m]
+    offset: FloatArray  # (n, 2) shift of the start of the tip in the scene [m]
     bodies: Mapping[str, Body]
 
 
@@ -243,7 +243,7 @@ def _known_doubts(surface: str, shape: str, speed: float) -> Iterator[Flag]:
 def _scene(
     body: Body, start: FloatArray, path: FloatArray, gap: float
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
-    """A scene with a round tip on a path that was moved out of the object; or none, and why."""
+    """Build a scene with a round tip on a corrected path; if impossible, a flag has the reason."""
     if gap < -MAX_CORRECTION:
         return None, (remark("no-scene", f"the tip starts {-gap / MM:.3g} mm inside the object"),)
 
@@ -273,7 +273,7 @@ _TIP = Disk(mit_push.PUSHER_RADIUS)
 
 
 class _PushRecord(NamedTuple):
-    """One file; instants on the clock of the file."""
+    """Content of the file of one push; times are on its own clock."""
 
     conditions: dict[str, str | float]
     object_pose: FloatArray  # (n, 4) [s, m, m, rad]
@@ -317,7 +317,7 @@ def _record_files(source: Path) -> list[Path]:
 
 
 def _masks(names: tuple[str, ...]) -> list[str]:
-    """Here, and in the folders of a surface and of a shape, as the data set is published."""
+    """Glob masks for a folder and two levels below: surface and shape in the published data set."""
     return [f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in names]
 
 
@@ -326,7 +326,7 @@ def _stem(path: Path) -> str:
 
 
 def _shapes_near(path: Path, given: Path | None) -> dict[str, Shape]:
-    """Outlines from the file given, else from a shapes.json here or up to three folders up."""
+    """Load outlines from a given file, or from a shapes.json in the folder or up to three above."""
     if given is not None and not given.is_file():
         raise DatasetMissing(given, "a file with outlines")
     near = [folder / mit_push.SHAPES for folder in path.resolve().parents[:4]]
@@ -371,7 +371,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Expe
 
 
 def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
-    """Object, tip and wrench with times from the first pose of the object on."""
+    """Tables of object, tip and wrench, with times counted from the first pose of the object."""
     tip = record.tip_pose
     if tip.shape[1] == 3:
         tip = np.column_stack((tip, np.zeros(len(tip))))
@@ -424,7 +424,7 @@ def _hdf5(path: Path) -> _PushRecord:
 
 
 def _dataset(h5py: Any, file: Any, key: str) -> Any:
-    """A small table of numbers; anything else, such as a link to another file, is left alone."""
+    """Load a small numeric table; None for anything else, such as a link to another file."""
     if not isinstance(file.get(key, getlink=True), h5py.HardLink):
         return None
     table = file[key]
@@ -432,7 +432,7 @@ def _dataset(h5py: Any, file: Any, key: str) -> Any:
     return table[()] if small and table.dtype.kind in "iuf" else None
 
 
-MOST_BYTES = 50_000_000  # of one table of a push that takes seconds
+MOST_BYTES = 50_000_000  # maximum size of one table of a push, which lasts seconds
 
 
 def _h5py(path: Path) -> Any:
@@ -471,7 +471,7 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
 
 
 def _conditions(path: Path, about: Mapping[str, Any]) -> dict[str, str | float]:
-    """What the file says of the push, else what its name says."""
+    """Conditions of a push from its file, or else from the file name."""
     match = _IN_NAME.match(_stem(path))
     named = {key: value for key, value in (match.groupdict() if match else {}).items() if value}
     surface, shape = about.get("surface", named.get("surface")), about.get("shape")
@@ -485,7 +485,7 @@ def _conditions(path: Path, about: Mapping[str, Any]) -> dict[str, str | float]:
     conditions: dict[str, str | float] = {"surface": surface, "shape": shape}
     for target, key, short, scale in _NUMBERS:
         value = about.get(key, named.get(short))
-        # A speed below zero says that the push was accelerated.
+        # A negative speed marks an accelerated push.
         if value is None or (short == "v" and float(value) < 0.0):
             continue
         if not math.isfinite(float(value)):

@@ -1,4 +1,4 @@
-"""Importer of the pusher-slider runs of MIT's MCube laboratory: a square steered along a line."""
+"""Importer of the pusher-slider runs of MIT's MCube laboratory: a square pushed along a line."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ OBJECT, PUSHER = "slider", "pusher"
 MU_PUSHER, MU_SUPPORT = 0.3, 0.35
 DENSITY, THICKNESS = 10_000.0, 0.013  # [kg/m^3], [m]
 
-# A tip deeper in the object than this was not: the tracker had lost the object [m].
+# A tip measured deeper in the object than this means that the tracker had lost the object [m].
 DROPOUT = -3e-3
 
-# How long the correction of a path lasts that starts inside the object [s].
+# Duration of the correction of a path that starts inside the object [s].
 FADE = 0.5
 
 MEASURED = ("t", "slider_x", "slider_y", "slider_th", "pusher_x", "pusher_y")
@@ -59,7 +59,7 @@ MEASURED = ("t", "slider_x", "slider_y", "slider_th", "pusher_x", "pusher_y")
 
 @final
 class MitPusherSlider(Importer):
-    """Runs of a round pusher that steers a steel square, at full rate."""
+    """Importer of runs of a round pusher that steers a steel square, at full rate."""
 
     name = DATASET
     title = "MIT pusher-slider: feedback control of a pushed square (2016)"
@@ -67,7 +67,7 @@ class MitPusherSlider(Importer):
     citation = "F. Hogan, A. Rodriguez, Feedback control of the pusher-slider system, WAFR 2016"
 
     def recognised(self, source: Path) -> bool:
-        """A folder with cpush_*.csv.gz and shapes.json."""
+        """Whether a folder has cpush_*.csv.gz and shapes.json."""
         return (source / SHAPES).is_file() and next(source.glob(RUNS), None) is not None
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
@@ -139,7 +139,7 @@ def _channels(rows: CsvRows, time: FloatArray) -> Iterator[Channel]:
             values=rows.stacked("pusher_cmd_x", "pusher_cmd_y", blank=True),
         )
     if {"u0", "u1"} <= set(rows.columns):
-        # What the two stand for, and so their unit, was not written down.
+        # The meaning of the two outputs, and so their unit, was not documented.
         yield Channel(
             name="controller",
             time=time,

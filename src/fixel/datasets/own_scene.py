@@ -1,4 +1,4 @@
-"""Scenes for your own tables: a scene file completed with what was measured, and a template."""
+"""Scenes for your own tables: completion of a scene file by measurements, and a template."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.typing import FloatArray
 
-# How long the correction of a path lasts that starts inside the object [s].
+# Duration of the correction of a path that starts inside the object [s].
 FADE: Final = 0.5
-# A pusher that stays farther from the object than this many of the object's radii belongs to
-# another unit or another frame.
+# A pusher that stays farther from the object than this many radii of the object is in another unit
+# or frame.
 FARTHEST: Final = 5.0
 
-# Share of the instants at which a pusher must be inside the object to say so.
+# Share of the instants at which a pusher must be inside the object to be flagged.
 OFTEN: Final = 0.1
-# A pusher this share of the object's radius inside it under one unit of the angles, and less than
-# a quarter of that under the other: the other is meant.
+# If a pusher is deeper inside the object than this share of its radius with one unit of angles,
+# and less than a quarter as deep with the other, the other unit is meant.
 INSIDE: Final = 0.03
 
 FAR_AWAY: Final = 1e3  # [m] from everything
@@ -55,13 +55,13 @@ def with_scene(
     Parameters
     ----------
     experiment : Experiment
-        Without a scene.
+        Experiment without a scene.
     path : Path
         Scene file.
     object_name : str, optional
-        Body of the scene whose motion was measured; needed where it has several.
+        Body of the scene whose motion was measured; required if there are several.
     sure_of_angles : bool
-        Whether the unit of the angles was given by the user, so that it is not questioned.
+        Whether the user gave the unit of the angles, so that it is not checked.
 
     Returns
     -------
@@ -72,8 +72,8 @@ def with_scene(
     Raises
     ------
     InvalidInput
-        A placeholder that is left, a body that is not there, or a pusher that cannot be where the
-        table has it.
+        A placeholder that was not replaced, an unknown body, or a pusher whose measured position is
+        impossible.
     """
     scene = _loaded(path, experiment)
     body = _object_of(scene, path, object_name)
@@ -111,7 +111,7 @@ def with_scene(
 
 
 def template_text(experiment: Experiment, source: str) -> str:
-    """Return a scene file with what a table tells, and placeholders for what it does not.
+    """Return the text of a scene file with the data of a table, and placeholders for the rest.
 
     Parameters
     ----------
@@ -158,9 +158,9 @@ _HEAD: Final = """\
 
 
 def _loaded(path: Path, experiment: Experiment) -> Scene:
-    """The scene of a file, its pusher far away where its path was measured.
+    """Load the scene of a file; a pusher whose path was measured is put far away.
 
-    The file has poses of its own, of another run or with noise, in which the two may overlap.
+    With the poses of the file, from another run or with noise, the two might overlap.
     """
     record = scene_record(read_document(path))
     if experiment.pusher is not None:
@@ -201,7 +201,7 @@ def _pusher_of(scene: Scene, path: Path) -> Pusher:
 def _driven(
     pusher: Pusher, shape: Shape, track: Trajectory, tip: Trajectory
 ) -> tuple[Pusher, tuple[Flag, ...], str]:
-    """The pusher on its measured path, out of the object where it starts inside."""
+    """Put the pusher on its measured path, moved out of the object if it starts inside."""
     measured = np.column_stack((tip.time, tip.pose))
     flags: tuple[Flag, ...] = ()
     sentence = f"{pusher.name!r} follows its measured path"
@@ -228,13 +228,13 @@ def _driven(
 
 
 def _gaps(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> FloatArray:
-    """(n,) from the surface of the tip to the outline at every measured instant [m]."""
+    """Gaps (n,) from the surface of the tip to the outline at every measured time [m]."""
     gap, _ = gaps_and_normals(shape, radius, track.at(tip.time), tip.pose[:, :2])
     return gap
 
 
 def _refuse_other_angles(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> None:
-    """Refuse angles under whose unit the pusher passes through the object, where another fits."""
+    """Raise if the pusher passes through the object with this unit of angles but not the other."""
 
     def depth(turned: Trajectory) -> float:
         return -float(np.quantile(_gaps(shape, radius, turned, tip), OFTEN))
@@ -259,7 +259,7 @@ def _radius(shape: Shape) -> float:
 def _refuse_strangers(
     shape: Shape, radius: float, track: Trajectory, tip: Trajectory, path: Path
 ) -> None:
-    """Refuse a pusher that starts deep inside the object, or never comes near it."""
+    """Raise for a pusher that starts deep inside the object, or never comes near it."""
     gaps = _gaps(shape, radius, track, tip)
     size = _radius(shape)
     hint = (

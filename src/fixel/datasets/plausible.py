@@ -1,4 +1,4 @@
-"""Units judged by the motion they give: degrees headed as radians, millimetres headed as metres."""
+"""Detection of wrong units from the motion, such as degrees labelled radians or mm labelled m."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from fixel.typing import FloatArray
 
 WORDS: Final = {"deg": "degrees", "rad": "radians"}
 
-FASTEST_TURN: Final = 6.0  # [rad/s], a turn a second; pushed parts turn at up to about 2
-WINDOW: Final = 0.1  # [s] over which a rate is taken: noise of an angle is no turning
+FASTEST_TURN: Final = 6.0  # [rad/s], a turn per second; pushed parts turn at up to about 2
+WINDOW: Final = 0.1  # [s] for rates of turning, long enough to average noise of the angle
 FASTEST: Final = 5.0  # [m/s]
-WIDEST: Final = 5.0  # [m] that a part moves on a plate
-GLANCES: Final = 60  # instants that a motion is judged at: more of them would add up noise
-# A tip that pushes stays where it touches: how far it moves in the object's frame, under one unit
-# of the angles and under the other, tells them apart where one is this many times the other.
+WIDEST: Final = 5.0  # [m] of motion of a part on a plate
+GLANCES: Final = 60  # number of instants at which a motion is sampled; more would add up noise
+# A pushing tip hardly slides along the object. The unit of angles is wrong if the tip slides this
+# many times farther in the object's frame than with the other unit.
 FEWER_TIMES: Final = 8.0
-MIN_SLIP: Final = 0.1  # of the distance from the object to the tip; less is noise
-MIN_TURN: Final = 0.05  # [rad] under either unit; less tells nothing
+MIN_SLIP: Final = 0.1  # share of the distance from the object to the tip; less is noise
+MIN_TURN: Final = 0.05  # [rad] with either unit; less decides nothing
 
 
 def refuse_implausible(
     track: Trajectory, tip: Trajectory | None, source: str, where: str, unit: str | None
 ) -> None:
-    """Refuse positions and angles whose unit cannot be what the header says.
+    """Raise `InvalidInput` for positions and angles whose unit in the header cannot be right.
 
     Parameters
     ----------
     track : Trajectory
-        Of the object, under the units of the header; angles as they stand, not unwrapped.
+        Trajectory of the object in the units of the header, with angles not unwrapped.
     tip : Trajectory, optional
-        Of the pusher.
+        Trajectory of the pusher.
     source, where : str
-        Table, and its column of angles, for the complaint.
+        Table, and its column of angles, for the message.
     unit : str, optional
         `rad` or `deg`; None for a table without angles.
 
     Raises
     ------
     InvalidInput
-        An object that moves wider or faster than any on a plate, or that turns faster than any, or
-        a tip that would slide along it by far less under the other unit.
+        The object moves or turns faster, or moves farther, than is possible on a plate; or the tip
+        would slide along it far less with the other unit.
     """
     glance = np.linspace(track.time[0], track.time[-1], GLANCES)
     _refuse_lengths(track, source)
@@ -88,7 +88,7 @@ def _refuse(where: str, found: str, unit: str, other: str) -> None:
 
 
 def hint_of(other: str, unit: str) -> str:
-    """Options that settle the unit of the angles, either way."""
+    """Hint with the import options that set the unit of angles to one or the other."""
     return (
         f"if the column is in {WORDS[other]}: --option angle_unit={other};"
         f" if it is in {WORDS[unit]}: --option angle_unit={unit}"
@@ -111,7 +111,7 @@ def _refuse_lengths(track: Trajectory, source: str) -> None:
 
 
 def _turning(track: Trajectory) -> float:
-    """Rate at which the object turns while it turns [rad/s]; jumps by a turn are none."""
+    """Rate of turning while the object turns [rad/s]; jumps by a whole turn are ignored."""
     # The first frame of each window.
     _, rows = np.unique(np.floor(track.time / WINDOW), return_index=True)
     step, turn = np.diff(track.time[rows]), np.diff(track.pose[rows, 2])
@@ -122,14 +122,14 @@ def _turning(track: Trajectory) -> float:
 
 
 def rescaled(track: Trajectory, factor: float) -> Trajectory:
-    """The same with its angles multiplied, then unwrapped."""
+    """Return a trajectory with its angles multiplied by a factor, then unwrapped."""
     pose = track.pose.copy()
     pose[:, 2] = np.unwrap(pose[:, 2] * factor)
     return Trajectory(time=track.time, pose=pose)
 
 
 def _slip(track: Trajectory, tip: Trajectory, glance: FloatArray) -> float:
-    """Way of the tip in the object's frame while the object moves [m]."""
+    """Path length of the tip in the object's frame while the object moves [m]."""
     pose = track.at(glance)
     dx, dy = (tip.at(glance) - pose)[:, :2].T
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])

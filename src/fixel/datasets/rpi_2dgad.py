@@ -1,4 +1,4 @@
-"""Importer of RPI's 2dgad trials: planar grasp acquisition, one of them with everything known."""
+"""Importer of RPI's 2dgad trials: planar grasp acquisition, with one complete trial."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ DATASET: Final = "rpi-2dgad"
 OBJECT, ACTUATOR = "object", "actuator"
 TRACKS = ("object_trajectory.csv.gz", "object_trajectory.csv")
 
-# What the screw drive of the actuator can push with [N].
+# Maximum force of the actuator's screw drive [N].
 FORCE_LIMIT = 34.3
 
 N_FIXEL = 3
 INVALID_MODE = 8
 
-# Objects whose outline is known or inferred; of 17 only the height was recovered.
+# Number of the object whose outline was not recovered, only its height.
 OUTLINE_UNKNOWN = 17
 
 
 @final
 class Rpi2dgad(Importer):
-    """Grasp acquisition trials filmed from above."""
+    """Importer of grasp acquisition trials filmed from above."""
 
     name = DATASET
     title = "RPI 2dgad: grasp acquisition against three fixels (2011)"
@@ -67,7 +67,7 @@ class Rpi2dgad(Importer):
     )
 
     def recognised(self, source: Path) -> bool:
-        """A folder with experiments.csv and the tracked object."""
+        """Whether a folder has experiments.csv and a table of the tracked object."""
         return rpi_2dgad.recognised(source) and any((source / name).is_file() for name in TRACKS)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
@@ -136,7 +136,7 @@ def _track(
     readings: FloatArray,
     provenance: Provenance,
 ) -> Experiment:
-    """An experiment of which only the object was kept: x, y, angle, height at frames."""
+    """Build an experiment from the tracked object alone: x, y, angle, height at frames."""
     number, object_id = (
         _whole_number(listed, name, row) for name in ("experiment_id", "object_id")
     )
@@ -167,7 +167,7 @@ def _track(
 def _whole(
     folder: Path, listed: CsvRows, row: int, trial: RpiTrial, provenance: Provenance
 ) -> Experiment:
-    """An experiment with actuator, fixels and tactile signals."""
+    """Build an experiment with actuator, fixels and tactile signals."""
     setup = read_json(only_file(folder, f"exp{trial.experiment_id}_setup.json"))
     digits, flags = _mode(trial.contact_mode)
     effective = _effective(trial.frame, trial.start_frame, trial.end_frame)
@@ -253,7 +253,7 @@ def _scene(trial: RpiTrial, marker: FloatArray, duration: float) -> Scene:
 
 
 def _mode(mode: int) -> tuple[str, tuple[Flag, ...]]:
-    """Digits fixel 1 to 3 of the authors' number, and a flag where it is none."""
+    """Digits of fixels 1 to 3 from the authors' number, or a flag if it is invalid."""
     if mode < INVALID_MODE:
         return f"{mode:03b}", ()
     return "", (remark("contact-mode-invalid", f"the record says {mode}"),)

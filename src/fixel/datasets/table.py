@@ -24,11 +24,11 @@ ENDINGS = (".csv", ".csv.gz")
 
 
 class ColumnUnit(NamedTuple):
-    """A unit at the end of a column's name."""
+    """Unit at the end of a column's name."""
 
     kind: str
-    scale: float  # to SI
-    si: str  # ending of the channel's column
+    scale: float  # factor to SI
+    si: str  # ending of the column's name in a channel
 
 
 UNITS: Final[Mapping[str, ColumnUnit]] = {
@@ -52,7 +52,7 @@ UNITS: Final[Mapping[str, ColumnUnit]] = {
     "ratio": ColumnUnit("ratio", 1.0, "ratio"),
 }
 
-# What columns may be called; the role they have; and what kind of unit it asks for.
+# Names of columns, their roles, and the kind of unit that each role requires.
 _TIME = ("time", "t", "timestamp")
 _ANGLE = ("theta", "angle", "yaw", "th", "heading", "phi")
 _OBJECT = ("", "object_", "obj_", "slider_")
@@ -71,10 +71,10 @@ def _roles() -> dict[str, str]:
 
 _ROLES: Final = _roles()
 
-# Values larger than these tell units apart where the header does not: a plate is no 5 m across, and
-# an angle is seldom more than a turn.
+# Larger values decide the unit if the header has none: no plate is 5 m wide, and an angle seldom
+# exceeds a turn.
 MAX_METRES, MAX_RADIANS = 5.0, 2.0 * math.pi + 0.1
-# Readings come at more than one a second, and at less than a thousand.
+# Readings come at more than one and less than a thousand per second.
 MAX_SECONDS, MAX_MILLISECONDS = 1.0, 1000.0
 
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
@@ -92,7 +92,7 @@ _OPTIONS: Final = {
 
 @final
 class CsvTable(Importer):
-    """Any table with time and pose of one object, one experiment a file."""
+    """Importer of any table with time and pose of one object; one experiment per file."""
 
     name = DATASET
     title = "CSV table of your own: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, ..."
@@ -101,7 +101,7 @@ class CsvTable(Importer):
     options: ClassVar[Mapping[str, str]] = _OPTIONS
 
     def recognised(self, source: Path) -> bool:
-        """A file called something.csv or something.csv.gz."""
+        """Whether the name of a file ends with .csv or .csv.gz."""
         return source.is_file() and source.name.lower().endswith(ENDINGS)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
@@ -131,18 +131,18 @@ def _text_option(name: str, value: object) -> str:
 
 @dataclass
 class _TableColumn:
-    """One column: how it is called in the file, what it is, and its unit once that is known."""
+    """Column of the table: its title, role, and unit once that is known."""
 
     title: str
     stem: str
     role: str | None
     unit: ColumnUnit | None
-    unknown: str = ""  # an ending that is no known unit
+    unknown: str = ""  # ending of the title that is no known unit
 
 
 @dataclass
 class _TableReading:
-    """What is found out on the way."""
+    """State of reading a table: columns by role, guesses and remarks."""
 
     table: CsvRows
     roles: dict[str, _TableColumn]
@@ -152,7 +152,7 @@ class _TableReading:
     remarks: list[str] = field(default_factory=list)
 
     def numbers(self, column: _TableColumn, *, blank: bool = True) -> FloatArray:
-        """(n,) as they stand; blank cells are NaN."""
+        """Return a column as numbers (n,) in its own unit; blank cells become NaN."""
         numbers = self.table.numbers(column.title, blank=blank)
         if (np.abs(numbers) > LARGEST_NUMBER).any():
             raise InvalidInput(
@@ -163,7 +163,7 @@ class _TableReading:
         return numbers
 
     def si(self, role: str) -> FloatArray:
-        """(n,) one role in SI units."""
+        """Return the column of a role in SI units, (n,)."""
         column = self.roles[role]
         assert column.unit is not None
         return self.numbers(column) * column.unit.scale
@@ -222,7 +222,7 @@ def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
     parsed = [_parsed(title) for title in table.columns]
     named = {column.role for column in parsed if column.role and not column.unknown}
     for column in parsed:
-        # x_raw beside x_mm is something else; alone it is x in a unit nobody knows.
+        # With x_mm in the table, x_raw is another quantity; alone it is x in an unknown unit.
         if column.unknown and column.role in named:
             column.role = None
     roles: dict[str, _TableColumn] = {}
@@ -239,7 +239,7 @@ def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
 
 
 def _parsed(title: str) -> _TableColumn:
-    """`Tip x [mm]` is pusher_x in mm."""
+    """Parse the title of a column: `Tip x [mm]` is pusher_x in mm."""
     plain = re.sub(r"\W+", "_", title.strip().lower().lstrip("\ufeff")).strip("_")
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
@@ -281,14 +281,14 @@ def _refuse_incomplete(reading: _TableReading) -> None:
         )
 
 
-# --- units that the header does not say
+# --- units missing in the header
 
 
 def _settle_unit(reading: _TableReading, role: str) -> None:
     column = reading.roles[role]
     kind = _kind(role)
     given = reading.options.get(f"{kind}_unit")
-    # The header decides, but for angles: their unit is what headers most often get wrong.
+    # The header decides, except for angles: their unit is the one most often wrong in headers.
     if column.unit is not None and (given is None or kind != "angle"):
         return
     lack = f"the unknown unit {column.unknown!r}" if column.unknown else "no unit"
@@ -314,7 +314,7 @@ def _name(wanted: ColumnUnit) -> str:
 
 
 def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str, str]:
-    """A unit, and why."""
+    """Guess the unit of a column; also return the reason."""
     siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
     if len(siblings) == 1:
         (sibling,) = siblings
@@ -325,7 +325,7 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
         step = float(np.nanmedian(np.diff(numbers))) if len(numbers) > 1 else 0.0
         scale = (step >= MAX_SECONDS) + (step >= MAX_MILLISECONDS)
         return ("s", "ms", "us")[scale], f"typical steps of {step:g}"
-    # Positions without unit share one, so the largest of them decides.
+    # Positions without a unit share one, so the largest of them decides.
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
     largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
@@ -340,18 +340,18 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
 
 
 def _time(reading: _TableReading) -> FloatArray:
-    """(n,) instants from the first row on [s]."""
+    """Times (n,), counted from the first row [s]."""
     column = reading.roles["time"]
     assert column.unit is not None
     numbers = reading.numbers(column, blank=False)
-    # First the difference: seconds since 1970 leave few digits for what comes behind the point.
+    # Subtract first: seconds since 1970 leave few digits after the decimal point.
     return increasing((numbers - numbers[0]) * column.unit.scale, reading.table.source)
 
 
 def _poses(
     reading: _TableReading, time: FloatArray, whose: str
 ) -> tuple[Trajectory, tuple[Flag, ...]]:
-    """Of the object, or with `pusher_` of the pusher, without the rows that lack something."""
+    """Trajectory of the object (or, with `pusher_`, the pusher), without rows that lack a value."""
     columns = [reading.si(f"{whose}x"), reading.si(f"{whose}y")]
     what = whose.removesuffix("_") or "object"
     flags: tuple[Flag, ...] = ()
@@ -378,11 +378,11 @@ def _poses(
 
 
 def _check_units(reading: _TableReading, track: Trajectory, pusher: Trajectory | None) -> None:
-    """Refuse units in which nothing on a plate moves so; the angles as the file has them."""
+    """Raise if the motion is impossible on a plate with these units; angles are not unwrapped."""
     column = reading.roles.get("theta")
     unit = None if column is None or column.unit is None else _name(column.unit)
     turned = track
-    if unit is not None:  # before angles were unwrapped in a unit that may be wrong
+    if unit is not None:  # angles as in the file, not unwrapped in a unit that may be wrong
         pose = np.column_stack([reading.si(role) for role in ("x", "y", "theta")])
         turned = Trajectory(time=track.time, pose=pose[~np.isnan(pose).any(axis=1)])
     where = f"{reading.table.source}, column {column.title if column else ''}"
@@ -428,7 +428,7 @@ def _values(reading: _TableReading, column: _TableColumn, unit: ColumnUnit) -> F
 
 
 def _conditions(reading: _TableReading) -> dict[str, str | float]:
-    """Columns without a unit that say the same in every row."""
+    """Conditions: columns without a unit that have the same text in every row."""
     conditions: dict[str, str | float] = {}
     for column in reading.others:
         if column.unit is not None:

@@ -1,4 +1,4 @@
-"""Recorded pushes: each dataset is recognised by its files, and only read."""
+"""Readers of recorded pushes; each dataset is recognised by its files, which are never modified."""
 
 from pathlib import Path
 
@@ -19,14 +19,14 @@ _READERS = (mit_push, rpi_2dgad, mit_timeseries)
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """Read a dataset, whichever it is.
+    """Load a dataset of any known kind.
 
     Raises
     ------
     DatasetMissing
-        Nothing in the folder is one of those known.
+        The folder contains no known dataset.
     InvalidInput
-        A file that does not hold what it should.
+        A file with invalid content.
     """
     if mit_push.recognised(folder):
         return mit_push.read(folder)
@@ -38,7 +38,7 @@ def read_dataset(folder: Path) -> Dataset:
 
 
 def _hint(folder: Path) -> str | None:
-    """The folders inside this one that would do."""
+    """Hint that names subfolders with a known dataset; None if there are none."""
     if not folder.is_dir():
         return "there is no such folder"
     inside = sorted(path for path in folder.iterdir() if path.is_dir())

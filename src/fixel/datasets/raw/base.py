@@ -1,4 +1,4 @@
-"""What the readers of recorded pushes share: files of a folder, and tables with named columns."""
+"""Common functions of the readers of recorded pushes: files, and tables with named columns."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Disk, Polygon, Shape
 from fixel.typing import FloatArray
 
-# Corners of the polygon that stands for an ellipse: at most 0.02 mm inside one of 65 mm.
+# Corners of the polygon that approximates an ellipse: at most 0.02 mm inside one of 65 mm.
 ELLIPSE_CORNERS = 128
 
 MM = 1e-3
 
-# What a file may hold at most, unpacked, and one line of it [characters]: a few kilobytes of gzip
-# can unpack to more than the memory holds.
+# Maximum length of an unpacked file and of one line [characters]: a few kilobytes of gzip can
+# unpack to more than fits in memory.
 MAX_FILE = 500_000_000
 MAX_LINE = 1_000_000
 MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
@@ -34,14 +34,14 @@ MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes
 @final
 @dataclass(frozen=True, slots=True)
 class CsvRows:
-    """Rows of a CSV file, as text until asked for numbers.
+    """Rows of a CSV file, stored as text and converted to numbers on request.
 
     Parameters
     ----------
     source : str
-        Name of the file, for complaints.
+        Name of the file, for messages.
     columns : mapping from name to list of str
-        All of one length.
+        Columns of equal length.
     """
 
     source: str
@@ -51,12 +51,12 @@ class CsvRows:
         return len(next(iter(self.columns.values()), ()))
 
     def text(self, name: str) -> NDArray[np.str_]:
-        """(n,) one column as it stands."""
+        """Return one column as text, (n,)."""
         self.require([name])
         return np.array(self.columns[name], dtype=np.str_)
 
     def numbers(self, name: str, *, blank: bool = False) -> FloatArray:
-        """(n,) one column as numbers; with `blank`, empty cells are NaN."""
+        """Return one column as numbers, (n,); with `blank`, empty cells become NaN."""
         self.require([name])
         return np.array(
             [
@@ -67,11 +67,11 @@ class CsvRows:
         )
 
     def stacked(self, *names: str, blank: bool = False) -> FloatArray:
-        """(n, n_name) several columns as numbers."""
+        """Return several columns as numbers, (n, n_name)."""
         return np.column_stack([self.numbers(name, blank=blank) for name in names])
 
     def require(self, names: Iterable[str]) -> None:
-        """Refuse a table that lacks one of these columns."""
+        """Raise `InvalidInput` if one of these columns is missing."""
         for name in names:
             if name not in self.columns:
                 raise InvalidInput(
@@ -92,7 +92,7 @@ class CsvRows:
 
 
 def read_table(path: Path) -> CsvRows:
-    """The rows of a CSV file, plain or compressed with gzip."""
+    """Load the rows of a CSV file, plain or compressed with gzip."""
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8", newline="") as stream:
@@ -118,7 +118,7 @@ def read_table(path: Path) -> CsvRows:
 
 
 def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
-    """The lines of a file, or a refusal once they are more than a table of readings can be."""
+    """Yield the lines of a file; raise once they exceed the maximum size of a table."""
     left = MAX_FILE
     while line := stream.readline(MAX_LINE):
         left -= len(line)
@@ -132,10 +132,10 @@ def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
 
 
 def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
-    """The rows of a table, or a refusal once they would fill the memory."""
+    """Load the rows of a table; raise once they exceed the maximum number of cells."""
     kept, cells = [], 0
     for row in rows:
-        cells += len(row) + 1  # an empty row takes room too
+        cells += len(row) + 1  # an empty row takes memory too
         if cells > MAX_CELLS:
             raise InvalidInput(
                 source, found="more", expected=f"at most {MAX_CELLS // 10**6} million cells"
@@ -145,7 +145,7 @@ def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """One JSON object of a file."""
+    """Load the JSON object in a file."""
     try:
         if path.stat().st_size > MAX_FILE:
             raise ValueError(f"{path.stat().st_size} bytes")
@@ -162,7 +162,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def member(content: Mapping[str, Any], path: str, source: str) -> Any:
-    """A value inside nested objects: `"object.mass_kg"`; a refusal if it is not there."""
+    """Return a value inside nested objects, such as `"object.mass_kg"`; raise if missing."""
     value: Any = content
     for name in path.split("."):
         if not isinstance(value, Mapping) or name not in value:
@@ -172,7 +172,7 @@ def member(content: Mapping[str, Any], path: str, source: str) -> Any:
 
 
 def only_file(folder: Path, *names: str) -> Path:
-    """The first of these files that is in the folder."""
+    """Path of the first of these files that exists in a folder; raise if none does."""
     for name in names:
         if (folder / name).is_file():
             return folder / name
@@ -180,7 +180,7 @@ def only_file(folder: Path, *names: str) -> Path:
 
 
 def increasing(time: FloatArray, source: str) -> FloatArray:
-    """Instants as they are, or a refusal if they do not increase."""
+    """Return times unchanged; raise if they do not increase."""
     if (np.diff(time) <= 0.0).any():
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise InvalidInput(
@@ -192,7 +192,7 @@ def increasing(time: FloatArray, source: str) -> FloatArray:
 
 
 def ellipse(semi_axis_x: float, semi_axis_y: float) -> Shape:
-    """An ellipse about the origin [m]: a disk if it is one, else a fine polygon on the curve."""
+    """Build an ellipse about the origin [m]: a disk, or a polygon with corners on the curve."""
     if semi_axis_x == semi_axis_y:
         return Disk(semi_axis_x)
     angle = np.arange(ELLIPSE_CORNERS) * (2.0 * math.pi / ELLIPSE_CORNERS)

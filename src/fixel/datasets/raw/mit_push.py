@@ -1,7 +1,7 @@
 """Straight 50 mm pushes of the MIT push dataset: poses at start and end.
 
 Source: K.-T. Yu, M. Bauza, N. Fazeli, A. Rodriguez (2016), More than a million ways to be pushed,
-IROS; with the predictions of the quasi-static simulator of J. Zhou.
+IROS. The table also has the predictions of the quasi-static simulator of J. Zhou.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SHAPES = "shapes.json"
 PUSHER_RADIUS = 4.75e-3
 STROKE = 50e-3
 
-# Steel plates [kg], as the dataset's README recalls them from the paper.
+# Masses of steel plates [kg], which the dataset's README quotes from the paper.
 MASSES = {
     "rect1": 0.837, "rect2": 1.045, "rect3": 1.251, "tri1": 0.803, "tri2": 0.983, "tri3": 1.133,
     "ellip1": 0.894, "ellip2": 1.110, "ellip3": 1.334, "hex": 0.983, "butter": 1.197,
@@ -43,19 +43,19 @@ class MitPushes:
     Attributes
     ----------
     table : CsvRows
-        The rows as they stand in the file; every array below has one row for each.
+        Rows of the file; every array below has one row for each.
     shapes : mapping from name to Shape
-        In the frame of the dataset's poses.
+        Outlines in the frame of the dataset's poses.
     start, end : (n, 3) float64
         Measured pose of the object [m, m, rad].
     tip_start, tip_end : (n, 2) float64
         Measured centre of the tip [m].
     speed : (n,) float64
-        [m/s]
+        Speed of the tip [m/s].
     gap_start, gap_end : (n,) float64
-        From the surface of the tip to the outline [m].
+        Gap from the surface of the tip to the outline [m].
     predictions : mapping from name to (n, 3) float64
-        End pose by the published simulator, one per limit surface; NaN where there is none.
+        End pose by the published simulator, one per limit surface; NaN if missing.
     """
 
     name: ClassVar[str] = "mit_push_endpoints"
@@ -76,28 +76,28 @@ class MitPushes:
 
     @property
     def surface(self) -> NDArray[np.str_]:
-        """(n,) name of the surface."""
+        """Name of the surface of each push, (n,)."""
         return self.table.text("surface")
 
     @property
     def shape(self) -> NDArray[np.str_]:
-        """(n,) name of the shape."""
+        """Name of the shape of each push, (n,)."""
         return self.table.text("shape")
 
     @property
     def stroke(self) -> FloatArray:
-        """(n,) distance of the tip from start to end [m]."""
+        """Distance of the tip from start to end of each push, (n,) [m]."""
         dx, dy = (self.tip_end - self.tip_start).T
         return np.asarray(np.hypot(dx, dy), dtype=np.float64)
 
 
 def recognised(folder: Path) -> bool:
-    """Whether a folder holds this dataset."""
+    """Whether a folder contains this dataset."""
     return any((folder / name).is_file() for name in PUSHES) and (folder / SHAPES).is_file()
 
 
 def read(folder: Path) -> MitPushes:
-    """Read all pushes of a folder."""
+    """Load all pushes of a folder."""
     table = read_table(only_file(folder, *PUSHES))
     table.require(["push_id", "surface", "shape"])
     shapes = shapes_of(read_json(only_file(folder, SHAPES)))
@@ -137,7 +137,7 @@ def read(folder: Path) -> MitPushes:
 
 
 def mass_of(name: str, shape: Shape) -> float:
-    """Mass of a plate [kg]: as recalled from the paper, else from its area."""
+    """Mass of a plate [kg], from the paper or else from its area."""
     return MASSES.get(name, MASS_PER_AREA * shape.area)
 
 

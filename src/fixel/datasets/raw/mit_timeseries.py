@@ -1,4 +1,4 @@
-"""Full-rate pushes of MIT's MCube laboratory: the whole motion of object and pusher.
+"""Full-rate pushes of MIT's MCube laboratory, with the motion of object and pusher.
 
 Sources: F. Hogan, A. Rodriguez (2016), Feedback control of the pusher-slider system, WAFR
 (`cpush_*.csv.gz`); one raw record of the MIT push dataset (`push_*.json`).
@@ -21,7 +21,7 @@ SHAPES = "shapes.json"
 RUNS = "cpush_*.csv*"
 RECORDS = "push_*.json"
 
-# A reading that stays the same for longer than this is kept: then the pusher stands still. The
+# A reading repeated for longer than this is retained, since the pusher then stands still. The
 # sensors refresh every 4 to 7 ms [s].
 STANDSTILL = 0.02
 
@@ -29,25 +29,25 @@ STANDSTILL = 0.02
 @final
 @dataclass(frozen=True, slots=True)
 class PushRun:
-    """One recorded run.
+    """Recorded run of a pusher and an object.
 
     Attributes
     ----------
     name : str
-        Of the file, without its ending.
+        Name of the file, without its ending.
     surface, shape_name : str
-        As the file names them; `rect1` and an unknown surface in the cpush runs.
+        Names in the file; in the cpush runs `rect1`, and plywood or an unknown surface.
     shape : Polygon
     pusher_radius : float
-        [m]
+        Radius of the round pusher [m].
     object : Trajectory
         Measured poses of the object, one per new reading.
     pusher : (n, 3) float64
         Time [s] and measured centre of the tip [m, m], one row per new reading.
     readings : int
-        Rows in the file, before repeated ones were dropped.
+        Number of rows in the file, including repeated ones.
     commanded_speed : float or None
-        Of the tip, where the file says so [m/s].
+        Commanded speed of the tip, if it is in the file [m/s].
     """
 
     name: str
@@ -64,7 +64,7 @@ class PushRun:
 @final
 @dataclass(frozen=True, slots=True)
 class PushRuns:
-    """The runs of a folder."""
+    """All runs of a folder."""
 
     name: ClassVar[str] = "mit_timeseries"
     folder: Path
@@ -72,14 +72,14 @@ class PushRuns:
 
 
 def recognised(folder: Path) -> bool:
-    """Whether a folder holds this dataset."""
+    """Whether a folder contains this dataset."""
     return (folder / SHAPES).is_file() and any(
         next(folder.glob(pattern), None) for pattern in (RUNS, RECORDS)
     )
 
 
 def read(folder: Path) -> PushRuns:
-    """Read all runs of a folder."""
+    """Load all runs of a folder."""
     if not (folder / SHAPES).is_file():
         raise DatasetMissing(folder, SHAPES)
     shapes = read_json(folder / SHAPES)
@@ -129,14 +129,14 @@ def _from_record(path: Path, outlines: dict[str, list[object]], radius: float) -
 
 
 def _new_readings(time: FloatArray, values: FloatArray) -> BoolArray:
-    """Which rows say something new: a changed value, or one that has stood for a while.
+    """Mask of rows with a new reading: a changed value, or the last row of a standstill.
 
-    The rows after the last change say nothing: in every cpush run the tracker stops a tenth of a
-    second before the pusher does.
+    Rows after the last change are not new: in every cpush run the tracker stops a tenth of a second
+    before the pusher does.
     """
     changed = np.append(True, (np.diff(values, axis=0) != 0.0).any(axis=1))
     row = np.flatnonzero(changed)
-    # Before a change after a standstill, the last row of the standstill is news too.
+    # The last row of a standstill, just before a change, is new information too.
     changed[row[1:][np.diff(time[row]) > STANDSTILL] - 1] = True
     return changed
 

@@ -1,7 +1,7 @@
 """Grasp acquisition trials of RPI's 2dgad database: a square pushed against three fixels.
 
 Source: the RPI thesis and the laboratory's public Testbed2D tree. Only trials with an actuator path
-and fixel positions can be replayed: experiment 141 is complete.
+and fixel positions can be replayed; experiment 141 is complete.
 """
 
 from __future__ import annotations
@@ -20,49 +20,49 @@ from fixel.model import Parameters, Polygon
 from fixel.typing import FloatArray
 
 EXPERIMENTS = "experiments.csv"
-FRAME_RATE = 30.0  # of the overhead camera [1/s]
+FRAME_RATE = 30.0  # frame rate of the overhead camera [1/s]
 
 
 class LabSimulation(NamedTuple):
-    """What the laboratory's own simulator made of a trial; not measured."""
+    """Simulation of a trial by the laboratory's own simulator; not measured."""
 
     frame: NDArray[np.int64]  # (n,)
     object_pose: FloatArray  # (n, 3) [m, m, rad]
-    actuator: FloatArray  # (n, 2) driver position it was fed with [m]
+    actuator: FloatArray  # (n, 2) driver position that was its input [m]
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class RpiTrial:
-    """One complete trial.
+    """Complete trial of a grasp acquisition.
 
     Attributes
     ----------
     object_shape, actuator_shape : Polygon
         Digitised corners, in the frame of the tracked marker.
     mass, inertia : float
-        Of the object [kg, kg m^2], about the origin of its frame.
+        Mass of the object and inertia about the origin of its frame [kg, kg m^2].
     fixel_radius : float
-        [m]
+        Radius of the fixels [m].
     fixels : (n_fixel, 2) float64
-        Centres [m].
+        Centres of the fixels [m].
     actuator_angle : float
-        Constant during the push [rad].
+        Angle of the actuator, constant during the push [rad].
     parameters : Parameters
-        The laboratory's calibrated values.
+        Values calibrated by the laboratory.
     frame, time : (n,)
-        Video frames, counted from 1, and their instants [s].
+        Video frames, counted from 1, and their times [s].
     object_pose : (n, 3) float64
-        Measured [m, m, rad].
+        Measured poses of the object [m, m, rad].
     marker, filtered : (n, 2) float64
-        Actuator, as its marker was seen and as a constant-velocity Kalman smoother left it [m]. The
-        smoothed one runs on after the actuator has stalled.
+        Positions of the actuator's marker, measured and after a constant-velocity Kalman smoother
+        [m]. The smoothed ones overshoot after the actuator has stalled.
     tactile : (n, n_fixel) bool
-        Whether each fixel felt the object.
+        Whether each fixel sensed the object.
     start_frame, end_frame : int
-        First frame with the actuator moving and last frame of useful data.
+        First frame with a moving actuator and last frame of useful data.
     contact_mode : int
-        At the end: the bits of fixels 1, 2, 3 count 4, 2, 1.
+        Contacts at the end; the bits of fixels 1, 2, 3 have the values 4, 2, 1.
     lab : LabSimulation or None
     """
 
@@ -90,7 +90,7 @@ class RpiTrial:
 @final
 @dataclass(frozen=True, slots=True)
 class RpiTrials:
-    """The trials of a folder that are complete, and the numbers of those that are not."""
+    """Complete trials of a folder, and the numbers of the incomplete ones."""
 
     name: ClassVar[str] = "rpi_2dgad"
     folder: Path
@@ -99,12 +99,12 @@ class RpiTrials:
 
 
 def recognised(folder: Path) -> bool:
-    """Whether a folder holds this dataset."""
+    """Whether a folder contains this dataset."""
     return (folder / EXPERIMENTS).is_file()
 
 
 def read(folder: Path) -> RpiTrials:
-    """Read all complete trials of a folder."""
+    """Load all complete trials of a folder."""
     known = read_table(folder / EXPERIMENTS).numbers("experiment_id").astype(int).tolist()
     numbered = [
         int(match[1])
