@@ -1,4 +1,4 @@
-"""Pictures and films of simulations; Matplotlib is imported when the first one is drawn."""
+"""Figures and animations of simulations; Matplotlib is imported when the first one is drawn."""
 
 from fixel.drawing.animation import animate_simulation
 from fixel.drawing.picture import draw_simulation

@@ -1,8 +1,8 @@
-"""One simulation as a film, in the time it took or a stated factor faster or slower.
+"""Animation of a simulation, in real time or faster or slower by a stated factor.
 
-What does not move is drawn once; every frame restores it and draws only bodies, pushers, trails,
-forces and the clock on top. Poses between samples are interpolated; a contact is kept where it is
-on its body.
+The fixed background is drawn once. Every frame restores it and draws only bodies, pushers, trails,
+forces and the clock. Poses between samples are interpolated; a contact point stays fixed to its
+body.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 FILM_ENDINGS = (".gif", ".mp4")
 
 RATE = 30  # frames per second of an .mp4
-GIF_RATE = 20  # a .gif counts in hundredths of a second, and grows with every frame
-PIXELS = (960, 720)  # the most, both even, as the video format wants them
+GIF_RATE = 20  # frame times of a .gif are hundredths of a second, and its size grows with frames
+PIXELS = (960, 720)  # maximum width and height, even as the video format requires
 DPI = 160
-THICKNESS = 0.012  # of force arrows, of the larger side of the picture
-SHORTEST, LONGEST = 2.0, 30.0  # [s] of film before time is stretched or compressed
+THICKNESS = 0.012  # thickness of force arrows, as a share of the larger side of the picture
+SHORTEST, LONGEST = 2.0, 30.0  # [s] of animation; other durations are scaled to these
 
 Style = dict[str, Any]
 
@@ -56,24 +56,24 @@ def animate_simulation(
     speed: float | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Film a simulation, with the contact forces.
+    """Save an animation of a simulation, with the contact forces.
 
     Parameters
     ----------
     simulation : Simulation
-        A failed one too, up to where it stopped.
+        Simulation; a failed one is shown up to where it stopped.
     path : str or Path
-        File, `.mp4` or `.gif`.
+        File to write, `.mp4` or `.gif`.
     speed : float, optional
-        Seconds of motion in one second of film. Left out: 1, or the round number that brings a very
-        long or very short motion to a length one can watch; anything but 1 is stated in the film.
+        Seconds of motion per second of animation. Default: 1, or a round factor that gives a very
+        long or short motion a watchable length; a factor other than 1 is stated in the animation.
     progress : callable, optional
         Called as `progress(done, total)` after every frame.
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        The file name has another ending.
     """
     path = Path(path)
     refuse_ending(path, FILM_ENDINGS, "film")
@@ -82,13 +82,13 @@ def animate_simulation(
     end = float(simulation.time[-1])
     speed = speed or usual_speed(end)
     times = np.append(np.arange(0.0, end, speed / rate), end)
-    times = np.append(times, np.full(rate, end))  # a second to look at the end
+    times = np.append(times, np.full(rate, end))  # show the end for a second
     frames = _frames(_Stage(simulation, speed), times, progress)
     (_write_gif if gif else _write_mp4)(path, frames, rate)
 
 
 def usual_speed(duration: float) -> float:
-    """1 for motions of 2 to 30 s, else a round factor that brings them there."""
+    """Default speed: 1 for motions of 2 to 30 s, else a round factor that scales to that range."""
     if duration > LONGEST:
         return 1.0 / round_number(LONGEST / duration)
     if 0.0 < duration < SHORTEST:
@@ -104,7 +104,7 @@ def _frames(stage: _Stage, times: FloatArray, progress: Progress | None) -> Iter
 
 
 class _Stage:
-    """A figure whose moving parts are drawn anew for every frame."""
+    """Figure with a fixed background, whose moving parts are redrawn for every frame."""
 
     def __init__(self, simulation: Simulation, speed: float) -> None:
         import matplotlib as mpl
@@ -173,14 +173,14 @@ class _Stage:
         for part in self.moving:
             part.set_animated(True)
         known = run.contacts[np.isfinite(run.contacts["normal_force"])]
-        # An impact may be far above what follows, so the scale is that of nearly all contacts.
+        # An impact may exceed all later forces by far, so the scale is a high quantile.
         sizes = np.hypot(*forces(known).T) if len(known) else np.zeros(1)
         largest = float(np.quantile(sizes, 0.98))
         self.largest = largest
         self.per_newton = arrow_length_per_newton(largest, self.box.size) * self.unit.per_metre
 
     def frame(self, time: float) -> Any:
-        """(height, width, 4) uint8 picture of one moment [s]."""
+        """Draw the frame at a time [s]: (height, width, 4) uint8."""
         run, scale = self.simulation, self.unit.per_metre
         poses = {name: pose_at(run.time, p, time) for name, p in run.pose.items()}
         outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
@@ -198,7 +198,7 @@ class _Stage:
         return np.asarray(self.canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
     def _rows(self, sample: int) -> Any:
-        """Rows of the contact table at one sample."""
+        """Rows of the contact table at the index of a sample."""
         times, moment = self.simulation.contacts["time"], self.simulation.time[sample]
         low, high = np.searchsorted(times, (moment, np.nextafter(moment, np.inf)))
         return self.simulation.contacts[low:high]
@@ -206,7 +206,7 @@ class _Stage:
     def _set_forces(self, time: float) -> None:
         run, scale = self.simulation, self.unit.per_metre
         thick = THICKNESS * self.box.size * scale
-        # The forces of a step stand at its end.
+        # The contact table has the forces of a step at its end.
         sample = min(int(np.searchsorted(run.time, time)), len(run.time) - 1)
         moment = run.time[sample]
         rows = self._rows(sample)
@@ -219,7 +219,7 @@ class _Stage:
         for point, force in zip(contacts.point, contacts.force, strict=True):
             size = float(np.hypot(*force))
             if 1e-4 * self.largest < size < np.inf:
-                # Length grows with the root: gentle pushing and a stalled drive are both readable.
+                # Length grows with the root, so that weak and very strong forces are readable.
                 length = min(1.5, sqrt(size / self.largest)) * self.largest * self.per_newton
                 arrows.append(_arrow(point * scale, force / size * length, thick))
         self.arrows.set_verts(arrows)
@@ -252,7 +252,7 @@ def _even(inches: float) -> float:
 
 
 def _arrow(tail: FloatArray, along: FloatArray, thick: float) -> FloatArray:
-    """(7, 2) outline of an arrow."""
+    """Outline of an arrow, (7, 2)."""
     length = float(np.hypot(*along))
     ahead = along / length
     aside = np.array([-ahead[1], ahead[0]])
@@ -286,7 +286,7 @@ def _write_mp4(path: Path, frames: Iterator[Any], rate: int) -> None:
 
 
 def _stream(film: Any, rate: int, width: int, height: int) -> Any:
-    """H.264, which every browser plays; MPEG-4 where this PyAV came without it."""
+    """Add a stream in H.264, which every browser plays, or in MPEG-4 if PyAV lacks H.264."""
     import av
 
     try:

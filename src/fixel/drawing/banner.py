@@ -1,4 +1,4 @@
-"""The band across the top of pictures of what no camera has seen, and titles that fit."""
+"""Banner at the top of figures of simulated experiments, and shortening of titles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BANNER: Final = 0.20  # height [inch]
 
 
 def add_band(figure: Figure, text: str, share: float) -> None:
-    """Write a text over the top `share` of a figure."""
+    """Draw a band with text over the top `share` of a figure."""
     from matplotlib.patches import Rectangle
 
     figure.add_artist(
@@ -24,10 +24,10 @@ def add_band(figure: Figure, text: str, share: float) -> None:
 
 
 def add_simulated_band(figure: Figure, simulated_by: str, share: float) -> None:
-    """Say over the top `share` of a figure what made the experiment, in place of a laboratory."""
+    """Draw a band over the top `share` of a figure that names the simulator of the experiment."""
     add_band(figure, f"SIMULATED by {cut_short(simulated_by)}", share)
 
 
 def cut_short(text: str, most: int = 44) -> str:
-    """A text of at most so many characters."""
+    """Cut a text to at most `most` characters, with an ellipsis."""
     return text if len(text) <= most else text[: most - 1] + "…"

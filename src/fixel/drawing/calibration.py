@@ -1,4 +1,4 @@
-"""Experiments of a calibration as pictures: errors before and after, and how long each took."""
+"""Charts of a calibration's experiments: errors before and after, and computing times."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAX_NAMES: Final = 45  # experiments with a row of their own
+MAX_NAMES: Final = 45  # maximum number of experiments with a named row
 MAX_BARS: Final = 30
 
 BEFORE: Final = "before"
-# Series of errors in the order they come, and the last: they differ in shape as well as colour.
+# Styles of the series of errors in order, and of the last one; they differ in shape and colour.
 MARKS: Final[tuple[Style, ...]] = (
     {"color": palette.CONE, "marker": "o", "markerfacecolor": "white"},
     {"color": palette.TOUCHED, "marker": "^"},
@@ -47,13 +47,13 @@ LAST: Final[Style] = {"color": palette.BODY, "marker": "o"}
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorsChart(AbstractChart):
-    """Error of every experiment, before and after, the worst first.
+    """Error of every experiment, before and after a calibration, sorted from worst to best.
 
     Parameters
     ----------
     keys : sequence of str
     series : mapping of str to (n,) float64
-        Errors by what they are with, three at most; not finite where there is none. The last sorts.
+        Errors by label, at most three series; not finite if missing. The last one sets the order.
     unit : str
     """
 
@@ -63,7 +63,7 @@ class ErrorsChart(AbstractChart):
 
     @property
     def order(self) -> list[int]:
-        """Experiments from the worst to the best."""
+        """Indices of experiments, sorted from the largest to the smallest error."""
         last = list(self.series.values())[-1]
         return [int(k) for k in np.argsort(-np.where(np.isnan(last), np.inf, last), kind="stable")]
 
@@ -90,7 +90,7 @@ def _column_name(name: str) -> str:
 
 
 def _draw_errors(axes: Axes, chart: ErrorsChart, named: bool) -> None:
-    """With names, rows from above to below; without, from left to right."""
+    """Draw errors in rows with the names of experiments, or in columns without names."""
     order, n = chart.order, len(chart.keys)
     place = np.arange(1, n + 1)
     every = np.concatenate([positive(errors) for errors in chart.series.values()])
@@ -124,7 +124,7 @@ def _draw_errors(axes: Axes, chart: ErrorsChart, named: bool) -> None:
 
 
 def _draw_missing(axes: Axes, place: FloatArray, style: Style, named: bool) -> None:
-    """Experiments without a simulation, at the far end."""
+    """Mark experiments without a simulation at the far end of the error axis."""
     if not len(place):
         return
     far = np.full(len(place), 0.995)
@@ -147,14 +147,14 @@ def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SecondsChart(AbstractChart):
-    """How long calibrations took.
+    """Histogram of the computing time of calibrations.
 
     Source: RPI thesis, figure 5.4.
 
     Parameters
     ----------
     keys : sequence of str
-        Of the experiments.
+        Names of the experiments.
     seconds : (n,) float64
     evaluations : sequence of int
     """
@@ -183,7 +183,7 @@ class SecondsChart(AbstractChart):
         return figure
 
     def _range(self) -> tuple[float, float]:
-        """Round bins from zero would hide what differs; equal times still get a width."""
+        """Range of the bins: the exact range of times, widened if all times are equal."""
         low, high = float(self.seconds.min()), float(self.seconds.max())
         return (low, high) if high > 1.001 * low else (0.5 * low, 1.5 * high or 1.0)
 

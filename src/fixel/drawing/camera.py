@@ -1,4 +1,4 @@
-"""Pictures of a camera's errors: how right places on the plane are, and where boards were seen."""
+"""Charts of a camera's accuracy on the plate, and of the coverage by calibration boards."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ LEVELS: Final = 9
 @final
 @dataclass(frozen=True)
 class CameraErrorChart(AbstractChart):
-    """The plate as the camera sees it, by how right places on it are; and where boards were.
+    """Errors of places on the plate in the camera's view, and coverage by calibration boards.
 
     Parameters
     ----------
     errors : PlaneErrors
     image_size : (int, int)
-        [px].
+        Width and height of the pictures [px].
     seen : (n_row, n_column) float64
-        Corners of boards by cell of the picture; empty where unknown.
+        Number of board corners in each cell of the picture; empty if unknown.
     """
 
     errors: PlaneErrors
@@ -102,7 +102,7 @@ class CameraErrorChart(AbstractChart):
 
 
 def _levels(values: FloatArray) -> list[float]:
-    """Round numbers from the least to the most."""
+    """Round contour levels that span the values."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = float(values.min()), float(values.max())

@@ -1,4 +1,4 @@
-"""Pictures of numbers, and the numbers behind them."""
+"""Base of charts with their data as tables, and helpers for drawing them."""
 
 from __future__ import annotations
 
@@ -27,45 +27,45 @@ HEAD: Final = 0.22  # [inch]
 
 
 class ChartTable(NamedTuple):
-    """The numbers of a picture, in SI units; units are in the names or in a column of their own."""
+    """Data of a chart in SI units; units are in the column names or in a separate column."""
 
     columns: tuple[str, ...]
-    rows: list[tuple[Value, ...]]  # None where there is none
+    rows: list[tuple[Value, ...]]  # None for missing values
 
 
 class AbstractChart(abc.ABC):
-    """What a picture of numbers promises."""
+    """Base class of charts: a figure and its data as a table."""
 
     @abc.abstractmethod
     def figure(self) -> Figure:
-        """The picture, without a banner."""
+        """Draw the chart as a Matplotlib figure, without a banner."""
 
     @abc.abstractmethod
     def table(self) -> ChartTable:
-        """All that the picture shows."""
+        """Return all data that the figure shows."""
 
 
 def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> None:
-    """Draw a chart into files.
+    """Draw a chart and save it to files.
 
     Parameters
     ----------
     chart : AbstractChart
     *paths : str or Path
-        Files (`.pdf`, `.svg` or `.png`).
+        Files to write (`.pdf`, `.svg` or `.png`).
     banner : str
-        Across the top, for experiments that no camera has seen.
+        Text of a banner at the top, for simulated experiments.
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        A file name has another ending.
     """
     import matplotlib as mpl
 
     for path in paths:
         refuse_ending(path, PICTURE_ENDINGS, "picture")
-    # Without the time of day the same numbers give the same file.
+    # Without the creation time, equal data give equal files.
     known: Style = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = chart.figure()
@@ -76,7 +76,7 @@ def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> No
 
 
 def sheet(width: float, height: float, title: str = "") -> Figure:
-    """An empty figure [inch] that lays out what is put in it, below a title."""
+    """Create an empty figure [inch] with constrained layout, below a title."""
     from matplotlib.figure import Figure
 
     above = HEAD if title else 0.0
@@ -110,26 +110,26 @@ def _add_banner(figure: Figure, text: str) -> None:
 
 
 def clean(axes: Axes) -> None:
-    """A faint grid behind, and no frame above and on the right."""
+    """Draw a faint grid behind the data, and hide the upper and right spines."""
     axes.grid(color=palette.FAINT, linewidth=0.4)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(pad=1.5)
 
 
-# Least and largest number on a logarithmic axis.
-MIN_DRAWN: Final = 1e-100
-MAX_DRAWN: Final = 1e100
+# Smallest and largest number on a logarithmic axis.
+LEAST: Final = 1e-100
+MOST: Final = 1e100
 
 
 def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
-    """A logarithmic axis about positive values, with numbers on it even within one decade."""
+    """Set a logarithmic axis around positive values, with tick labels even within one decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     good = values[np.isfinite(values) & (values > 0.0)]
     low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 10.0)
-    # Beyond so many decades there is nothing to see, and limits overflow.
-    low, high = min(max(low, MIN_DRAWN), MAX_DRAWN), min(max(high, MIN_DRAWN), MAX_DRAWN)
+    # Beyond these values the limits would overflow.
+    low, high = min(max(low, LEAST), MOST), min(max(high, LEAST), MOST)
     wide = high / low
     margin = max(wide**0.06, 1.15)
     getattr(axes, f"set_{which}scale")("log")
@@ -142,7 +142,7 @@ def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
 
 
 def room_above(axes: Axes, wanted: bool) -> None:
-    """For the marks of failures, above all errors."""
+    """Raise the upper limit of a logarithmic axis, if wanted, for marks of failures."""
     if wanted:
         low, high = axes.get_ylim()
         axes.set_ylim(low, high * (high / low) ** 0.06)
@@ -155,7 +155,7 @@ def whole_numbers(axes: Axes) -> None:
 
 
 def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
-    """One legend for all panels, so many labels in a row at most; a label counts once."""
+    """Draw one legend for all panels, with at most `most` labels per row and no repeated ones."""
     entries: dict[str, Any] = {}
     for axes in row:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -171,57 +171,57 @@ def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
 
 
 def positive(values: FloatArray) -> FloatArray:
-    """For a logarithmic axis: zeros just below the smallest that is not, infinite as nan."""
+    """Prepare values for a logarithmic axis: zeros become half the smallest, infinite ones NaN."""
     good = values[np.isfinite(values) & (values > 0.0)]
     least = 0.5 * float(good.min()) if len(good) else 1.0
     return np.where(np.isfinite(values), np.maximum(values, least), np.nan)
 
 
 class Readable(NamedTuple):
-    """A unit as people read it."""
+    """Display unit and its factor from SI."""
 
-    name: str  # empty where there is none
-    factor: float  # from SI
+    name: str  # empty for no unit
+    factor: float  # from SI to this unit
 
     def on(self, label: str) -> str:
-        """A label with the unit."""
+        """Append the unit to a label."""
         return f"{label} [{self.name}]" if self.name else label
 
     def text(self, value: float) -> str:
-        """A value in the unit, without the unit."""
+        """Format a value in this unit, without the unit's name."""
         return f"{self.factor * value:.3g}"
 
 
 def readable(unit: str) -> Readable:
-    """Millimetres and degrees in place of metres and radians."""
+    """Return the display unit: millimetres and degrees instead of metres and radians."""
     known = {"m": Readable("mm", 1e3), "rad": Readable("deg", math.degrees(1.0))}
     return known.get(unit, Readable("" if unit == "-" else written(unit), 1.0))
 
 
 def written(unit: str) -> str:
-    """A unit with a raised square."""
+    """Format a unit with a superscript square."""
     return unit.replace("^2", "²")
 
 
 def column(unit: str) -> str:
-    """A unit as the end of a column's name."""
+    """Format a unit as the end of a column's name."""
     return unit.replace("^", "")
 
 
 def shortened(text: str, most: int) -> str:
-    """At most so many letters; of long names the data set goes first, then what stands before."""
+    """Shorten a name to at most `most` characters: first drop the dataset, then the beginning."""
     if len(text) > most:
         text = text.partition("/")[2] or text
     return text if len(text) <= most else "…" + text[1 - most :]
 
 
 def without_common(names: Sequence[str]) -> list[str]:
-    """Names without the data set that all of them share."""
+    """Remove the dataset from names, if all of them share it."""
     heads = {name.partition("/")[0] for name in names}
     alike = len(heads) == 1 and all("/" in name for name in names)
     return [name.partition("/")[2] if alike else name for name in names]
 
 
 def plain(values: FloatArray) -> list[float | None]:
-    """Numbers, None where there is none."""
+    """Convert an array to a list, with None for numbers that are not finite."""
     return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""How searches for support points converge: their trails in the part, errors and simplex sizes."""
+"""Convergence of searches for support points: trails in the part, errors and simplex sizes."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ UM: Final = 1e6
 
 
 class BestSoFar(NamedTuple):
-    """The best of a search after each of its steps."""
+    """Best point of a search after each of its steps."""
 
     label: str
     evaluations: IntArray  # (n,)
     error: FloatArray  # (n,) [mm]
-    size: FloatArray  # (n,) of the simplex, in scales
+    size: FloatArray  # (n,) size of the simplex, in scales
     points: FloatArray  # (n, 3, 2) support points [m]
-    friction: FloatArray  # (2,) of probe and plane, at the end
+    friction: FloatArray  # (2,) coefficients of probe and plane, at the end
 
 
 @final
 @dataclass(frozen=True)
 class ConvergenceChart(AbstractChart):
-    """Trails of the support points in the part, beside error and simplex size.
+    """Trails of the support points in the part, next to error and simplex size.
 
     Parameters
     ----------
     outline : (n, 2) float64
-        Of the part [m].
+        Outline of the part [m].
     truth : (3, 2) float64
-        Support points that made the data [m].
+        Support points that generated the data [m].
     descents : sequence of BestSoFar
     """
 

@@ -1,4 +1,4 @@
-"""What bounds promise and what they hold, as a curve."""
+"""Curves of the observed coverage of bounds against their stated probability."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 
 class CoveragePanel(NamedTuple):
-    """A curve of coverage; shares between 0 and 1."""
+    """Curve of coverage; shares are between 0 and 1."""
 
     title: str
-    levels: FloatArray  # (n,) promised
-    held: FloatArray  # (n,)
-    low: FloatArray  # (n,) where the share would lie, were the levels true
-    high: FloatArray  # (n,)
-    groups: FloatArray  # (n_group, n) held in each group; none for one group
+    levels: FloatArray  # (n,) stated probabilities
+    held: FloatArray  # (n,) observed shares within the bounds
+    low: FloatArray  # (n,) lower end of the share by chance, if the levels are true
+    high: FloatArray  # (n,) its upper end
+    groups: FloatArray  # (n_group, n) observed in each group; empty for one group
     outcomes: int
 
 
 class CoverageChart(AbstractChart):
-    """Curves side by side."""
+    """Coverage curves side by side."""
 
     def __init__(self, panels: Sequence[CoveragePanel], title: str = "") -> None:
         self._panels, self._title = tuple(panels), title

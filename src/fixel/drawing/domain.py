@@ -1,4 +1,4 @@
-"""Maps of where a simulator can be trusted, and how large the domain is for every threshold."""
+"""Maps of the domain of applicability, and its size against the threshold."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Told apart by lightness too: from dark to light with the errors, grey for nothing.
+# Colours differ in lightness too; grey stands for no data.
 FILLS: Final[Mapping[str, Style]] = {
     "trusted": {"facecolor": palette.BODY},
     "doubtful": {"facecolor": palette.PUSHER},
@@ -38,34 +38,34 @@ FILLS: Final[Mapping[str, Style]] = {
 LIGHT: Final = ("trusted", "not trusted")  # cells whose letters are white
 COLUMNS: Final = 5
 MAX_PANELS: Final = 30
-MAX_LETTERS: Final = 400  # cells with their members' count in one panel
-LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], its width
-LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], its height with the space to the next
+MAX_LETTERS: Final = 400  # maximum number of cells in a panel that shows counts of members
+LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], width of a letter
+LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], distance of lines of text
 
 
 class Strip(NamedTuple):
-    """An axis of a map as it is drawn."""
+    """Labels of one axis of a map."""
 
-    name: str  # with the unit
+    name: str  # with its unit
     ticks: tuple[str, ...]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapPanel:
-    """One map, of one or two axes.
+    """Map over one or two axes.
 
     Attributes
     ----------
     title : str
     colour : (n_row, n_column) sequence of sequence of str
-        Keys of `FILLS`; a map of one axis has one row.
+        Colour of each cell, a key of `FILLS`; a map over one axis has one row.
     count : (n_row, n_column)
-        Members of each cell.
+        Number of members in each cell.
     inside : (n_row, n_column)
-        Whether it belongs to D(tau).
+        Whether each cell belongs to D(tau).
     nominal : (int, int), optional
-        Row and column.
+        Row and column of the nominal cell.
     """
 
     title: str
@@ -78,18 +78,18 @@ class MapPanel:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapChart(AbstractChart):
-    """Small multiples of one map, a panel a group.
+    """Small multiples of one map, with one panel per group.
 
     Parameters
     ----------
     across, up : Strip
-        Axes of the columns and the rows; the rows have no name in a map of one axis.
+        Axes of the columns and the rows; the rows have no name in a map over one axis.
     panels : tuple of MapPanel
-        The first 30 are drawn.
+        Maps; the first 30 are drawn.
     heading : str
-        The claim that blue cells meet.
+        Claim that holds in blue cells.
     rows : sequence of tuple
-        The numbers behind, one a cell.
+        Data of the table, one row per cell.
     head : tuple of str
     """
 
@@ -159,7 +159,7 @@ def _draw_panel(axes: Axes, panel: MapPanel, chart: MapChart, *, first: bool, la
     _outline(axes, np.array(panel.inside, bool))
     if panel.nominal is not None:
         i, j = panel.nominal
-        # Around a short number; beside a long one.
+        # Circle a short number; put the mark next to a long one.
         crowded = panel.count[i][j] > 99
         place = (j - 0.38, i + 0.3) if crowded else (j, i)
         axes.plot(*place, marker="o", markersize=5.0 if crowded else 9.0, markerfacecolor="none",
@@ -181,7 +181,7 @@ def _longest(strip: Strip) -> int:
 
 
 def _outline(axes: Axes, inside: Any) -> None:
-    """A line around D(tau), where it ends and where the map does."""
+    """Draw a line around D(tau), also along the edges of the map."""
     padded = np.pad(inside, 1)
     for i, j in zip(*np.nonzero(padded), strict=True):
         y, x = i - 1.5, j - 1.5
@@ -218,21 +218,21 @@ def _legend(figure: Figure, panels: Sequence[MapPanel]) -> None:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeChart(AbstractChart):
-    """How many cells D(tau) has, for every threshold.
+    """Number of cells in D(tau) against the threshold.
 
     Parameters
     ----------
     thresholds : (n,) float64
     sizes : mapping of group to (n,) float64
-        Cells in D(tau).
+        Number of cells in D(tau).
     cells : int
-        Of one map.
+        Number of cells in one map.
     threshold : float
-        The one that was asked for.
+        Requested threshold.
     label : str
-        Of the thresholds, with unit.
+        Label of the thresholds, with unit.
     column : str
-        The same as a column of the table.
+        Name of their column in the table.
     """
 
     thresholds: FloatArray

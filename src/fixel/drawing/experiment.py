@@ -1,4 +1,4 @@
-"""Experiments as still pictures: what was measured, and how far a simulation is from it."""
+"""Figures of experiments: measured poses and contacts, and deviations of a simulation."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ if TYPE_CHECKING:
 
 MM: Final = UNITS[1]
 
-# Of the figure [inch].
+# Margins and sizes of the figure [inch].
 LEFT, RIGHT, TOP, BOTTOM = 0.60, 0.12, 0.24, 0.36
 TALLEST, LOWEST = 3.4, 1.1
 VIEW_LABELS, PANEL, GAP, STRIP_ROW = 0.38, 0.62, 0.11, 0.13
 LEGEND_ROW = 0.128
 LETTER = 0.046  # mean width of a letter of a fixel's name
 
-MARGIN = 0.05  # of the larger side, around everything drawn
-MIN_SIDE = 5e-3  # [m] of a view: noise alone is no path
-MAX_OUTLINES = 60  # that the extent is measured by
-FEW_POSES = 3  # up to so many poses, each gets a dot: nothing is known of what lies between
+MARGIN = 0.05  # share of the larger side, around all that is drawn
+MIN_SIDE = 5e-3  # [m], minimum side of a view, so that noise does not look like motion
+MAX_OUTLINES = 60  # maximum number of outlines from which the extent is computed
+FEW = 3  # up to this number of poses, draw dots: the motion between them is unknown
 DOTTED: Final = (0, (1, 1))
-MAX_NAMES = 12  # fixels with names beside them
+MAX_NAMES = 12  # maximum number of fixels with names
 STEPS = 2  # outlines between start and end in a comparison
 
 DASHED: Final = (0, (3, 2))
 
 
 def draw_experiment(experiment: Experiment, path: str | Path) -> None:
-    """Draw an experiment: the plate from above, poses against time, which fixel was touched.
+    """Draw an experiment: top view of the plate, poses against time, contacts of the fixels.
 
     Parameters
     ----------
     experiment : Experiment
-        Without a scene, its path alone is drawn.
+        Experiment; without a scene, only its path is drawn.
     path : str or Path
-        File (`.pdf`, `.svg` or `.png`).
+        File to write (`.pdf`, `.svg` or `.png`).
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        The file name has another ending.
     """
     save_made(lambda: experiment_figure(experiment), path)
 
@@ -65,28 +65,28 @@ def draw_comparison(
     path: str | Path,
     contacts: Channel | None = None,
 ) -> None:
-    """Draw a simulation over the experiment it is of, and its errors against time.
+    """Draw a simulation over its experiment, and its errors against time.
 
     Parameters
     ----------
     experiment : Experiment
     simulated : Trajectory
-        Poses of the object, on the experiment's clock.
+        Simulated poses of the object, on the experiment's clock.
     path : str or Path
         File (`.pdf`, `.svg` or `.png`).
     contacts : Channel, optional
-        Which fixel the simulated object touches, like the channel `tactile` of an experiment.
+        Simulated contacts of the fixels, like the channel `tactile` of an experiment.
 
     Raises
     ------
     InvalidInput
-        Another ending, or a simulation of another time.
+        The file name has another ending, or the simulation does not overlap in time.
     """
     save_made(lambda: comparison_figure(experiment, simulated, contacts), path)
 
 
 def experiment_figure(experiment: Experiment) -> Figure:
-    """The figure that `draw_experiment` saves."""
+    """Create the figure that `draw_experiment` saves."""
     sheet = _sheet(["x [mm]", "y [mm]", "θ [deg]"], _readings(experiment))
     box = _extent(experiment, [experiment.trajectory])
     handles = _plate(sheet.view, experiment) + _object(sheet.view, experiment)
@@ -99,7 +99,7 @@ def experiment_figure(experiment: Experiment) -> Figure:
 def comparison_figure(
     experiment: Experiment, simulated: Trajectory, contacts: Channel | None = None
 ) -> Figure:
-    """The figure that `draw_comparison` saves."""
+    """Create the figure that `draw_comparison` saves."""
     compared = _together(experiment, simulated)
     readings = _readings(experiment) or (() if contacts is None else _runs(contacts))
     sheet = _sheet(["position\nerror [mm]", "angle\nerror [deg]"], readings)
@@ -117,9 +117,9 @@ def comparison_figure(
 
 
 def _together(experiment: Experiment, simulated: Trajectory) -> Trajectory:
-    """Measured poses at those instants that the simulation covers, or a refusal."""
+    """Measured poses during the simulation; raise `InvalidInput` if there are none."""
     time = experiment.trajectory.time
-    # Clocks are multiples of a frame on either side, and rounded differently.
+    # Both clocks are multiples of a frame, but rounded differently.
     both = (time >= simulated.time[0] - 1e-9) & (time <= simulated.time[-1] + 1e-9)
     if not both.any():
         raise InvalidInput(
@@ -149,7 +149,7 @@ def _fixels(experiment: Experiment) -> tuple[Fixel, ...]:
 
 
 def _swept(shape: Shape | None, track: Trajectory) -> list[FloatArray]:
-    """Points that a track covers [m]: outlines where the shape is known."""
+    """Points that a track covers [m]: outlines, or positions if the shape is unknown."""
     some = np.unique(np.linspace(0, len(track.pose) - 1, MAX_OUTLINES).round().astype(int))
     if shape is None:
         return [track.pose[:, :2]]
@@ -157,7 +157,7 @@ def _swept(shape: Shape | None, track: Trajectory) -> list[FloatArray]:
 
 
 def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Rectangle:
-    """Everything drawn from above."""
+    """Extent of the top view, with names of fixels [m]."""
     corners = [placed(f.shape.outline, f.pose) for f in _fixels(experiment)]
     for track in tracks:
         corners += _swept(_shape(experiment), track)
@@ -171,7 +171,7 @@ def _extent(experiment: Experiment, tracks: Iterable[Trajectory]) -> Rectangle:
 
 
 def _with_names(experiment: Experiment, box: Rectangle) -> Rectangle:
-    """Room on the right for the names of fixels."""
+    """Widen a rectangle on the right for the names of fixels."""
     right = box.x[1]
     per_inch = (box.x[1] - box.x[0]) / (palette.COLUMN - LEFT - RIGHT)
     for fixel in _fixels(experiment)[:MAX_NAMES]:
@@ -185,9 +185,9 @@ def _plate(axes: Axes, experiment: Experiment) -> list[Artist]:
 
 
 def _draw_fixels(axes: Axes, experiment: Experiment) -> list[Artist]:
-    """Fixels with their names; another colour for those touched at the end."""
+    """Draw fixels with their names; those touched at the end have another colour."""
     fixels = _fixels(experiment)
-    # Without a scene there is a mode but no fixel, without a mode the other way round.
+    # There may be a contact mode without fixels (no scene), or fixels without a contact mode.
     touched = [digit == "1" for digit in experiment.contact_mode.ljust(len(fixels), "0")]
     handles: list[Artist] = []
     for colour, label, wanted in (
@@ -208,7 +208,7 @@ def _draw_fixels(axes: Axes, experiment: Experiment) -> list[Artist]:
 def _name(axes: Axes, name: str, place: tuple[float, float]) -> None:
     import matplotlib.patheffects as effects
 
-    # The white rim keeps letters readable over outlines.
+    # A white rim makes letters readable over outlines.
     axes.annotate(
         name,
         place,
@@ -241,7 +241,7 @@ def _draw_pusher(axes: Axes, experiment: Experiment) -> list[Artist]:
 
 
 def _object(axes: Axes, experiment: Experiment) -> list[Artist]:
-    """The measured object: outlines at start and end, ghosts between, its path."""
+    """Draw the measured object: outlines at start and end, ghosts between them, and the path."""
     track, shape = experiment.trajectory, _shape(experiment)
     handles: list[Artist] = []
     line = {"edgecolor": palette.BODY, "linewidth": 0.8}
@@ -265,7 +265,7 @@ def _object(axes: Axes, experiment: Experiment) -> list[Artist]:
 
 
 def _ends(axes: Axes, track: Trajectory, who: str) -> list[Artist]:
-    """Dots where no outline says which end of a path is which."""
+    """Draw dots at start and end of a path without outlines."""
     handles: list[Artist] = []
     for row, fill, label in ((0, "white", "start"), (-1, palette.BODY, "end")):
         handles += axes.plot(
@@ -282,8 +282,8 @@ def _ends(axes: Axes, track: Trajectory, who: str) -> list[Artist]:
 
 
 def _draw_ghosts(axes: Axes, track: Trajectory, shape: Shape) -> None:
-    # Of an experiment with two poses nobody knows what lies between.
-    if len(track.time) > FEW_POSES:
+    # With only a few poses the motion between them is unknown.
+    if len(track.time) > FEW:
         unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
         between = ghosts(unwound, shape, 4)
         outlines = [placed(shape.outline, pose) for pose in between]
@@ -292,9 +292,9 @@ def _draw_ghosts(axes: Axes, track: Trajectory, shape: Shape) -> None:
 
 
 def _overlay(axes: Axes, experiment: Experiment, simulated: Trajectory) -> list[Artist]:
-    """Measured and simulated outlines at the same instants, and both paths."""
+    """Draw measured and simulated outlines at the same times, and both paths."""
     shape, track = _shape(experiment), experiment.trajectory
-    # Both end at the same instant: what comes after the simulation is no error of it.
+    # Compare at a common end: measurements after the simulation's end are not its error.
     end = min(track.time[-1], simulated.time[-1])
     start = max(track.time[0], simulated.time[0])
     handles: list[Artist] = []
@@ -329,8 +329,8 @@ def _rgb(colour: str) -> tuple[float, float, float]:
 
 
 def _joined(track: Trajectory) -> dict[str, Any]:
-    """Style of a line; of start and end alone, dots: nothing was measured between them."""
-    if len(track.time) > FEW_POSES:
+    """Style of a path: a line, or dots if there are only a few poses."""
+    if len(track.time) > FEW:
         return {"linestyle": "-"}
     return {"linestyle": "none", "marker": "o", "markersize": 3.0}
 
@@ -343,7 +343,7 @@ def _path(axes: Axes, track: Trajectory, label: str, **style: Any) -> Artist:
 
 
 def _patches(axes: Axes, outlines: Sequence[FloatArray], label: str, **style: Any) -> Artist:
-    """Outlines [m], filled; returns what stands for them in a legend."""
+    """Draw filled outlines [m]; return their entry for a legend."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
@@ -356,7 +356,7 @@ def _patches(axes: Axes, outlines: Sequence[FloatArray], label: str, **style: An
 
 
 class _TouchSpan(NamedTuple):
-    """When a fixel was touched: (start, length) in [s]."""
+    """Intervals in which a fixel was touched: (start, length) [s]."""
 
     name: str
     spans: list[tuple[float, float]]
@@ -378,11 +378,11 @@ def _runs(channel: Channel) -> tuple[_TouchSpan, ...]:
 
 
 def _spans(time: FloatArray, on: Any) -> list[tuple[float, float]]:
-    """(start, length) of each stretch of readings that are on [s]."""
+    """Intervals (start, length) of consecutive readings that are on [s]."""
     if len(time) < 2:
         return []
     edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(np.int8)))
-    # A reading lasts until the next; the last one as long as they do on the whole.
+    # A reading lasts until the next one; the last has the median duration.
     ends = np.append(time, time[-1] + float(np.median(np.diff(time))))
     return [(float(ends[a]), float(ends[b] - ends[a])) for a, b in edges.reshape(-1, 2)]
 
@@ -409,7 +409,7 @@ def _strip(
     colour: str,
     band: tuple[float, float] = (-0.35, 0.35),
 ) -> None:
-    """A row for each fixel, filled while it was touched; `band` of the row [-]."""
+    """Draw a row for each fixel, filled while it was touched; `band` is the part of the row [-]."""
     if sheet.strip is None:
         return
     for row, run in enumerate(runs):
@@ -418,7 +418,7 @@ def _strip(
 
 
 def _time_axes(sheet: _ExperimentSheet, experiment: Experiment) -> None:
-    """What all panels share: limits, grids, and a shade over what is not useful."""
+    """Set the time axes of all panels: limits, grids, and a shade outside the useful data."""
     time = experiment.trajectory.time
     margin = 0.02 * float(time[-1] - time[0]) or 0.5
     limits = (float(time[0]) - margin, float(time[-1]) + margin)
@@ -432,7 +432,7 @@ def _time_axes(sheet: _ExperimentSheet, experiment: Experiment) -> None:
         if experiment.effective is not None:
             first, last = experiment.effective
             for start, end in ((limits[0], first), (last, limits[1])):
-                # Up to the margin it is nothing that was left out.
+                # A shade no wider than the margin would hide no data.
                 if end - start > 1.5 * margin:
                     axes.axvspan(
                         start, end, color=palette.FAINT, alpha=0.5, linewidth=0.0, zorder=0.1
@@ -447,7 +447,7 @@ def _time_axes(sheet: _ExperimentSheet, experiment: Experiment) -> None:
 
 
 class _ExperimentSheet(NamedTuple):
-    """Axes of one column, from above to below."""
+    """Axes of a figure of one column, from top to bottom."""
 
     figure: Figure
     view: Axes
@@ -476,7 +476,7 @@ def _sheet(labels: Sequence[str], runs: Sequence[_TouchSpan]) -> _ExperimentShee
 def _laid_out(
     sheet: _ExperimentSheet, experiment: Experiment, box: Rectangle, handles: Sequence[Artist]
 ) -> Figure:
-    """Axes placed in inches, so that nothing overlaps or is cut."""
+    """Place the axes in inches, so that nothing overlaps or is cut off."""
     width = palette.COLUMN - LEFT - RIGHT
     height = width * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
     height = min(TALLEST, max(LOWEST, height))
@@ -528,7 +528,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
 
 
 def _heading(sheet: _ExperimentSheet, experiment: Experiment, total: float) -> None:
-    """The name of the experiment, and a banner over what no camera has seen."""
+    """Draw the name of the experiment, and a banner if it is simulated."""
     sheet.view.set_title(cut_short(experiment.key, 52), loc="left", pad=3.5)
     if experiment.real:
         return

@@ -1,4 +1,4 @@
-"""A filter run as a still picture: the path from above, poses and parameters against time."""
+"""Figure of a filter run: top view of the path, poses and parameters against time."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-NINETY: Final = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
-MAX_OUTLINES: Final = 60  # that the extent is measured by
-MARGIN: Final = 0.05  # of the larger side
-FLAT: Final = 0.55  # of a panel's height: parameters need less than poses
+NINETY: Final = 1.645  # half width of the central 90 % of a normal distribution, in deviations
+MAX_OUTLINES: Final = 60  # maximum number of outlines from which the extent is computed
+MARGIN: Final = 0.05  # share of the larger side
+FLAT: Final = 0.55  # height of panels of parameters, as a share of that of poses
 HIDDEN: Final = palette.FORCE
 
 LABELS: Final = {
@@ -49,30 +49,30 @@ LABELS: Final = {
     "mu_fixel": "μ\nfixel",
     "tripod_radius": "tripod\n[mm]",
 }
-FACTORS: Final = {"tripod_radius": 1e3}  # to the unit of the label
+FACTORS: Final = {"tripod_radius": 1e3}  # from SI to the unit of the label
 
 
 def draw_filter(experiment: Experiment, estimates: FilterEstimates, path: str | Path) -> None:
-    """Draw what a filter made of an experiment, beside what was measured.
+    """Draw the estimates of a filter and the measurements of an experiment.
 
     Parameters
     ----------
     experiment : Experiment
-        The one that was filtered.
+        Experiment that was filtered.
     estimates : FilterEstimates
     path : str or Path
-        File (`.pdf`, `.svg` or `.png`).
+        File to write (`.pdf`, `.svg` or `.png`).
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        The file name has another ending.
     """
     save_made(lambda: filter_figure(experiment, estimates), path)
 
 
 def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:
-    """The figure that `draw_filter` saves."""
+    """Create the figure that `draw_filter` saves."""
     sheet = _sheet(experiment, estimates)
     handles = _view(sheet.view, experiment, estimates)
     _poses(sheet.poses, experiment, estimates)
@@ -83,7 +83,7 @@ def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:
 
 
 class _FilterSheet(NamedTuple):
-    """Axes of one column, from above to below."""
+    """Axes of a figure of one column, from top to bottom."""
 
     figure: Figure
     view: Axes
@@ -121,7 +121,7 @@ def _sheet(experiment: Experiment, estimates: FilterEstimates) -> _FilterSheet:
 
 
 def _scene(experiment: Experiment) -> Scene:
-    assert experiment.scene is not None  # it could not have been filtered
+    assert experiment.scene is not None  # required by filters
     return experiment.scene
 
 
@@ -129,7 +129,7 @@ def _scene(experiment: Experiment) -> Scene:
 
 
 def _extent(experiment: Experiment, estimates: FilterEstimates) -> Rectangle:
-    """Everything drawn from above [m]."""
+    """Extent of the top view [m]."""
     scene = _scene(experiment)
     corners = [placed(f.shape.outline, f.pose) for f in scene.fixels]
     for shape, track in (
@@ -145,7 +145,7 @@ def _extent(experiment: Experiment, estimates: FilterEstimates) -> Rectangle:
 
 
 def _measured(experiment: Experiment, estimates: FilterEstimates) -> Trajectory:
-    """The measured path, as long as the filter ran."""
+    """Measured trajectory during the filter run."""
     return _cut(experiment.trajectory, estimates)
 
 
@@ -188,7 +188,7 @@ def _view(axes: Axes, experiment: Experiment, estimates: FilterEstimates) -> lis
 def _outlines(
     axes: Axes, shape: Shape, measured: Trajectory, estimates: FilterEstimates, what: str
 ) -> list[Artist]:
-    """The object at the start, at the end, and at the end of the occlusion, where it is worst."""
+    """Draw the object at start, end and the end of the occlusion, where errors are largest."""
     dotted = {"facecolor": "none", "edgecolor": palette.FIXEL, "linewidth": 0.8}
     first = placed(shape.outline, measured.pose[0])
     handles = [_patches(axes, [first], "start", zorder=1.5, linestyle=DOTTED, **dotted)]
@@ -226,7 +226,7 @@ def _estimated_path(axes: Axes, estimates: FilterEstimates) -> list[Artist]:
 def _patches(
     axes: Axes, outlines: Sequence[FloatArray], label: str, zorder: float, **style: Any
 ) -> Artist:
-    """Outlines [m]; returns what stands for them in a legend."""
+    """Draw outlines [m]; return their entry for a legend."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
@@ -239,11 +239,11 @@ def _patches(
 
 
 def _poses(panels: Sequence[Axes], experiment: Experiment, estimates: FilterEstimates) -> None:
-    """Estimates with their 90 % bands, over what was measured."""
+    """Draw estimates with their 90 % bands, and measured poses."""
     measured = _measured(experiment, estimates)
     deviation = np.sqrt(np.diagonal(estimates.covariance, axis1=1, axis2=2))
     angle = np.unwrap(measured.pose[:, 2])
-    # Estimated angles differ from measured ones by whole turns at most; the nearest is drawn.
+    # Shift measured angles by whole turns, to be near the estimated ones.
     shift = estimates.pose[0, 2] - angle[0]
     angle = angle + shift - wrapped(shift)
     columns = (measured.pose[:, 0], measured.pose[:, 1], angle)
@@ -256,7 +256,7 @@ def _poses(panels: Sequence[Axes], experiment: Experiment, estimates: FilterEsti
 
 
 def _parameters(panels: Sequence[Axes], estimates: FilterEstimates) -> None:
-    """Medians with the 5 % to 95 % bands, within the prior's bounds."""
+    """Draw medians with 5 % to 95 % bands, within the bounds of the prior."""
     prior = estimates.prior
     for k, (axes, name) in enumerate(zip(panels, prior.names, strict=True)):
         factor = FACTORS.get(name, 1.0)
@@ -273,7 +273,7 @@ def _band(axes: Axes, time: FloatArray, low: FloatArray, high: FloatArray) -> No
 
 
 def _touches(axes: Axes | None, experiment: Experiment, estimates: FilterEstimates) -> None:
-    """A row a fixel: above what it felt, below how likely it is touched by the estimate."""
+    """Draw a row per fixel: above its readings, below the estimated probability of contact."""
     if axes is None:
         return
     time = estimates.time
@@ -295,7 +295,7 @@ def _touches(axes: Axes | None, experiment: Experiment, estimates: FilterEstimat
 
 
 def _spans(time: FloatArray, on: BoolArray) -> list[tuple[float, float]]:
-    """(start, length) of each stretch of readings that are on [s]."""
+    """Intervals (start, length) of consecutive readings that are on [s]."""
     if len(time) < 2:
         return []
     edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(np.int8)))
@@ -304,7 +304,7 @@ def _spans(time: FloatArray, on: BoolArray) -> list[tuple[float, float]]:
 
 
 def _time_axes(sheet: _FilterSheet, estimates: FilterEstimates) -> None:
-    """What all panels share: limits, grids, and a shade while the object is hidden."""
+    """Set the time axes of all panels: limits, grids, and a shade while the object is hidden."""
     time, every = estimates.time, sheet.against_time
     margin = 0.02 * float(time[-1] - time[0])
     for axes in every:
@@ -329,7 +329,7 @@ def _time_axes(sheet: _FilterSheet, estimates: FilterEstimates) -> None:
 def _laid_out(
     sheet: _FilterSheet, experiment: Experiment, box: Rectangle, handles: list[Artist]
 ) -> Figure:
-    """Axes placed in inches, so that nothing overlaps or is cut."""
+    """Place the axes in inches, so that nothing overlaps or is cut off."""
     from matplotlib.patches import Patch
 
     width = palette.COLUMN - LEFT - RIGHT
@@ -380,7 +380,7 @@ def _legend(figure: Figure, handles: Sequence[Artist], top: float) -> None:
 
 
 def _heading(sheet: _FilterSheet, experiment: Experiment, total: float) -> None:
-    """The name of the experiment, and a banner over what no camera has seen."""
+    """Draw the name of the experiment, and a banner if it is simulated."""
     sheet.view.set_title(cut_short(f"{experiment.key}, filtered", 52), loc="left", pad=3.5)
     if experiment.real:
         return

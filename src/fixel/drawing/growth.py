@@ -1,4 +1,4 @@
-"""How far one set of parameters reaches: the growth of domains, and single axes.
+"""Charts of the range of one set of parameters: growth of domains, and single axes.
 
 Source: RPI thesis, appendix C.6 and figures 6.1 to 6.13.
 """
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Layouts differ in dashes as well as colour; the average stands out by its width.
+# Layouts differ in dashes and colour; the average has a wider line.
 _COLOURS: Final = (palette.TRAIL, palette.PUSHER, palette.TOUCHED, palette.CONE, palette.FIXEL)
 _DASHES: Final = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 AVERAGE: Final[Style] = {"color": palette.INK, "linewidth": 1.8, "zorder": 4}
@@ -45,12 +45,12 @@ OPTIMAL: Final[Style] = {
 }  # fmt: skip
 THRESHOLD: Final[Style] = {"color": palette.FORCE, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 BAND: Final[Style] = {"color": palette.TOUCHED, "alpha": 0.16, "linewidth": 0.0, "zorder": 0}
-PER_STEP: Final = 24  # points of a line between two experiments
+PER_STEP: Final = 24  # number of points of a line between two experiments
 SYMBOLS: Final = {"theta": "θ"}
 
 
 def _line(k: int) -> Style:
-    """Of the k-th layout."""
+    """Line style of the k-th layout."""
     dash: Any = _DASHES[(k // len(_COLOURS)) % len(_DASHES)]
     return {
         "color": _COLOURS[k % len(_COLOURS)], "linestyle": dash, "linewidth": 0.8,
@@ -61,13 +61,13 @@ def _line(k: int) -> Style:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthMatrix(AbstractChart):
-    """Largest error of every group at every step, as numbers on colours.
+    """Largest error of every group at every step, as numbers on coloured cells.
 
     Parameters
     ----------
     groups : sequence of str
     errors : (n_group, n_step) float64
-        nan where there is none.
+        Largest errors, NaN if missing.
     unit : str
     """
 
@@ -86,7 +86,7 @@ class GrowthMatrix(AbstractChart):
         good = shown[np.isfinite(shown)]
         low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 1.0)
         norm = LogNorm(low, max(high, 1.001 * low))
-        # Of the blues the darkest are left out, so that every number can be read.
+        # Text is white on dark cells, so that every number can be read.
         axes.imshow(np.ma.masked_invalid(shown), norm=norm, cmap="Blues", aspect="auto")
         axes.set_facecolor(palette.FAINT)
         for row, column_ in np.ndindex(n, m):
@@ -111,14 +111,14 @@ class GrowthMatrix(AbstractChart):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthSteps(AbstractChart):
-    """Largest error against step: a panel a shape, a line a layout, and the average.
+    """Largest error against step: a panel per shape, a line per layout, and the average.
 
     Parameters
     ----------
     shapes, layouts : sequence of str
-        Of the groups.
+        Shape and layout of each group.
     errors : (n_group, n_step) float64
-        nan where there is none.
+        Largest errors, NaN if missing.
     threshold : float
     unit : str
     """
@@ -154,7 +154,7 @@ class GrowthSteps(AbstractChart):
         return figure
 
     def _average(self, own: Sequence[int]) -> FloatArray:
-        """Over the groups, where all of them have an error."""
+        """Mean error over groups, NaN where a group has none."""
         return np.asarray(self.errors[list(own)].mean(axis=0))
 
     def table(self) -> ChartTable:
@@ -170,18 +170,18 @@ class GrowthSteps(AbstractChart):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisChart(AbstractChart):
-    """Errors along one axis under sets found on intervals of several sizes, a column a size: above
-    every layout and the average, below the average beside what the experiments' own sets leave.
+    """Errors along one axis with parameters found on intervals of several sizes, one per column.
+    Upper row: every layout and the average. Lower row: average, and that of each experiment's best.
 
     Parameters
     ----------
     studies : sequence of AxisStudy
-        Of one shape and axis.
+        Studies of one shape and axis.
     threshold : float
     unit : str
-        Of the errors.
+        Unit of the errors.
     length : float, optional
-        Of a step [m], or [rad] for theta.
+        Length of a step [m], or [rad] for theta.
     """
 
     studies: Sequence[AxisStudy]
@@ -255,7 +255,7 @@ class AxisChart(AbstractChart):
 
 
 def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None:
-    """On a logarithmic axis, straight between experiments all the same: as the edges are read."""
+    """Plot errors, interpolated linearly also on a logarithmic axis, as the edges are computed."""
     fine = np.linspace(steps[0], steps[-1], PER_STEP * int(steps[-1] - steps[0]) + 1)
     known = np.where(np.isfinite(errors), errors, np.nan)
     at = np.searchsorted(fine, steps - 1e-9)

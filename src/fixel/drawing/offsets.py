@@ -1,4 +1,4 @@
-"""Values found for many experiments, against how far each was offset from its layout."""
+"""Calibrated values of many experiments against the offsets of their start poses."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAX_LINES: Final = 8  # layouts whose points are joined; more would be a thicket
+MAX_LINES: Final = 8  # maximum number of layouts whose points are joined by lines
 BINS: Final = 14
 
 
@@ -36,16 +36,16 @@ class OffsetSeries(NamedTuple):
 
     name: str
     unit: str
-    members: IntArray  # (k,) their places
+    members: IntArray  # (k,) indices of the experiments
     offsets: FloatArray  # (k,) in SI units
 
 
 class Quantity(NamedTuple):
-    """A value of every experiment."""
+    """Value of every experiment."""
 
     label: str
     unit: str
-    values: FloatArray  # (n,); not finite where there is none
+    values: FloatArray  # (n,); not finite if missing
     log: bool = False
     bounds: tuple[float, float] | None = None
 
@@ -53,7 +53,7 @@ class Quantity(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetsChart(AbstractChart):
-    """A row a quantity, a column an axis, and how the values are distributed.
+    """Values against offsets: a row per quantity, a column per axis, and histograms.
 
     Source: RPI thesis, figures 5.6 and 5.7.
 
@@ -61,11 +61,11 @@ class OffsetsChart(AbstractChart):
     ----------
     title : str
     keys : sequence of str
-        Of the experiments.
+        Names of the experiments.
     groups : sequence of str
-        What an experiment was offset from: its shape and layout.
+        Shape and layout of each experiment, from which it was offset.
     axes : sequence of OffsetSeries
-        Without any, values are drawn in the order of the experiments.
+        Axes of the offsets; if empty, values are drawn in the order of the experiments.
     quantities : sequence of Quantity
     """
 
@@ -77,7 +77,7 @@ class OffsetsChart(AbstractChart):
 
     @property
     def columns(self) -> Sequence[OffsetSeries]:
-        """What values are drawn against."""
+        """Axes of the offsets, or else the order of the experiments."""
         place = np.arange(len(self.keys))
         return self.axes or [
             OffsetSeries("experiment", "", place, np.asarray(place + 1.0, np.float64))
@@ -106,7 +106,7 @@ class OffsetsChart(AbstractChart):
         return figure
 
     def _draw(self, axes: Axes, axis: OffsetSeries, quantity: Quantity) -> None:
-        """Every experiment a dot, joined within a layout, and their mean."""
+        """Draw every experiment as a dot, joined within a layout, and the mean over layouts."""
         clean(axes)
         unit, scale = readable(axis.unit or "-"), readable(quantity.unit).factor
         values = positive(quantity.values) if quantity.log else quantity.values
@@ -164,7 +164,7 @@ def _scale(axes: Axes, quantity: Quantity) -> None:
 
 
 def _means(offsets: FloatArray, values: FloatArray, log: bool) -> tuple[FloatArray, FloatArray]:
-    """Mean at each offset; on a logarithmic axis the geometric one, or outliers would rule."""
+    """Mean at each offset; on a logarithmic axis the geometric mean, robust against outliers."""
     known = np.isfinite(values)
     places = np.unique(offsets[known].round(9))
     at = [values[known & np.isclose(offsets, place, atol=1e-9)] for place in places]
@@ -173,7 +173,7 @@ def _means(offsets: FloatArray, values: FloatArray, log: bool) -> tuple[FloatArr
 
 
 def _draw_histogram(axes: Axes, quantity: Quantity) -> None:
-    """How often each value was found, on the same axis."""
+    """Draw a histogram of a quantity, on its shared axis."""
     factor = readable(quantity.unit).factor
     values = factor * (positive(quantity.values) if quantity.log else quantity.values)
     low, high = axes.get_ylim()

@@ -1,4 +1,4 @@
-"""One experiment under two sets of parameters: the plate from above, and poses against time."""
+"""One experiment with two sets of parameters: top view of the plate, and poses against time."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ if TYPE_CHECKING:
 
 MM: Final = UNITS[1]
 DASHED: Final = (0, (4, 1.6))
-FEW_POSES: Final = 3  # poses up to which each gets a dot
-MAX_OUTLINES: Final = 40  # that the extent is measured by
+FEW: Final = 3  # up to this number of poses, draw dots: the motion between them is unknown
+MAX_OUTLINES: Final = 40  # maximum number of outlines from which the extent is computed
 
-# [inch] of the page.
+# Margins and sizes of the page [inch].
 LEFT, BETWEEN, RIGHT, BOTTOM, TOP = 0.48, 0.62, 0.10, 0.36, 0.30
 PANEL, GAP = 0.90, 0.10
 TALL: Final = 3 * PANEL + 2 * GAP
 VIEW: Final = 2.75  # width of the top view
-LEGEND: Final = 0.62  # below it, with four rows
+LEGEND: Final = 0.62  # height of the legend below the view, with four rows
 LOWEST: Final = 1.0
-MIN_RANGE: Final = 0.02  # range of a panel [mm or deg]
+LEAST: Final = 0.02  # minimum range of a panel [mm or deg]
 
 
 class Track(NamedTuple):
-    """Poses of the object."""
+    """Poses of the object against time, with their error."""
 
     time: FloatArray  # (n,) [s]
     pose: FloatArray  # (n, 3) [m, m, rad]
-    error: float | None = None  # against what was measured, in the chart's unit
+    error: float | None = None  # difference from the measured track, in the chart's unit
 
 
 @final
@@ -63,17 +63,17 @@ class OverlayChart(AbstractChart):
     ----------
     title : str
     outline : (k, 2) float64
-        Of the object, in its own frame [m].
+        Outline of the object, in its own frame [m].
     measured, before, after : Track
-        Simulations that stopped early end there.
+        Tracks; those of simulations that stopped early are shorter.
     real : bool
-        Whether the poses were measured; else they are called recorded.
+        Whether the poses were measured; otherwise they are labelled recorded.
     fixels : sequence of (k, 2) float64
-        Outlines [m].
+        Outlines of the fixels [m].
     pusher : sequence of (k, 2) float64
-        Its outlines at the start and at the end [m]; none without one.
+        Outlines of the pusher at start and end [m]; empty without a pusher.
     unit : str
-        Of the errors.
+        Unit of the errors.
     """
 
     title: str
@@ -88,7 +88,7 @@ class OverlayChart(AbstractChart):
 
     @property
     def tracks(self) -> tuple[tuple[str, Track, Style], ...]:
-        """What there is to draw, with names and lines."""
+        """Tracks to draw, with names and line styles."""
         return (
             ("measured" if self.real else "recorded", self.measured, _MEASURED),
             ("before", self.before, _BEFORE),
@@ -102,7 +102,7 @@ class OverlayChart(AbstractChart):
         figure = Figure(figsize=(WIDE, total))
         box = _extent(self)
         aspect = (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
-        # The legend takes the place that the view leaves below.
+        # The legend fills the space below the view.
         height = min(max(LOWEST, VIEW * aspect), TALL - LEGEND)
         place = _share(LEFT, BOTTOM + TALL - height, VIEW, height, total)
         view = figure.add_axes(place, label="view")
@@ -142,7 +142,7 @@ class OverlayChart(AbstractChart):
         return ChartTable(columns, rows)
 
 
-# Broad and pale, so that it shows below a simulation that meets it.
+# Wide and pale, so that it is visible below a simulation that matches it.
 _MEASURED: Final[Style] = {"color": "#9A9A9A", "linewidth": 2.4}
 _BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": DASHED}
 _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
@@ -151,7 +151,7 @@ _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
 def _share(
     left: float, bottom: float, width: float, height: float, total: float
 ) -> tuple[float, float, float, float]:
-    """Inches as shares of the page."""
+    """Convert a rectangle in inches to shares of the page."""
     return left / WIDE, bottom / total, width / WIDE, height / total
 
 
@@ -203,7 +203,7 @@ def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
 
 
 def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
-    """How far the simulations are from what was measured."""
+    """Draw the deviations of both simulations from the measured poses."""
     for _, track, style in chart.tracks[1:]:
         time, difference = _difference(track, chart.measured)
         if len(time):
@@ -218,7 +218,7 @@ def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
 
 
 def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
-    """Measured instants that a simulation reached, and (n, 3) from there [mm, mm, deg]."""
+    """Deviations (n, 3) of a simulation from measured poses [mm, mm, deg], at their times."""
     reached = measured.time <= track.time[-1] + 1e-9
     time, pose = measured.time[reached], measured.pose[reached]
     own = np.column_stack(
@@ -232,8 +232,8 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
 
 
 def _dots(track: Track) -> Style:
-    """Of a few poses nobody knows what lies between."""
-    few = len(track.time) <= FEW_POSES
+    """Style with dots instead of a line, for tracks with only a few poses."""
+    few = len(track.time) <= FEW
     return {"linestyle": "none", "marker": "o", "markersize": 3.5} if few else {}
 
 
@@ -244,8 +244,8 @@ def _time_axes(panels: Sequence[Axes], measured: Track) -> None:
         axes.set_xlim(-0.02 * end, 1.02 * end)
         axes.margins(y=0.10)
         low, high = axes.get_ylim()
-        if high - low < MIN_RANGE:  # rounding errors are no motion
-            axes.set_ylim(0.5 * (low + high - MIN_RANGE), 0.5 * (low + high + MIN_RANGE))
+        if high - low < LEAST:  # do not magnify rounding errors
+            axes.set_ylim(0.5 * (low + high - LEAST), 0.5 * (low + high + LEAST))
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.tick_params(labelbottom=axes is panels[-1])
         axes.yaxis.set_label_coords(-0.25, 0.5)

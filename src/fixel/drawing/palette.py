@@ -1,7 +1,7 @@
-"""One colour per role, from a palette that colour-blind readers can tell apart.
+"""One colour per role, from a palette that colour-blind readers can distinguish.
 
-Source: M. Okabe, K. Ito (2008), Color universal design. Greys differ in lightness as well, so the
-pictures survive a black-and-white printer.
+Source: M. Okabe, K. Ito (2008), Color universal design. The colours differ in lightness as well, so
+that figures stay readable in black and white.
 """
 
 from typing import Final
@@ -33,7 +33,7 @@ STYLE: Final = {
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
     "legend.fontsize": FONT_SIZE - 0.5,
-    "pdf.fonttype": 42,  # letters stay letters: journals refuse outlines
+    "pdf.fonttype": 42,  # embed fonts: journals reject text converted to outlines
     "svg.fonttype": "none",
     "savefig.dpi": 300,
 }

@@ -1,4 +1,4 @@
-"""One simulation as a still picture, ready for a column of a paper."""
+"""Figure of one simulation, sized for one column of a paper."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ PICTURE_ENDINGS = (".pdf", ".png", ".svg")
 
 Style = dict[str, Any]
 
-CROWD = 8  # from this many bodies on: no ghosts, no names, no support points
-RAMP = (0.18, 0.55)  # strength of the first and last ghost
+CROWD = 8  # from this number of bodies on: no ghosts, no names, no support points
+RAMP = (0.18, 0.55)  # opacity of the first and last ghost
 
-# Of the figure [inch].
+# Margins and sizes of the figure [inch].
 LEFT, RIGHT, BOTTOM, TOP = 0.48, 0.10, 0.40, 0.26
 LEGEND_ROW = 0.128
 LETTER = 0.045  # mean width of a letter of a fixel's name
@@ -52,19 +52,19 @@ TALLEST, LOWEST = 3.6, 1.1
 
 
 def draw_simulation(simulation: Simulation, target: str | Path | Axes) -> None:
-    """Draw the top view of a simulation: start, way, end, and the contact forces at the end.
+    """Draw the top view of a simulation: start, path, end, and the contact forces at the end.
 
     Parameters
     ----------
     simulation : Simulation
-        A failed one too; the picture says where it stopped.
+        Simulation; for a failed one, the figure shows where it stopped.
     target : str, Path or matplotlib Axes
-        File (`.pdf`, `.svg` or `.png`), or axes to draw into.
+        File to write (`.pdf`, `.svg` or `.png`), or axes to draw into.
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        The file name has another ending.
     """
     import matplotlib as mpl
     from matplotlib.axes import Axes
@@ -80,7 +80,7 @@ def draw_simulation(simulation: Simulation, target: str | Path | Axes) -> None:
 
 
 def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
-    """Refuse a file name whose ending says nothing."""
+    """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
     if Path(path).suffix.lower() not in endings:
         raise InvalidInput(
             str(path),
@@ -90,7 +90,7 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
 
 
 def save_made(make: Callable[[], Figure], path: str | Path) -> None:
-    """Make a figure in the house style and save it, or refuse a file that is no picture."""
+    """Create a figure in the house style and save it; reject other endings than of pictures."""
     import matplotlib as mpl
 
     refuse_ending(path, PICTURE_ENDINGS, "picture")
@@ -99,7 +99,7 @@ def save_made(make: Callable[[], Figure], path: str | Path) -> None:
 
 
 def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
-    """Save a figure that lays out in the house style what is filled in."""
+    """Save a figure in the house style with constrained layout, whose content `fill` draws."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -112,7 +112,7 @@ def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
 
 
 def _figure(simulation: Simulation) -> Any:
-    """A figure of one column, laid out in inches so that nothing overlaps or is cut."""
+    """Create a figure of one column, laid out in inches so that nothing overlaps or is cut off."""
     from matplotlib.figure import Figure
 
     width = palette.COLUMN - LEFT - RIGHT
@@ -164,7 +164,7 @@ def _draw(simulation: Simulation, axes: Axes, box: Rectangle) -> list[Artist]:
 
 
 def frame_axes(axes: Axes, box: Rectangle, unit: LengthUnit) -> None:
-    """Limits and labels of a top view."""
+    """Set limits and labels of a top view."""
     axes.set_xlim(box.x[0] * unit.per_metre, box.x[1] * unit.per_metre)
     axes.set_ylim(box.y[0] * unit.per_metre, box.y[1] * unit.per_metre)
     axes.set_aspect("equal", adjustable="box")
@@ -220,7 +220,7 @@ def _fixels(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist
 
 
 def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
-    """Fixels that get their names, with the side: up, down, left or right, away from the bodies."""
+    """Fixels to label, with the direction of the label (four sides), away from the bodies."""
     scene = simulation.scene
     if len(scene.bodies) >= CROWD or len(scene.fixels) > 2 * CROWD:
         return []
@@ -236,7 +236,7 @@ def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
 
 
 def _with_names(simulation: Simulation, box: Rectangle, width: float) -> Rectangle:
-    """Room beside fixels for their names; `width` of the axes [inch]."""
+    """Widen a rectangle for the names of fixels; `width` of the axes [inch]."""
     (left, right), per_inch = box.x, (box.x[1] - box.x[0]) / width
     for fixel, (side, _) in _named_fixels(simulation):
         reach = fixel.shape.radius + (LETTER * len(fixel.name) + 0.06) * per_inch
@@ -248,7 +248,7 @@ def _with_names(simulation: Simulation, box: Rectangle, width: float) -> Rectang
 
 
 def _fixel_names(simulation: Simulation, axes: Axes, unit: LengthUnit) -> None:
-    """Beside each fixel."""
+    """Draw the name of each fixel next to it."""
     for fixel, away in _named_fixels(simulation):
         outline = placed(fixel.shape.outline, fixel.pose)
         edge = outline[np.argmax(outline @ away)] * unit.per_metre
@@ -411,7 +411,7 @@ def _arrows(axes: Axes, points: FloatArray, lengths: FloatArray) -> None:
 
 
 def _scale(axes: Axes, per_newton: float, largest: float) -> None:
-    """An arrow above the axes, as long as a round force."""
+    """Draw a scale above the axes: an arrow as long as a round force."""
     from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
     newtons = round_number(0.7 * largest)
@@ -448,7 +448,7 @@ def _scale(axes: Axes, per_newton: float, largest: float) -> None:
 
 
 def force_text(newtons: float) -> str:
-    """A round force with the prefix that suits it."""
+    """Format a round force with a suitable SI prefix."""
     for name, scale in (("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9)):
         if newtons >= scale:
             return f"{newtons / scale:g} {name}"
@@ -476,7 +476,7 @@ def _cones(
 def _force_chains(
     axes: Axes, points: FloatArray, force: FloatArray, largest: float
 ) -> list[Artist]:
-    """Every contact as a stroke along its force, the wider the larger."""
+    """Draw every contact as a stroke along its force; its width grows with the force."""
     from matplotlib.collections import LineCollection
 
     size = np.hypot(*force.T)
@@ -494,7 +494,7 @@ def _force_chains(
 
 
 def _stop(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
-    """Crosses where the bodies were when a simulation stopped before its time."""
+    """Draw crosses at the bodies where a simulation stopped early."""
     if simulation.converged:
         return []
     places = [centre_path(simulation, b.name)[-1] for b in simulation.scene.bodies]
@@ -510,7 +510,7 @@ def _stop(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
 
 
 def tint(colour: str, strength: float) -> tuple[float, float, float]:
-    """A colour mixed with white."""
+    """Mix a colour with white; `strength` is the share of the colour."""
     from matplotlib.colors import to_rgb
 
     red, green, blue = (1.0 - strength * (1.0 - c) for c in to_rgb(colour))

@@ -1,4 +1,4 @@
-"""A sampling plan as a page of small top views: each shape in each layout, offsets as ghosts."""
+"""Figure of a sampling plan: a top view per shape and layout, with offsets as ghosts."""
 
 from __future__ import annotations
 
@@ -27,38 +27,38 @@ Panel = tuple[PlannedShape, FixelLayout]
 Style = dict[str, Any]
 
 COLUMNS: Final = 5
-MAX_PANELS: Final = 40  # more would be too small to tell apart
-MAX_GHOSTS: Final = 200  # outlines in one panel; of more, an even choice
+MAX_PANELS: Final = 40  # more would be too small to read
+MAX_GHOSTS: Final = 200  # maximum number of outlines in one panel, evenly selected
 
-# [inch] of the page: the width of two columns of text, and margins of the panels.
+# Width of two columns of text, and margins of the panels [inch].
 WIDTH: Final = 7.16
 LEFT, RIGHT, BOTTOM, TOP = 0.48, 0.06, 0.36, 0.18
-WIDE_LEFT: Final = 0.60  # of a narrow page, whose numbers may have four digits
+WIDE_LEFT: Final = 0.60  # left margin of a narrow page, whose numbers may have four digits
 BETWEEN, ABOVE = 0.07, 0.17
-SHAPE_GAP: Final = 0.20  # before the rows of the next shape
+SHAPE_GAP: Final = 0.20  # space before the rows of the next shape
 LEGEND_ROW: Final = 0.18
 
 
 def draw_plan(plan: Plan, path: str | Path) -> None:
-    """Draw a plan: one small top view for each shape and layout.
+    """Draw a plan: a small top view for each shape and layout.
 
     Parameters
     ----------
     plan : Plan
-        At most the first 40 pairs of shape and layout are drawn; the heading says so.
+        Plan; at most 40 pairs of shape and layout are drawn, and a note has the number of others.
     path : str or Path
-        `.pdf`, `.svg` or `.png`.
+        File to write (`.pdf`, `.svg` or `.png`).
 
     Raises
     ------
     InvalidInput
-        Another ending.
+        The file name has another ending.
     """
     save_made(lambda: plan_figure(plan), path)
 
 
 def plan_figure(plan: Plan) -> Figure:
-    """The page as a Matplotlib figure, laid out in inches."""
+    """Create the figure that `draw_plan` saves, laid out in inches."""
     from matplotlib.figure import Figure
 
     panels = list(product(plan.shapes, plan.layouts))[:MAX_PANELS]
@@ -96,7 +96,7 @@ def plan_figure(plan: Plan) -> Figure:
 
 
 def _rows(plan: Plan, panels: list[Panel]) -> list[list[Panel]]:
-    """Panels in rows of at most five; every shape begins a row."""
+    """Arrange panels in rows of at most five; every shape begins a new row."""
     rows = []
     for shape in plan.shapes:
         own = [panel for panel in panels if panel[0].name == shape.name]
@@ -109,7 +109,7 @@ def _begins_shape(rows: list[list[Panel]], k: int) -> bool:
 
 
 def _extent(plan: Plan, panels: list[Panel]) -> Rectangle:
-    """Everything any panel shows."""
+    """Common extent of all panels [m]."""
     corners = [_head_outline(plan, 0.0), _head_outline(plan, plan.rig.travel)]
     shapes = {shape.name: shape for shape, _ in panels}
     for shape in shapes.values():
@@ -119,7 +119,7 @@ def _extent(plan: Plan, panels: list[Panel]) -> Rectangle:
     points = np.concatenate(corners)
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     margin = 0.03 * (right - left)
-    # Even about the line of motion, so that the head moves through the middle of every panel.
+    # Symmetric about the line of motion, so that the head moves through the middle of every panel.
     side = max(high, -low) + margin
     return Rectangle((left - margin, right + margin), (-side, side))
 
@@ -219,7 +219,7 @@ def _key(label: str, style: Style) -> Artist:
 
 
 def _label_edges(axes: Axes, left: bool, bottom: bool) -> None:
-    """Numbers and units at the outer panels only."""
+    """Label the axes of the outer panels only."""
     axes.locator_params(nbins=4, steps=[1, 2, 5, 10])
     axes.tick_params(labelleft=left, labelbottom=bottom, length=2.0)
     if not left:
@@ -251,7 +251,7 @@ def _outline(plan: Plan, shape: PlannedShape, offset: Offset) -> FloatArray:
 
 
 def _ghosts(plan: Plan, shape: PlannedShape) -> list[FloatArray]:
-    """Outlines of the object at its offsets; of very many, an even choice."""
+    """Outlines of the object at its offsets, or at an even selection of very many."""
     stride = ceil(len(plan.offsets) / MAX_GHOSTS)
     return [_outline(plan, shape, offset) for offset in plan.offsets[::stride]]
 

@@ -1,4 +1,4 @@
-"""Boards and tags on paper, true to scale: black squares to the nearest 600th of an inch."""
+"""Printable boards and tags, true to scale to the nearest 600th of an inch."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ PAPERS: Final = {
     "letter": (0.2159, 0.2794),
 }  # [m]
 PER_METRE: Final = 600 / 0.0254  # [px]
-EDGE: Final = 0.008  # [m] that printers leave white
-FOOT: Final = 0.012  # [m] below, for the ruler and what it is
+EDGE: Final = 0.008  # [m], margin that printers leave white
+FOOT: Final = 0.012  # [m], height below for the ruler and its text
 RULER: Final = 0.100  # [m]
-BETWEEN: Final = 0.006  # [m] from tag to tag, for the scissors
-LETTERS: Final = 0.0032  # [m]
+BETWEEN: Final = 0.006  # [m] between tags, for cutting
+LETTERS: Final = 0.0032  # [m], size of letters
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class PrintSheet:
-    """What is black on one sheet.
+    """Sheet of paper with black rectangles and text.
 
     Attributes
     ----------
     size : (float, float)
         Width and height of the paper [m].
     black : (n, 4) float64
-        Rectangles: left, upper, right, lower edge from the upper left corner of the paper [m].
+        Black rectangles: left, upper, right, lower edge from the paper's upper left corner [m].
     words : tuple of (float, float, str)
-        Left and upper edge [m], and what to write.
+        Texts with their left and upper edge [m].
     """
 
     size: tuple[float, float]
@@ -56,7 +56,7 @@ class PrintSheet:
 
 
 def board_sheet(board: Board, title: str, paper: str = "a4") -> PrintSheet:
-    """A board in the middle of a sheet of paper, upright or lying, with a ruler below."""
+    """Place a board in the middle of a sheet, portrait or landscape, with a ruler below."""
     page = _page(paper, board.size)
     left, top = 0.5 * (page[0] - board.size[0]), 0.5 * (page[1] - FOOT - board.size[1])
     return _with_foot(page, _at(left, top, board_rectangles(board)), [], title)
@@ -65,7 +65,7 @@ def board_sheet(board: Board, title: str, paper: str = "a4") -> PrintSheet:
 def tag_sheets(
     tags: Sequence[tuple[Tag, str]], paper: str = "a4", title: str = "tags"
 ) -> tuple[PrintSheet, ...]:
-    """Tags row by row, each with its number and a word below, on as many sheets as they need."""
+    """Place tags row by row, each above its number and a word, on as many sheets as needed."""
     page = _page(paper, (0.0, 0.0))
     sheets: list[PrintSheet] = []
     black: list[FloatArray] = []
@@ -73,7 +73,7 @@ def tag_sheets(
     x, y, row = EDGE, EDGE, 0.0
     for tag, word in sorted(tags, key=lambda pair: -pair[0].size):
         one = tag_rectangles(tag.family, tag.id, tag.size)
-        # A tag is read by the white around it, a cell wide.
+        # Detection of a tag needs a white border, one cell wide.
         cell = tag.size / _cells(tag.family)
         wide = max(tag.size + 2.0 * cell, 0.02) + BETWEEN
         tall = tag.size + 2.0 * cell + LETTERS + BETWEEN
@@ -97,7 +97,7 @@ def tag_sheets(
 
 
 def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
-    """Write sheets as a PDF, or a single one as a PNG that knows its size."""
+    """Write sheets as a PDF, or a single one as a PNG with its resolution."""
     refuse_ending(path, PRINT_ENDINGS, "print")
     images = [rastered(sheet) for sheet in sheets]
     dots = PER_METRE * 0.0254
@@ -112,7 +112,7 @@ def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
 
 
 def rastered(sheet: PrintSheet, per_metre: float = PER_METRE) -> Image:
-    """A sheet as a picture of black and white."""
+    """Render a sheet as a black-and-white image."""
     from PIL import Image, ImageDraw, ImageFont
 
     width, height = (round(side * per_metre) for side in sheet.size)
@@ -128,7 +128,7 @@ def rastered(sheet: PrintSheet, per_metre: float = PER_METRE) -> Image:
 
 
 def board_rectangles(board: Board) -> FloatArray:
-    """(n, 4) black rectangles of a board, from its upper left corner [m]."""
+    """Black rectangles (n, 4) of a board, from its upper left corner [m]."""
     i, j = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     dark = (i + j) % 2 == 0
     at = np.stack([i[dark], j[dark]], axis=-1) * board.square
@@ -145,7 +145,7 @@ def board_rectangles(board: Board) -> FloatArray:
 
 
 def tag_rectangles(family: str, number: int, size: float) -> FloatArray:
-    """(n, 4) black rectangles of a tag, from its upper left corner [m]."""
+    """Black rectangles (n, 4) of a tag, from its upper left corner [m]."""
     aruco = opencv().aruco
     dictionary = aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[family]))
     count = len(dictionary.bytesList)

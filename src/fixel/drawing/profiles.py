@@ -1,4 +1,4 @@
-"""What a calibration says about each unknown: intervals in their bounds, and profiles."""
+"""Charts of a calibration's parameters: intervals within their bounds, and profiles."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ROW: Final = 0.42  # [inch] of an unknown
+ROW: Final = 0.42  # [inch], height of the row of a parameter
 COLUMNS: Final = 4  # profiles side by side
-# Up to so many thresholds a profile is drawn.
+# Profiles are drawn up to this multiple of the threshold.
 SHOWN: Final = 3.0
 
 IDENTIFIED: Final = "identified"
-# Sets of parameters beside the one with the intervals.
+# Styles of further sets of parameters, without intervals.
 OTHERS: Final[tuple[Style, ...]] = (
     {"marker": "D", "color": palette.TOUCHED},
     {"marker": "^", "color": palette.CONE},
@@ -42,38 +42,38 @@ OTHERS: Final[tuple[Style, ...]] = (
 
 
 class ParameterRow(NamedTuple):
-    """One unknown, in its own unit."""
+    """Values and interval of one parameter, in its own unit."""
 
     label: str
     unit: str
     bounds: tuple[float, float]
     before: float
     value: float
-    low: float | None = None  # ends of the interval; None where the data set no end
+    low: float | None = None  # ends of the interval; None if the data do not limit it
     high: float | None = None
-    best_fit: float | None = None  # the value that predicts best, where it is another
+    best_fit: float | None = None  # value that predicts best, if different
     verdict: str = ""
-    others: tuple[float, ...] = ()  # with other sets of parameters
+    others: tuple[float, ...] = ()  # values in other sets of parameters
 
     @property
     def judged(self) -> bool:
-        """Whether anybody asked what the data say."""
+        """Whether the parameter has been assessed: it has a verdict or an interval."""
         return bool(self.verdict) or self.low is not None or self.high is not None
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParametersChart(AbstractChart):
-    """Values and intervals, a row an unknown, each across its bounds.
+    """Values and intervals, one row per parameter, each scaled to its bounds.
 
     Parameters
     ----------
     title : str
     rows : sequence of ParameterRow
     others : sequence of str
-        What the other sets of the rows are called; three at most are drawn.
+        Names of the other sets in the rows; at most three are drawn.
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
     """
 
     title: str
@@ -188,8 +188,8 @@ def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
 
 
 def _colour(verdict: str) -> str:
-    """Blue where the data say it, purple for what holds together with others or with this model
-    only, else vermilion."""
+    """Colour of a verdict: blue if identified, purple if it trades off with others or is effective
+    for this model only, else vermilion."""
     if verdict in ("", IDENTIFIED):
         return palette.BODY
     return palette.CONE if verdict.startswith(("trades off", "effective")) else palette.FORCE
@@ -217,33 +217,33 @@ def _wrapped(verdict: str) -> str:
 
 
 class ProfilePanel(NamedTuple):
-    """One unknown; rises of the deviance above its best."""
+    """Profile of one parameter: rises of the deviance above its minimum."""
 
     label: str
     unit: str
     values: FloatArray  # (k,) ascending
-    rises: FloatArray  # (k,) the other unknowns fitted at each value; inf where there is none
+    rises: FloatArray  # (k,) with the other parameters fitted at each value; inf if missing
     low: float | None  # ends of the interval
     high: float | None
     threshold: float
     slice_values: FloatArray  # (m,)
-    slice_rises: FloatArray  # (m,) the other unknowns held
+    slice_rises: FloatArray  # (m,) with the other parameters fixed
     best: float
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfilesChart(AbstractChart):
-    """Rise of the deviance against the value, a panel an unknown.
+    """Rise of the deviance against the value, one panel per parameter.
 
     Parameters
     ----------
     title : str
     panels : sequence of ProfilePanel
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
     misfits : bool
-        Whether the model misfits: the intervals to quote are then wider than those drawn.
+        Whether the model has a misfit: reported intervals are then wider than those drawn.
     """
 
     title: str
@@ -330,7 +330,7 @@ _PROFILE: Final[Style] = {
 
 
 def _range(panel: ProfilePanel) -> tuple[float, float]:
-    """Values to show: where the profile is low, and one more on either side."""
+    """Range of values to show: where the profile is low, and one more value on either side."""
     near = np.flatnonzero(panel.rises <= SHOWN * panel.threshold)
     if not len(near):
         return float(panel.values[0]), float(panel.values[-1])
@@ -343,7 +343,7 @@ def _range(panel: ProfilePanel) -> tuple[float, float]:
 
 
 def _cut(panel: ProfilePanel, outer: int, inner: int) -> float:
-    """Where the profile leaves the picture between two values; a far scan must not squeeze it."""
+    """Value between two others at which the profile exceeds the axes, so that far ones are cut."""
     a, b = float(panel.values[inner]), float(panel.values[outer])
     rise, far = float(panel.rises[inner]), float(panel.rises[outer])
     if outer == inner or not np.isfinite(far):

@@ -1,4 +1,4 @@
-"""Pictures of promised bounds: whether they hold, where, and how sharp they are."""
+"""Charts of error bounds: their coverage by group, and how tight they are."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ NAMES: Final = {
 @final
 @dataclass(frozen=True)
 class NewSidesChart(AbstractChart):
-    """Coverage by group of bounds on left-out sides and speeds.
+    """Coverage by group of error bounds for left-out sides and speeds.
 
     Parameters
     ----------
     groups : sequence of mapping
-        `error`, `left_out`, `group`, `blind_coverage` and `bound_coverage` of each, the last two
-        missing where no push has a bound.
+        `error`, `left_out`, `group`, `blind_coverage` and `bound_coverage` of each group; the last
+        two are missing if no push has a bound.
     level : float
     """
 
@@ -73,18 +73,18 @@ class NewSidesChart(AbstractChart):
 @final
 @dataclass(frozen=True)
 class PromiseChart(AbstractChart):
-    """Coverage by group, bounds against errors, their distribution, and reliability.
+    """Error bounds: coverage by group, scatter against errors, histogram, and reliability.
 
     Parameters
     ----------
     groups : sequence of mapping
-        `group`, `coverage`, `coverage_sd_of_counts` and `coverage_constant` of each.
+        `group`, `coverage`, `coverage_sd_of_counts` and `coverage_constant` of each group.
     curve : sequence of mapping
-        `error`, `level` and `coverage`.
+        `error`, `level` and `coverage` of each point.
     error, bound : (n,) float64
-        Of counted pushes [mm].
+        Error and bound of each counted push [mm].
     constant : float
-        The bound without features [mm].
+        Constant bound, without features [mm].
     level : float
     """
 
@@ -187,7 +187,7 @@ class PromiseChart(AbstractChart):
 @final
 @dataclass(frozen=True)
 class RatesChart(AbstractChart):
-    """Errors as shares of the motion, and of angles, beside what a paper quotes.
+    """Position errors as shares of the motion, and angle errors, next to those of a paper.
 
     Parameters
     ----------
@@ -195,9 +195,9 @@ class RatesChart(AbstractChart):
         `dataset`, `simulator`, `rms_over_motion`, `median_over_motion`, `angle_deg_rms` and
         `angle_deg_median`.
     paper : float
-        RMS error over motion.
+        RMS position error over motion in the paper [-].
     paper_angle : (float, float)
-        [deg]
+        Range of angle errors in the paper [deg].
     """
 
     rows: Sequence[Mapping[str, Any]]

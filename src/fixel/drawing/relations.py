@@ -1,4 +1,4 @@
-"""Tables of a database and what refers to what, as an entity relationship diagram."""
+"""Tables of a database and their references, as an entity relationship diagram."""
 
 from __future__ import annotations
 
@@ -13,40 +13,40 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE: Final = 0.145  # [inch] of a column's name
-WIDTH: Final = 1.75  # [inch] of a table
-BETWEEN: Final = 0.75  # [inch] of two tables in a row
-ABOVE: Final = 0.28  # [inch] of two tables on top of each other
+LINE: Final = 0.145  # [inch], height of a column's name
+WIDTH: Final = 1.75  # [inch], width of a table
+BETWEEN: Final = 0.75  # [inch] between two tables in a row
+ABOVE: Final = 0.28  # [inch] between two tables on top of each other
 MARGIN: Final = 0.15  # [inch]
-SIZE: Final = 6.5  # [point] of letters
+SIZE: Final = 6.5  # [point], size of letters
 
 
 class Entity(NamedTuple):
-    """A table."""
+    """Table of a database, with its columns and references."""
 
     name: str
     columns: Sequence[str]
-    references: dict[str, str]  # column to table
+    references: dict[str, str]  # column -> table
 
 
 def draw_relations(entities: Sequence[Entity], file: str | Path) -> None:
-    """Draw tables as boxes, and a line from each column that refers to a table to that table.
+    """Draw tables as boxes, and a line from each column to the table that it refers to.
 
-    Tables stand right of those they refer to. The three-pronged end of a line is at the table of
-    which many rows may refer to one of the other.
+    Tables stand right of those they refer to. The three-pronged end of a line is at the table whose
+    rows, possibly many, refer to one row of the other.
 
     Parameters
     ----------
     entities : sequence of Entity
     file : str or Path
-        Ends with .pdf, .png or .svg.
+        File to write (`.pdf`, `.png` or `.svg`).
     """
     refuse_ending(file, PICTURE_ENDINGS, "picture")
     save_filled(lambda figure: _fill(figure, entities), file)
 
 
 def columns_of(entities: Sequence[Entity]) -> list[list[Entity]]:
-    """Tables column by column: each right of all that it refers to, and near to them."""
+    """Arrange tables in columns, each right of all tables it refers to, and near them."""
     known = {entity.name: entity for entity in entities}
 
     def depth(entity: Entity) -> int:
@@ -87,7 +87,7 @@ def _fill(figure: Figure, entities: Sequence[Entity]) -> None:
     others = sorted({name for entity in entities for name in entity.references.values()})
     for entity in entities:
         for column, other in entity.references.items():
-            # Lines to one table share a way down between the columns: they can be told apart.
+            # Lines to one table share a vertical segment, so that different tables are distinct.
             turn = BETWEEN * (0.2 + 0.6 * others.index(other) / len(others))
             _line(axes, entity, column, other, turn, places, gaps)
 
@@ -95,7 +95,7 @@ def _fill(figure: Figure, entities: Sequence[Entity]) -> None:
 def _gaps(
     stacks: Sequence[Sequence[Entity]], places: dict[str, tuple[float, float]], tall: float
 ) -> list[list[float]]:
-    """Heights at which a line passes between the tables of each column."""
+    """Heights at which a line can pass between the tables of each column."""
     found = []
     for stack in stacks:
         tops = [places[entity.name][1] for entity in stack]
@@ -156,7 +156,7 @@ def _line(
     turn = x - bend
     way = [(x, y), (turn, y)]
     first, last = round(to_x / (WIDTH + BETWEEN)) + 1, round(x / (WIDTH + BETWEEN))
-    for k in range(last - 1, first - 1, -1):  # around the tables of columns between
+    for k in range(last - 1, first - 1, -1):  # around the tables of the columns between
         height = min(gaps[k], key=lambda gap: abs(gap - up))
         left = k * (WIDTH + BETWEEN) - bend
         way += [(way[-1][0], height), (left, height)]

@@ -1,4 +1,4 @@
-"""Searches as pictures: error against evaluation, and where several starts ended."""
+"""Charts of searches: error against evaluation, and end points of several starts."""
 
 from __future__ import annotations
 
@@ -37,38 +37,38 @@ if TYPE_CHECKING:
 
 
 class SearchPanel(NamedTuple):
-    """One search."""
+    """Evaluations of one search."""
 
     title: str
-    errors: FloatArray  # (n,) of the evaluations in order; inf where one failed
-    begins: IntArray  # (m,) first evaluation of each iteration; none where they are not known
+    errors: FloatArray  # (n,) of the evaluations in order; inf for failed ones
+    begins: IntArray  # (m,) first evaluation of each iteration; empty if unknown
 
     @property
     def best(self) -> FloatArray:
-        """(n,) least so far; inf before the first success."""
+        """Smallest error so far, (n,); inf before the first success."""
         return np.minimum.accumulate(self.errors) if len(self.errors) else self.errors
 
     @property
     def iteration(self) -> IntArray:
-        """(n,) of each evaluation, from 0; nothing is known where all are -1."""
+        """Iteration of each evaluation, (n,), from 0; all -1 if unknown."""
         return np.searchsorted(self.begins, np.arange(len(self.errors)), side="right") - 1
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchChart(AbstractChart):
-    """Error against evaluation, a panel a search.
+    """Error against evaluation, one panel per search.
 
     Source: RPI thesis, figure 5.5.
 
     Parameters
     ----------
     panels : sequence of SearchPanel
-        One to three.
+        One to three searches.
     unit : str
-        Of the errors.
+        Unit of the errors.
     what : str
-        Is searched: `"sum of errors"` of several experiments.
+        Name of the objective, such as `"sum of errors"` for several experiments.
     """
 
     panels: Sequence[SearchPanel]
@@ -112,7 +112,7 @@ def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
         markeredgewidth=0.0,
         label="evaluation",
     )
-    # Not below zero on a logarithmic axis, so both from the same values.
+    # Compute the best from the values shown, which are positive on the logarithmic axis.
     best = np.fmin.accumulate(shown) if len(shown) else shown
     axes.step(number, best, where="post", color=palette.BODY, linewidth=1.2, label="best so far")
     if failed.any():
@@ -143,15 +143,15 @@ def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
 
 
 def _iteration_axis(axes: Axes, panel: SearchPanel) -> None:
-    """A second axis above, which counts iterations where each begins."""
-    # One evaluation an iteration says nothing new.
+    """Add an axis at the top that marks where iterations begin."""
+    # With one evaluation per iteration, the axis would repeat the one below.
     n, spread = len(panel.begins), len(panel.errors)
     if not 2 < n < spread:
         return
     step = next(s for s in _round_steps() if (n - 1) / s <= 6)
     wanted = np.arange(0, n, step)
     places = panel.begins[wanted] + 1.0
-    # The first iterations may be one evaluation each: numbers would lie on each other.
+    # Drop labels that would overlap, as of short first iterations.
     keep = np.concatenate(([True], np.diff(places) > 0.05 * spread))
     above = axes.secondary_xaxis("top")
     above.set_xticks(places[keep], [str(k) for k in wanted[keep]])
@@ -169,27 +169,27 @@ def _round_steps() -> list[int]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartsChart(AbstractChart):
-    """Final errors of searches from several starts, sorted, and where each ended.
+    """Final errors of searches from several starts, sorted, and their end points.
 
     Parameters
     ----------
     title : str
     unit : str
-        Of the errors.
+        Unit of the errors.
     errors : (k,) float64
-        Final; inf where a search found nothing.
+        Final errors; inf if a search found nothing.
     points : (k, n) float64
-        Where each ended.
+        End points of the searches.
     labels, units : sequences of str
-        Of the unknowns.
+        Labels and units of the parameters.
     low, high : (n,) float64
-        Bounds.
+        Bounds of the parameters.
     evaluations : sequence of int
-        Of each search.
+        Number of evaluations of each search.
     nearly : float
-        Share of the best error by which another may exceed it and count as good.
+        Excess over the best error, as a share of it, up to which a start counts as good.
     what : str
-        As in `SearchChart`.
+        Name of the objective, as in `SearchChart`.
     """
 
     title: str
@@ -206,18 +206,18 @@ class StartsChart(AbstractChart):
 
     @property
     def order(self) -> list[int]:
-        """Starts from the best to the worst."""
+        """Indices of starts, from the best to the worst."""
         return [int(k) for k in np.argsort(self.errors, kind="stable")]
 
     @property
     def good(self) -> list[bool]:
-        """Which starts are as good as the best, or nearly."""
+        """Mask of the starts that ended as well as the best, or nearly."""
         best = float(self.errors.min())
         return [math.isfinite(e) and e <= best * (1.0 + self.nearly) for e in self.errors.tolist()]
 
     def figure(self) -> Figure:
         figure = sheet(WIDE, 2.7, self.title)
-        # Four unknowns and more need the room that three leave empty.
+        # More than two parameters get a wider panel.
         share = max(1.0, 0.35 * len(self.labels))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
         _draw_waterfall(left, self)
@@ -275,7 +275,7 @@ def _other() -> Style:
 
 
 def _draw_ends(axes: Axes, chart: StartsChart) -> None:
-    """Each start a line across the unknowns, as shares of their ranges: ends that differ show."""
+    """Draw each end point as a line across the parameters, as shares of their ranges."""
     place = np.arange(len(chart.labels))
     shares = (chart.points - chart.low) / (chart.high - chart.low)
     for k in reversed(chart.order):
@@ -308,5 +308,5 @@ def _draw_ends(axes: Axes, chart: StartsChart) -> None:
 
 
 def _broken(label: str) -> str:
-    """A label over two lines where it says for whom it is."""
+    """Break a label before a bracket into two lines."""
     return label.replace("[", "\n[", 1)

@@ -1,4 +1,4 @@
-"""Fans of outcomes over a scene, and bars of Sobol indices."""
+"""Charts of ensembles of outcomes over a scene, and of Sobol indices."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COLOURS: Final = (
     palette.FIXEL, palette.INK,
 )  # fmt: skip
 
-OUTLINES: Final = 60  # of end poses that are drawn
+OUTLINES: Final = 60  # maximum number of end poses drawn as outlines
 DOTS: Final = 2000
 BINS: Final = 40
 
@@ -43,22 +43,22 @@ BINS: Final = 40
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FanChart(AbstractChart):
-    """Where a body ends, over the scene; errors of the start, end positions and end angles.
+    """End poses of a body over the scene, with start errors, end positions and end angles.
 
     Parameters
     ----------
     title : str
     scene : Scene
     drawn : (n, 3) float64
-        Errors of the start [m, m, rad].
+        Errors of the start pose [m, m, rad].
     end : (n, 3) float64
         End poses [m, m, rad].
     nominal : (3,) float64
-        End pose without an error.
+        End pose without an error of the start.
     outcome : (n,) int64
-        Which outcome each belongs to, from 0.
+        Outcome of each end pose, from 0.
     share : sequence of float
-        Of each outcome.
+        Share of each outcome.
     """
 
     title: str
@@ -129,14 +129,14 @@ def _scene(axes: Axes, chart: FanChart) -> None:
     chosen = np.unique(np.linspace(0, len(chart.end) - 1, OUTLINES).round().astype(int))
     for k in range(len(chart.share)):
         name = "ends" if len(chart.share) == 1 else f"outcome {k + 1}: {chart.share[k]:.0%}"
-        # A rare outcome is drawn too.
+        # Draw at least one pose of a rare outcome.
         own = [j for j in chosen if chart.outcome[j] == k] or [int(np.argmax(chart.outcome == k))]
         for j in own:
             outline = closed(chart.end[j], corners)
             axes.plot(*outline, color=_colour(k), linewidth=0.5, alpha=0.35)
         axes.plot([], [], color=_colour(k), linewidth=1.2, label=name)
     axes.plot(*closed(chart.nominal, corners), color=palette.INK, linewidth=1.4, label="nominal")
-    axes.set_aspect("equal", adjustable="datalim")  # a flat panel has no room for numbers
+    axes.set_aspect("equal", adjustable="datalim")  # a flat panel would have no room for labels
     axes.margins(0.05)
     axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
     axes.spines[["top", "right"]].set_visible(False)
@@ -158,14 +158,14 @@ def _angles(axes: Axes, chart: FanChart) -> None:
 
 
 def _few_numbers(axes: Axes) -> None:
-    """So few that ten letters a number stand side by side in a small panel."""
+    """Reduce tick labels so that even ten characters each fit side by side in a small panel."""
     axes.locator_params(axis="x", nbins=3)
     axes.locator_params(axis="y", nbins=4)
     axes.tick_params(axis="x", pad=4.0)  # below the lowest number of the other axis
 
 
 def _no_narrower(axes: Axes, size: float) -> None:
-    """Neither side of a panel less than a hundredth of a size: rounding is no spread."""
+    """Widen limits to at least a hundredth of a size, so that rounding errors are not magnified."""
     for limits, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         middle, half = 0.5 * sum(limits), 0.5 * (limits[1] - limits[0])
         if half < 0.005 * size:
@@ -173,11 +173,11 @@ def _no_narrower(axes: Axes, size: float) -> None:
 
 
 class Bars(NamedTuple):
-    """Indices of one outcome."""
+    """Sobol indices of one outcome."""
 
     outcome: str
     unit: str
-    deviation: float  # its standard deviation [unit]
+    deviation: float  # standard deviation of the outcome [unit]
     first: FloatArray  # (k,)
     first_error: FloatArray
     total: FloatArray
@@ -187,13 +187,13 @@ class Bars(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IndicesChart(AbstractChart):
-    """First-order and total Sobol indices, one panel an outcome.
+    """First-order and total Sobol indices, one panel per outcome.
 
     Parameters
     ----------
     title : str
     names : sequence of str
-        Of the k uncertain inputs.
+        Names of the k uncertain inputs.
     bars : sequence of Bars
     """
 

@@ -1,4 +1,4 @@
-"""What a tracker saw beside what really happened."""
+"""Tracked and true paths of runs, side by side."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ROW: Final = 2.0  # [inch] a run
-OUTLINES: Final = 4  # of the object along its path
-ROOM: Final = 5.0  # [mm] around what is drawn
+ROW: Final = 2.0  # [inch], height of a run
+OUTLINES: Final = 4  # number of outlines of the object along its path
+ROOM: Final = 5.0  # [mm], margin around all that is drawn
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackedRun:
-    """One run, frame by frame.
+    """True and tracked poses of one run, frame by frame.
 
     Attributes
     ----------
     name : str
     outline : (k, 2) float64
-        Of the object, in its own frame [m].
+        Outline of the object, in its own frame [m].
     fixels : sequence of (k, 2) float64
-        Outlines [m].
+        Outlines of the fixels [m].
     time : (n,) float64
-        [s]
+        Times of the frames [s].
     true, tracked : (n, 3) float64
         Poses of the object [m, m, rad].
     """
@@ -49,19 +49,19 @@ class TrackedRun:
 
     @property
     def position_error(self) -> FloatArray:
-        """(n,) distance between the two [m]."""
+        """Distance between tracked and true positions, (n,) [m]."""
         return pose_error(self.tracked, self.true)[0]
 
     @property
     def angle_error(self) -> FloatArray:
-        """(n,) from true to tracked [rad]."""
+        """Angles from true to tracked poses, (n,) [rad]."""
         return pose_error(self.tracked, self.true)[1]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SideBySide(AbstractChart):
-    """True and tracked paths, run by run, and how far apart they are."""
+    """True and tracked paths and the distance between them, one row per run."""
 
     runs: tuple[TrackedRun, ...]
 

@@ -1,4 +1,4 @@
-"""A run at a glance: a small SVG, written without Matplotlib in a millisecond."""
+"""Thumbnail of an experiment: a small SVG, written without Matplotlib in a millisecond."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from fixel.typing import FloatArray
 
 WIDTH: Final = 120
 HEIGHT: Final = 80
-MARGIN: Final = 0.04  # of the larger side
-MAX_POINTS: Final = 60  # of a trail
-ROUND: Final = 16  # corners that a disk is drawn with
+MARGIN: Final = 0.04  # share of the larger side
+MAX_POINTS: Final = 60  # maximum number of points of a trail
+ROUND: Final = 16  # number of corners that a disk is drawn with
 
 
 def thumbnail(experiment: Experiment) -> str:
-    """The object at start and end, its trail, pusher and fixels, as an SVG of 120 by 80.
+    """Draw the object at start and end, its trail, pusher and fixels, as an SVG of 120 by 80.
 
     Parameters
     ----------
     experiment : Experiment
-        Without a scene, only the trail is drawn, with a cross where it ends.
+        Experiment; without a scene, only the trail is drawn, with a cross at its end.
     """
     scene = experiment.scene
     poses = experiment.trajectory.pose[_thinned(len(experiment.trajectory.pose))]
     trail = poses[:, :2]
-    outlines: list[tuple[FloatArray, str]] = []  # in the world, and how they are drawn
+    outlines: list[tuple[FloatArray, str]] = []  # in the world, with their SVG style
     if scene is not None:
         body = next(b for b in scene.bodies if b.name == experiment.object_name)
         touched = experiment.contact_mode
@@ -75,7 +75,7 @@ def thumbnail(experiment: Experiment) -> str:
 
     shapes = "".join(f'<path d="{path(world, "Z")}" {look}/>' for world, look in outlines)
     end = path(trail[-1:], "m-3 0h6m-3 -3v6") if scene is None else ""
-    # Start and end alone are two dots: what lies between was not measured.
+    # Draw start and end alone as two dots: the motion between was not measured.
     dots = "".join(path(row[None], "h0") for row in trail)
     line = path(trail, "") if len(trail) > 2 else dots
     width = 1.4 if len(trail) > 2 else 3.5

@@ -1,4 +1,4 @@
-"""How well a film was tracked: poses, residuals and gaps against time."""
+"""Quality of tracking: poses, residuals and gaps against time."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ HEIGHT = 5.2  # [inch]
 def draw_track(
     tracked: FilmTracks, path: str | Path, effective: tuple[float, float] | None = None
 ) -> None:
-    """Draw what was tracked, and how well.
+    """Draw tracked poses and residuals against time, with gaps shaded.
 
     Parameters
     ----------
     tracked : FilmTracks
     path : str or Path
-        File (`.pdf`, `.svg` or `.png`).
+        File to write (`.pdf`, `.svg` or `.png`).
     effective : (float, float), optional
-        First and last instant of useful data, from the first frame on [s].
+        First and last time of useful data, counted from the first frame [s].
     """
     save_made(lambda: track_figure(tracked, effective), path)
 
 
 def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
-    """The figure that `draw_track` saves."""
+    """Create the figure that `draw_track` saves."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(2.0 * palette.COLUMN, HEIGHT), layout="constrained")

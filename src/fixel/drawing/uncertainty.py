@@ -1,4 +1,4 @@
-"""What measurements leave open: a corner of parameters, bands about a path, bounds on its end."""
+"""Charts of a posterior: corner plot of parameters, bands about a path, regions of its end."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CELL: Final = 1.2  # [inch] of a corner
-DECADES: Final = 30.0  # least ratio of the ends of a logarithmic axis
-LONG: Final = 5  # letters of a number that is written upwards below a corner
+CELL: Final = 1.2  # [inch], side of a panel of a corner plot
+DECADES: Final = 30.0  # minimum ratio of the ends of a logarithmic axis
+LONG: Final = 5  # longer numbers below a corner plot are written upwards
 MODES: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.CONE, palette.PUSHER)
 BINS: Final = 30
 
 
 class CornerAxis(NamedTuple):
-    """One unknown of a corner, in its own unit."""
+    """Parameter of a corner plot, in its own unit."""
 
     label: str
     unit: str
-    low: float  # of the prior
+    low: float  # bounds of the prior
     high: float
-    truth: float | None = None  # where it is known
+    truth: float | None = None  # true value, if known
     logarithmic: bool = False
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornerChart(AbstractChart):
-    """Samples of unknowns against one another, modes in colours, over the range of the samples.
+    """Corner plot: samples of parameters against one another, with modes in colours.
 
     Parameters
     ----------
     axes : sequence of CornerAxis
     samples : (k, n) float64
     mode : (k,) int
-        Which mode each belongs to, the heaviest being 0.
+        Mode of each sample; 0 has the largest weight.
     weights : sequence of float
-        Of the modes.
+        Weights of the modes.
     title : str
     """
 
@@ -81,7 +81,7 @@ class CornerChart(AbstractChart):
         return np.asarray(readable(self.axes[k].unit).factor * self.samples[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
-        """Ends of all samples and the truth, with a margin, within the prior."""
+        """Range of the samples and the truth, with a margin, within the prior."""
         axis = self.axes[k]
         known = [*self.samples[:, k], *([] if axis.truth is None else [axis.truth])]
         low, high = float(np.min(known)), float(np.max(known))
@@ -142,7 +142,7 @@ class CornerChart(AbstractChart):
             axes.tick_params(labelleft=False, which="both")
 
     def _number(self, axes: Axes, which: Literal["x", "y"], k: int) -> None:
-        """Few numbers on an axis, upwards where they are too long to stand side by side."""
+        """Put few numbers on an axis, written upwards if too long to stand side by side."""
         from matplotlib.ticker import MaxNLocator, NullFormatter
 
         axis = getattr(axes, f"{which}axis")
@@ -171,7 +171,7 @@ class CornerChart(AbstractChart):
         if any(axis.truth is not None for axis in self.axes):
             entries.append(Line2D([], [], color=palette.INK, linewidth=0.7,
                                   linestyle=(0, (3, 2)), label="truth"))  # fmt: skip
-        # Above the diagonal there is room.
+        # There is room above the diagonal.
         figure.legend(handles=entries, frameon=False, loc="upper right",
                       bbox_to_anchor=(0.98, 0.93))  # fmt: skip
 
@@ -186,7 +186,7 @@ class CornerChart(AbstractChart):
 
 
 class PathBand(NamedTuple):
-    """A band about a path."""
+    """Band about a path at one level."""
 
     level: float
     low: FloatArray  # (n, 3)
@@ -199,16 +199,16 @@ _ROWS: Final = (("x [mm]", 1e3), ("y [mm]", 1e3), ("theta [deg]", 180.0 / np.pi)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandsChart(AbstractChart):
-    """x, y and theta against time: measured, likeliest, bands; below each, what is left beside the
-    likeliest, where bands too narrow to see become visible.
+    """x, y and theta against time: measured, likeliest and bands. Below each, the difference from
+    the likeliest, which makes narrow bands visible.
 
     Parameters
     ----------
     time : (n,) float64
-        [s]
+        Times [s].
     measured, best : (n, 3) float64
     bands : sequence of PathBand
-        The narrowest first.
+        Bands, the narrowest first.
     title : str
     """
 
@@ -262,29 +262,29 @@ class BandsChart(AbstractChart):
 
 
 class FinalRegion(NamedTuple):
-    """A region of final positions, and an interval of angles."""
+    """Elliptic region of final positions and interval of final angles, at one level."""
 
     level: float
     centre: FloatArray  # (2,)
     radii: FloatArray  # (2,)
-    turn: float  # of the larger axis [rad]
+    turn: float  # angle of the first axis [rad]
     angles: tuple[float, float]  # [rad]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FinalPoseChart(AbstractChart):
-    """Where a push ends: the outline with draws of it, and the position closer by.
+    """Final pose of a push: outlines drawn from the posterior, positions and angles in detail.
 
     Parameters
     ----------
     outline : (m, 2) float64
-        Of the object, in its frame.
+        Outline of the object, in its frame.
     start, measured : (3,) float64
         First and last measured pose.
     draws : (k, 3) float64
     regions : sequence of FinalRegion
-        The smallest first.
+        Regions, the smallest first.
     title : str
     """
 
