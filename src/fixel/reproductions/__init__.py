@@ -1,4 +1,4 @@
-"""Benchmarks on real data: calibrate on some records, and be judged on others."""
+"""Benchmarks on real data: calibrate on some records and score on held-out ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fixel.reproductions.result import Benchmark, Row, write_tables
 from fixel.typing import NotedProgress
 
 PARTS: Final = ("mit",)
-# Where a part's dataset is looked for inside the data folder; that folder itself is tried too.
+# Subfolder of each part's dataset in the data folder; the data folder itself is tried too.
 FOLDERS: Final = {"mit": "mit_push_endpoints"}
 
 
@@ -31,22 +31,22 @@ def benchmark_real(
     Parameters
     ----------
     data : Path
-        Folder of the datasets, or of the one.
+        Folder of all datasets, or of this one.
     request : BenchmarkRequest, optional
-        All protocols where left out.
+        Protocols, splits and settings; all protocols by default.
     part : str
-        Out of `PARTS`.
+        Part of the benchmark, one of `PARTS`.
     out : Path, optional
-        Folder for tables, a picture, and finished fits: the same request goes on from these.
+        Folder for tables, a figure, and finished fits, from which the same request continues.
     progress : callable, optional
-        Told how many parts of how many are done, and what they are.
+        Called with the numbers of finished parts and of all, and the name of the part.
 
     Raises
     ------
     DatasetMissing
         The dataset is not in the folder.
     InvalidInput
-        A request, or a folder, that cannot be.
+        An invalid request or folder.
     """
     pushes = read(folder_of(data, part))
     kept = None
@@ -61,12 +61,12 @@ def benchmark_real(
 
 
 def joint_real(data: Path, part: str = "mit", progress: NotedProgress | None = None) -> Row:
-    """Time a calibration of many pushes together; see `joint_calibration`."""
+    """Run and time a joint calibration of many pushes; see `joint_calibration`."""
     return joint_calibration(read(folder_of(data, part)), progress or _silent)
 
 
 def draw_benchmark(answer: Benchmark, file: Path) -> None:
-    """Draw errors by group and their distributions into a file: .png, .svg or .pdf."""
+    """Draw errors by group and their distributions to a file: .png, .svg or .pdf."""
     from fixel.reproductions.charts.benchmark import BenchmarkPicture, draw
 
     panels = []
@@ -77,7 +77,7 @@ def draw_benchmark(answer: Benchmark, file: Path) -> None:
 
 
 def folder_of(data: Path, part: str) -> Path:
-    """Folder of a part's dataset, or a refusal."""
+    """Return the folder of a part's dataset; raise `DatasetMissing` if there is none."""
     if part not in PARTS:
         raise InvalidInput("--only", found=repr(part), expected="one of " + ", ".join(PARTS))
     for folder in (data / FOLDERS[part], data):
@@ -95,7 +95,7 @@ def _make(out: Path) -> None:
 
 
 def _silent(done: int, of: int, what: str) -> None:
-    """Nobody watches."""
+    """Progress callback that does nothing."""
 
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""RPI's trials that start alike, up to where pegs nobody wrote down come into play."""
+"""RPI's trials with nearly equal starts, until contact with fixels of unknown position."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fixel.uncertainty.starts import StartError, even_points
 
 NAMES: Final = ("126", "127", "129", "130", "132", "134", "136")
 
-# The square and the head of trial 141, the same rig; the head's speed there [m/s].
+# Square and head of trial 141 on the same rig, and the head's speed there [m/s].
 SQUARE: Final = np.array([[-53.8, 53.4], [-53.8, -53.4], [53.4, -53.4], [53.4, 53.4]]) * 1e-3
 HEAD: Final = np.array([[-14.3, -14.3], [14.3, -14.3], [14.3, 14.3], [-14.3, 14.3]]) * 1e-3
 SPEED: Final = 9.24e-3
 MASS: Final = 0.2564
 
-# Where the middle of the head may be along the side of the square: a millimetre of it stays on [m].
+# Range of the head's centre along the side of the square, with at least 1 mm of contact [m].
 HEAD_PLACE: Final = (-66e-3, 66e-3)
 FRICTION: Final = {
     "mu_pusher": (0.15, 0.6),
@@ -30,13 +30,13 @@ FRICTION: Final = {
     "friction_centre_y": (-5e-3, 5e-3),
 }
 
-MOVED: Final = 0.5e-3  # [m], from where on the object counts as moving
-AFTER: Final = 1.0  # [s] of motion, in which no trial has met a peg
-START_FRAMES: Final = 30  # frames before, that give the start
+MOVED: Final = 0.5e-3  # [m], displacement from which the object counts as moving
+AFTER: Final = 1.0  # [s] of motion, before any trial has met a fixel
+STILL: Final = 30  # number of frames before the motion, whose mean is the start
 
 
 class AlikeGroup(NamedTuple):
-    """Trials with the same start of the object."""
+    """Trials with nearly the same start pose of the object."""
 
     name: str
     start: FloatArray  # (n, 3) measured [m, m, rad]
@@ -44,11 +44,11 @@ class AlikeGroup(NamedTuple):
     error: StartError
 
     def predicted(self, n: int) -> tuple[FloatArray, BoolArray]:
-        """Poses (n, 3) after a second of motion wherever the head pushes; which have one."""
+        """Predict poses (n, 3) after a second of motion, for any place of the head, and a mask."""
         names = ("registration_x", *FRICTION)
         ranges = np.array([HEAD_PLACE, *FRICTION.values()])
         shares = even_points(n, len(names) + 3, seed=6)
-        # Neighbours of a Sobol sequence are no independent trials: shuffled, they are.
+        # Shuffle, since neighbours in a Sobol sequence are not independent trials.
         shares = np.random.default_rng(9).permutation(shares)
         values = {
             name: low + (high - low) * shares[:, k]
@@ -61,7 +61,7 @@ class AlikeGroup(NamedTuple):
 
 
 def alike_group(folder: Path) -> AlikeGroup:
-    """Trials 126 to 136 of the square: starts within a millimetre of one another."""
+    """Load trials 126 to 136 of the square, whose starts are within a millimetre."""
     found = {e.name: e for e in Rpi2dgad().read(folder).experiments() if e.name in NAMES}
     pairs = [_start_and_end(found[name]) for name in NAMES if name in found]
     start, end = (np.array(poses) for poses in zip(*pairs, strict=True))
@@ -81,7 +81,7 @@ def _start_and_end(experiment: Experiment) -> tuple[FloatArray, FloatArray]:
 
 
 def _scene(start: FloatArray) -> Scene:
-    """The head comes along -y, as in trial 141, and touches the side it meets."""
+    """Scene in which the head moves along -y, as in trial 141, from just above the square."""
     square, head = Polygon(SQUARE), Polygon(HEAD)
     top = 53.6e-3 + 14.3e-3 + 0.6e-3
     body = Body(

@@ -1,7 +1,7 @@
-"""The ASME paper's figure 11: how the search for support points converges.
+"""Figure 11 of the ASME paper: convergence of the search for support points.
 
-Two searches of the paper, from random vertices, on its tests 3 and 4. After each step: the best
-vertex, its error, and the size of the simplex, which the paper takes for the uncertainty.
+Two searches of the paper, from random vertices, on its tests 3 and 4. The table has the best vertex
+after each step, its error, and the size of the simplex, which the paper uses as uncertainty.
 
 Source: ASME 2006 paper on meso-scale manipulation, figure 11 and "Parameter estimation". The figure
 is not legible in the copy at hand; its title is "Convergence of Support Points".
@@ -26,20 +26,20 @@ from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.testing.scenes import box
 from fixel.typing import NotedProgress
 
-SEARCHES: Final = 2  # as in the figure
+SEARCHES: Final = 2  # number of searches in the figure
 SEED: Final = 3
 
 
 def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
-    """Follow two searches from random vertices until their simplex is small.
+    """Run two searches from random vertices until their simplex is small.
 
     Parameters
     ----------
     folder : Path or None
-        Not needed: the data are generated.
+        Unused, since the data are generated.
     progress : callable
     quick : bool
-        Short searches.
+        Run short searches.
     """
     begun = clock.perf_counter()
     evaluations = 300 if quick else 3000

@@ -1,8 +1,8 @@
-"""The ASME paper's table 1: what a search from random starts finds of a part's support.
+"""Table 1 of the ASME paper: supports of a part, found by searches from random starts.
 
-The trajectories are made from the first column, p1*, with the camera's error on them, so that it is
-known what there was to find. A set of parameters counts as good as p1* where its own trajectories
-of the two identification tests lie within one pixel of those of p1*.
+Trajectories are generated from the first column, p1*, with the camera's error, so that the true
+parameters are known. A set of parameters counts as good as p1* if its trajectories of the two
+identification tests are within one pixel of those of p1*.
 
 Source: ASME 2006 paper on meso-scale manipulation, eqs. 3-4 and table 1.
 """
@@ -37,7 +37,7 @@ from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
 from fixel.typing import FloatArray, NotedProgress
 
-# Column p1* of table 1, its decimal points put back: friction of probe and plane, support points.
+# Column p1* of table 1 with decimal points restored: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)
 P2: Final = (0.536, 0.013, -412.4e-6, 794.0e-6, -217.8e-6, 774.5e-6, 278.8e-6, -538.8e-6)
 CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
@@ -47,35 +47,35 @@ HELD_OUT: Final = (8,)
 ALL: Final = tuple(range(1, 9))
 
 FRAME_RATE: Final = 30.0  # [1/s]
-PIXEL: Final = 5.3e-6  # [m], error of a position, either way
-ANGLE_ERROR: Final = 0.005  # [rad], either way; the paper's figure is hard to read
-LENGTH: Final = 0.5 * PART_LENGTH  # L of the objective; the paper gives no value [m]
+PIXEL: Final = 5.3e-6  # [m], largest error of a position
+ANGLE_ERROR: Final = 0.005  # [rad], largest error of an angle; hard to read in the paper
+LENGTH: Final = 0.5 * PART_LENGTH  # [m], L of the objective; the paper gives no value
 
-# Gaps that separate clusters: of the mean radius, the principal radii [m] and the angle [rad].
+# Gaps that separate clusters: mean radius, principal radii [m] and angle [rad].
 FEATURE_SCALE: Final = np.array([40e-6, 40e-6, 60e-6, math.radians(6.0)])
 
 
 class Sets(NamedTuple):
-    """Parameter sets, best first; k of them."""
+    """k parameter sets with their errors, best first."""
 
     point: FloatArray  # (k, 8)
     error: FloatArray  # (k,) F on the identification tests, noisy data [mm]
-    apart: FloatArray  # (k,) from the trajectories of p1*, the same tests [mm]
+    apart: FloatArray  # (k,) F from the exact trajectories of p1*, the same tests [mm]
     held_out: FloatArray  # (k,) the same for test 8
-    everywhere: FloatArray  # (k,) for all eight
+    everywhere: FloatArray  # (k,) the same for all eight tests
     features: SupportFeatures
 
 
 def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
-    """Search from random starts; cluster what is as good as p1*; vary the friction of the plane.
+    """Search from random starts, cluster sets as good as p1*, and vary the plane's friction.
 
     Parameters
     ----------
     folder : Path or None
-        Not needed: the data are generated.
+        Unused, since the data are generated.
     progress : callable
     quick : bool
-        Four short searches.
+        Run four short searches.
     """
     begun = clock.perf_counter()
     starts, evaluations, wide = (4, 600, 0) if quick else (24, 3000, 6)
@@ -121,7 +121,7 @@ def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) ->
 
 
 def space() -> ParameterSpace:
-    """Friction of probe and plane, and three points in the part."""
+    """Parameter space: friction of probe and plane, and three support points in the part."""
     half = {"x": 0.5 * PART_WIDTH, "y": 0.5 * PART_LENGTH}
     corners = [
         Unknown(
@@ -135,7 +135,7 @@ def space() -> ParameterSpace:
     return ParameterSpace(
         unknowns=(
             Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.5),
-            # At exactly 0 nothing holds the part, and motion without inertia has no answer.
+            # At exactly 0 nothing resists the part, and quasi-static motion is undetermined.
             Unknown(name="mu_support", low=1e-3, high=1.0, nominal=0.5),
             *corners,
         )
@@ -143,7 +143,7 @@ def space() -> ParameterSpace:
 
 
 def made_targets(seed: int | None) -> dict[int, Target]:
-    """The eight pushes under p1*, as the camera would see them; exact where there is no seed."""
+    """Simulate the eight pushes with p1*, with the camera's errors; exact if `seed` is None."""
     draw = np.random.default_rng(seed)
     found = {}
     for test in ALL:
@@ -158,7 +158,7 @@ def made_targets(seed: int | None) -> dict[int, Target]:
 
 
 def objective(targets: dict[int, Target], tests: Sequence[int]) -> Objective:
-    """The paper's F over tests [mm]."""
+    """Create the paper's objective F over given tests [mm]."""
     comparer = Comparer(
         [targets[test] for test in tests], space(), RootMeanSquare(angle_scale=LENGTH)
     )
@@ -166,7 +166,7 @@ def objective(targets: dict[int, Target], tests: Sequence[int]) -> Objective:
 
 
 def searched(wanted: Objective, starts: int, evaluations: int, seed: int = 3) -> MultiStartSearch:
-    """Nelder-Mead on nine random feasible vertices, from several starts, as in the paper."""
+    """Run Nelder-Mead from nine random feasible vertices, several times, as in the paper."""
     optimiser = MultiStart(
         optimiser=NelderMead(
             random_simplex=True, size=1e-3, restarts=2, max_evaluations=evaluations
@@ -180,7 +180,7 @@ def searched(wanted: Objective, starts: int, evaluations: int, seed: int = 3) ->
 
 
 def judged(search: MultiStartSearch, noisy: dict[int, Target], exact: dict[int, Target]) -> Sets:
-    """What each search found, best first."""
+    """Best parameter set of each search, with its errors, best first."""
     ends = [one.best for one in search.searches if math.isfinite(one.best.error)]
     ends.sort(key=lambda best: best.error)
     points = np.array([best.point for best in ends])
@@ -195,15 +195,15 @@ def judged(search: MultiStartSearch, noisy: dict[int, Target], exact: dict[int, 
 
 
 def features_of(points: FloatArray) -> SupportFeatures:
-    """Of the supports in parameter sets (k, 8)."""
+    """Features of the supports in parameter sets (k, 8)."""
     corners = points[:, 2:].reshape(-1, 3, 2)
     return support_features(corners, np.maximum(triangle_shares(corners), 0.0))
 
 
 def clustered(sets: Sets, good: np.ndarray) -> tuple[Solution, ...]:
-    """Groups of good sets by what pushes feel of them: radii, and the angle of the larger one."""
+    """Cluster good sets by the features that affect pushes: radii, and angle of the larger one."""
     own = sets.features
-    angle = np.mod(own.angle, math.pi)  # about the middle of what occurs: no wrap in between
+    angle = np.mod(own.angle, math.pi)  # the angles that occur do not wrap in this range
     table = np.column_stack((own.mean_radius, own.radii, angle))[good]
     if not len(table):
         return ()
@@ -213,7 +213,7 @@ def clustered(sets: Sets, good: np.ndarray) -> tuple[Solution, ...]:
 def _from_all(
     noisy: dict[int, Target], exact: dict[int, Target], starts: int, evaluations: int
 ) -> list[Row]:
-    """What searches on all eight tests find; good where within a pixel on all of them."""
+    """Rows of sets found on all eight tests; good if within a pixel on all of them."""
     if not starts:
         return []
     sets = judged(searched(objective(noisy, ALL), starts, evaluations), noisy, exact)
@@ -222,7 +222,7 @@ def _from_all(
 
 
 def plane_friction(exact: dict[int, Target]) -> list[Row]:
-    """F of p1* on all tests with other frictions of the plane: balance of forces has no scale."""
+    """F of p1* on all tests with other friction of the plane, which quasi-static motion ignores."""
     wanted = objective(exact, ALL)
     values = np.array([0.001, 0.013, 0.1, 0.5, 0.757, 1.0])
     points = np.tile(P1, (len(values), 1))

@@ -1,7 +1,7 @@
-"""CMU's pushes on machined supports: are the points found again from pushes alone?
+"""CMU's pushes on machined supports: identification of the support points from pushes alone.
 
 Source: Zhou, Paolini, Bagnell & Mason (2016), A convex polynomial force-motion model for planar
-sliding, section V; the supports were machined, so a calibration has a truth to meet.
+sliding, section V. The supports were machined, so the true points are known.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from fixel.typing import FloatArray, NotedProgress
 
 
 def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
-    """Find the machined points from pushes, the friction from forces, and predict.
+    """Estimate support points from pushes, friction from forces, and predict other pushes.
 
     Parameters
     ----------
     folder : Path
-        `cmu_tripod_push`.
+        Folder `cmu_tripod_push`.
     progress : callable
     quick : bool
-        Two starts and a third of the pushes: for a look, not for figures.
+        Use two starts and a third of the pushes, as a test without meaningful figures.
     """
     begun = clock.perf_counter()
     pushes = read_pushes(folder, every=3 if quick else 1)
@@ -101,8 +101,8 @@ def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reprod
 
 
 def attainable_mm(pushes: Sequence[TripodPush], known: SupportFit, options: LeastSquares) -> float:
-    """Root mean square distance [mm] at which the same fit finds the machined points from pushes
-    that were simulated on them, with the stated noise: what the data could say at best."""
+    """Root mean square distance [mm] of fitted from machined points, for pushes simulated on the
+    machined points with the stated noise: the best accuracy that the data permit."""
     space = shared_space()
     n = len(pushes)
     point = np.append(known.values["mu_pusher"], np.zeros(2))
@@ -149,7 +149,7 @@ def _distance_row(
 
 
 def surface_friction(pushes: Sequence[TripodPush], mu_pusher: float = 0.5) -> list[Row]:
-    """Friction of each surface from forces, on the machined points; the authors' beside it."""
+    """Rows with the friction of each surface, from forces on machined points and of the authors."""
     space = ParameterSpace(
         unknowns=(Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=mu_pusher),)
     )
@@ -196,7 +196,7 @@ def _friction_row(
 
 
 def shared_space() -> ParameterSpace:
-    """What does not depend on the support: the finger's friction and where the robot stands."""
+    """Parameter space independent of the support: finger friction and registration of the robot."""
     return ParameterSpace(
         unknowns=(
             Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.5),
@@ -207,7 +207,7 @@ def shared_space() -> ParameterSpace:
 
 
 def transferred(pushes: Sequence[TripodPush], support: str, options: LeastSquares) -> list[Row]:
-    """Errors on the second half of the pushes on one support, of what was learnt elsewhere."""
+    """Errors on half of the pushes on one support, with parameters learned from other supports."""
     others = [p for p in pushes if support_of(p) not in (support, "patch")]
     own = [p for p in pushes if support_of(p) == support]
     train, test = own[::2], own[1::2]

@@ -1,7 +1,7 @@
-"""Do bounds on where real pushes end hold as many as they promise? Pushes of the MIT dataset.
+"""Coverage of bounds on the end poses of real pushes, for held-out pushes of the MIT dataset.
 
-Of each plate and surface, 60 % of the pushes calibrate the physics (protocol `calibrated`); the
-same pushes say how uncertain its unknowns are and how large its own error is. Bounds on the final
+For each plate and surface, 60 % of the pushes calibrate the physics (protocol `calibrated`). The
+same pushes determine the uncertainty of its parameters and the model error. Bounds on the final
 position and angle of the other pushes follow from these alone.
 """
 
@@ -28,20 +28,20 @@ from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 
 NAME: Final = "coverage"
-# Step of the differences, in standard deviations of what was believed; as in the fits.
+# Step of the differences, in standard deviations of the priors; as in the fits.
 STEP: Final = 0.15
-# Standard deviations of the measured first pose that its effect is told in [m, m, rad]; the data
-# find the factor.
+# Standard deviations of the measured first pose, up to a factor estimated from the data
+# [m, m, rad].
 START: Final = {"start_x": 0.5e-3, "start_y": 0.5e-3, "start_theta": 0.01}
 POSITION, ANGLE = (0, 1), (2,)
 
 
 class HeldOutPushes(NamedTuple):
-    """Held-out pushes of one group and split."""
+    """Bounds on the held-out pushes of one group and split."""
 
     key: Key
-    levels: FloatArray  # (k, 2) of the smallest bounds that hold each: position, angle
-    spreads: Spreads  # of (along, across, ARM angle) [m^2]
+    levels: FloatArray  # (k, 2) level of the smallest bound that includes each: position, angle
+    spreads: Spreads  # covariances of (along, across, ARM angle) [m^2]
     predictive: LinearPredictive
 
 
@@ -49,19 +49,19 @@ def run(
     folder: Path | None, progress: NotedProgress, *, quick: bool = False, seeds: int = 1,
     kept: Path | None = None,
 ) -> Reproduction:  # fmt: skip
-    """Bounds on pushes that were held out.
+    """Measure the coverage of bounds on held-out pushes.
 
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     progress : callable
     quick : bool
-        Three plates, 60 pushes each, rough fits.
+        Use three plates with 60 pushes each, and rough fits.
     seeds : int
-        Random splits.
+        Number of random splits.
     kept : Path, optional
-        Folder of finished fits, as `fixel benchmark real --out` leaves them in `fits`.
+        Folder of finished fits, such as `fits` of `fixel benchmark real --out`.
     """
     assert folder is not None
     begun = clock.perf_counter()
@@ -90,7 +90,7 @@ def run(
 
 
 def predicted(group: PushGroup, split: Split, found: FittedPushes) -> HeldOutPushes:
-    """Held-out pushes of a group, bounded from its training pushes."""
+    """Compute bounds on the held-out pushes of a group from its training pushes."""
     beliefs = full_beliefs(group, split.train)
     outcomes = outcomes_of(group, found, beliefs)
     good = np.asarray(np.isfinite(outcomes.residual).all(axis=1))
@@ -98,14 +98,14 @@ def predicted(group: PushGroup, split: Split, found: FittedPushes) -> HeldOutPus
     sd = np.array([belief.sd for belief in beliefs])
     predictive = fit_predictive(_rows(outcomes, train), sd, (POSITION, ANGLE))
     own = _rows(outcomes, other)
-    # A push that the physics cannot simulate has no bounds, which holds it in none of them.
+    # A push that cannot be simulated has no bounds and counts as outside all of them.
     missing = np.ones((len(split.held_out) - len(other), 2))
     levels = np.concatenate((predictive.levels_of(own), missing))
     return HeldOutPushes(group.key, levels, predictive.spreads(own), predictive)
 
 
 def outcomes_of(group: PushGroup, found: FittedPushes, beliefs: Sequence[Belief]) -> Outcomes:
-    """Ends of all pushes of a group: along and across the push, and ARM times the angle [m].
+    """End poses of all pushes of a group: along and across the push, and ARM times the angle [m].
 
     Residuals of pushes that could not be simulated are NaN.
     """
@@ -138,7 +138,7 @@ def _simulated(
 
 
 def _between(group: PushGroup, first: FloatArray, last: FloatArray) -> FloatArray:
-    """(k, 3) from one pose to another: along and across the push, ARM times the angle [m]."""
+    """Differences (k, 3) of poses: along and across the push, ARM times the angle [m]."""
     heading = group.tip_end - group.tip_start
     along = heading / np.hypot(*heading.T)[:, None]
     away = last - first
@@ -191,7 +191,7 @@ def _group_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
 
 
 def _part_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
-    """Root mean square over held-out pushes of each part's standard deviation."""
+    """Rows with the RMS over held-out pushes of each part's standard deviation."""
     rows: list[Row] = []
     for part in ("parameters", "start", "model", "total"):
         table = np.concatenate([getattr(one.spreads, part) for one in held])
@@ -245,4 +245,4 @@ def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> 
 
 
 def _silent(done: int, of: int, what: str) -> None:
-    """Nobody watches."""
+    """Progress callback that does nothing."""

@@ -1,4 +1,4 @@
-"""What is known of every push before it is made, and how far its calibrated prediction is off."""
+"""Features of every push, known before it is made, and errors of its calibrated prediction."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.splits import Split
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-# Times at which simulated pushes are looked at.
+# Number of times at which simulated pushes are sampled.
 SAMPLES: Final = 10
-# How much the way an object lies on the table counts among what makes neighbours, beside where it
-# is touched (in units of the spread of these places) and which way it is pushed.
+# Weight of the object's angle on the table in the distance of neighbours, relative to the place of
+# contact (in units of the spread of places) and the direction of the push.
 TABLE_TURN: Final = 0.5
 
 
 class PushErrors(NamedTuple):
-    """One group of pushes under one fit."""
+    """Features and errors of one group of pushes with one fit."""
 
     key: Key
     repeat: int
     split: Split
-    features: Features  # of all members
-    errors: FloatArray  # (n, 3) of all members: position [m], angle [rad], both, at 35 mm/rad [m]
+    features: Features  # features of all members
+    errors: FloatArray  # (n, 3) of all members: position [m], angle [rad], both at 35 mm/rad [m]
 
 
 def evidence_of(
     group: PushGroup, repeat: int, split: Split, found: FittedPushes, speed: FloatArray
 ) -> PushErrors:
-    """Features of all members of a group, and errors of their predictions.
+    """Compute features of all members of a group, and errors of their predictions.
 
-    Features of a push read nothing that was measured of its end; those of neighbours read the ends
-    of training pushes.
+    Features of a push never use its measured end; those of neighbours use the ends of training
+    pushes.
     """
     everyone = np.arange(len(group))
     given = found.values
@@ -84,7 +84,7 @@ def _asked(group: PushGroup, given: Mapping[str, float]) -> Configurations:
 
 
 def _near(group: PushGroup, split: Split, place: Features, residual: FloatArray) -> Features:
-    """Of training pushes, which a training push is not its own neighbour of."""
+    """Features of the nearest training pushes; a training push is not its own neighbour."""
     table = place.columns(PLACE)
     size = np.std(table[:, :2], axis=0).max()
     table = np.column_stack((table[:, :2] / size, table[:, 2:4], TABLE_TURN * table[:, 4:6]))

@@ -1,4 +1,4 @@
-"""What is fitted to the ends of pushes, what was believed of it before, and the fit."""
+"""Fits of parameters to the ends of pushes, with their priors."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from fixel.model import wrapped
 from fixel.reproductions.pushes import PART_NAMES, PushGroup
 from fixel.typing import FloatArray, IntArray
 
-# A radian counts as this much [m]; one degree as 0.6 mm.
+# Length by which angles count [m/rad]; one degree counts as 0.6 mm.
 ARM: Final = 35e-3
-# What a push is off by when all is well [m]: the weight of the priors against the pushes.
+# Typical error of a good prediction [m]; sets the weight of the priors against the pushes.
 NOISE: Final = 2.5e-3
-# Where squares become lines [m].
+# Error at which the loss changes from square to linear [m].
 WIDTH: Final = 2.0e-3
-# Of a push that could not be simulated, in x, y and angle [m]; the same whatever the parameters.
+# Error of a push that cannot be simulated, in x, y and angle [m]; independent of parameters.
 LOST: Final = 10e-3
 
 
 class Belief(NamedTuple):
-    """What is known of an unknown before a push is looked at."""
+    """Prior of one parameter: mean, standard deviation and bounds."""
 
     name: str
     mean: float
@@ -38,25 +38,25 @@ class Belief(NamedTuple):
 
 
 class FittedPushes(NamedTuple):
-    """Values found."""
+    """Fitted values of parameters."""
 
     names: tuple[str, ...]
     point: FloatArray  # (n_name,)
     evaluations: int  # pushes simulated
 
     def predict(self, group: PushGroup, which: IntArray) -> FloatArray:
-        """(n, 3) ends of members to be expected; NaN where the simulation did not finish."""
+        """Predict the end poses (n, 3) of members; NaN if the simulation did not finish."""
         values = {name: np.full(len(which), x) for name, x in self.values.items()}
         found = group.simulate(which, values)
         return np.where(found.good[:, None], found.end, np.nan)
 
     @property
     def values(self) -> dict[str, float]:
-        """By name."""
+        """Fitted values by name."""
         return dict(zip(self.names, self.point.tolist(), strict=True))
 
     def beside(self, known: Mapping[str, float]) -> FittedPushes:
-        """With values that were known already."""
+        """Add values that were known already."""
         point = np.concatenate((self.point, list(known.values())))
         return self._replace(names=(*self.names, *known), point=point)
 
@@ -65,19 +65,19 @@ class FittedPushes(NamedTuple):
 
 
 def tip_beliefs(sd: float = 0.1) -> list[Belief]:
-    """Friction at the tip: steel on steel."""
+    """Prior of the friction at the tip, steel on steel."""
     return [Belief("mu_pusher", 0.2, sd, 0.02, 0.8)]
 
 
 def load_beliefs(group: PushGroup, sd: float) -> list[Belief]:
-    """Loads on the net, as multiples of an even share."""
+    """Priors of the loads on the net of support points, as multiples of an even share."""
     return [Belief(f"load_{k + 1}", 1.0, sd, 0.0, 8.0) for k in range(len(group.points))]
 
 
 def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -> list[Belief]:
-    """How the table presses; standard deviations, zero for what is left out.
+    """Priors of the table's shape, from standard deviations; zero omits a parameter.
 
-    `bend` is for loads that are not free themselves; `quarter` of `table_bend_xy` and
+    `bend` is for loads that are not free themselves; `quarter` applies to `table_bend_xy` and
     `table_bend_diagonal`.
     """
     found = [Belief("table_bend", 0.1, bend, -1.5, 1.5)] if bend else []
@@ -90,12 +90,12 @@ def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -
 
 
 def part_beliefs(sd: float) -> list[Belief]:
-    """How loads differ between corners, edges, rim and inside, in logarithms."""
+    """Priors of log factors on the loads at corners, inside and rim, relative to other points."""
     return [Belief(name, 0.0, sd, -2.5, 2.5) for name in PART_NAMES.values()]
 
 
 def registration_beliefs(shift: FloatArray, sd: float) -> list[Belief]:
-    """About a shift found from gaps [m]."""
+    """Priors of the registration, about a shift estimated from gaps [m]."""
     return [
         Belief(f"registration_{axis}", value, sd, value - 3e-3, value + 3e-3)
         for axis, value in zip("xy", shift.tolist(), strict=True)
@@ -103,7 +103,7 @@ def registration_beliefs(shift: FloatArray, sd: float) -> list[Belief]:
 
 
 def outline_beliefs() -> list[Belief]:
-    """Where the outline is in the frame of the tracker's markers, and how large the tip."""
+    """Priors of the outline's pose in the frame of the tracker's markers, and of the tip size."""
     return [
         Belief("outline_x", 0.0, 0.5e-3, -3e-3, 3e-3),
         Belief("outline_y", 0.0, 0.5e-3, -3e-3, 3e-3),
@@ -113,7 +113,7 @@ def outline_beliefs() -> list[Belief]:
 
 
 def about(beliefs: Sequence[Belief], mean: Mapping[str, float]) -> list[Belief]:
-    """Beliefs about other means, where there are any."""
+    """Replace the means of priors by given ones, where there are any."""
     return [b._replace(mean=mean.get(b.name, b.mean)) for b in beliefs]
 
 
@@ -123,7 +123,7 @@ def gap_registration(
     prior: ArrayLike = (0.0, 0.0),
     prior_sd: float = 1e-3,
 ) -> Registration:
-    """From the gaps at the ends of pushes alone; no physics."""
+    """Estimate the registration from the gaps at the ends of pushes alone, without physics."""
     return registration_from_gaps(
         group.shape,
         PUSHER_RADIUS,
@@ -138,7 +138,7 @@ def gap_registration(
 
 
 class FitMember(NamedTuple):
-    """A group in a fit, its members, and values that are the group's own and known."""
+    """Group of pushes in a fit, its training members, and known values of the group."""
 
     group: PushGroup
     train: IntArray
@@ -151,15 +151,15 @@ def fit_pushes(
     *,
     iterations: int,
 ) -> FittedPushes:
-    """Values of unknowns that several groups share, most probable after their pushes.
+    """Fit parameters that several groups share: the most probable values given their pushes.
 
     Parameters
     ----------
     members : sequence of FitMember
-        One group, mostly.
+        Groups to fit, mostly one.
     beliefs : sequence of Belief
     iterations : int
-        Steps of Levenberg and Marquardt's method, at most.
+        Maximum number of steps of the Levenberg-Marquardt method.
     """
     mean, sd, low, high = (np.array([b[k] for b in beliefs]) for k in (1, 2, 3, 4))
     box = SearchBox(low, high, np.clip(mean, low, high), sd)
@@ -186,7 +186,7 @@ def fit_pushes(
 
 
 def _residuals(member: FitMember, names: tuple[str, ...], points: FloatArray) -> FloatArray:
-    """(k, 3 n_train) at points (k, n_name) [standard deviations]."""
+    """Residuals (k, 3 n_train) at points (k, n_name) [standard deviations]."""
     group, train = member.group, member.train
     k, n = len(points), len(train)
     values = {name: np.repeat(points[:, j], n) for j, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""How long a calibration of many pushes together takes."""
+"""Timing of a joint calibration of many pushes."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def joint_calibration(
     evaluations: int = EVALUATIONS,
     threads: int | None = None,
 ) -> Row:
-    """One objective of many real pushes of all plates and surfaces, searched in five parameters.
+    """Calibrate five parameters jointly on many real pushes of all plates and surfaces.
 
-    Pattern searches from the nominal values, then from random points, until so many evaluations of
-    the objective are made.
+    Pattern searches start from the nominal values, then from random points, until the given number
+    of evaluations of the objective is reached.
 
     Returns
     -------
     dict
-        Times, the best values, the error at the start and at the best.
+        Times, best values, and errors at the start and at the best values.
     """
     rows = usable_rows(data)
     chosen = rows[np.arange(min(pushes, len(rows))) * len(rows) // min(pushes, len(rows))]
@@ -56,7 +56,7 @@ def joint_calibration(
     stepper = StewartTrinkle(step=STEP)
     objective = Objective(Comparer(targets, SPACE, Robust(), stepper=stepper, threads=threads))
     box = SearchBox(SPACE.low, SPACE.high, SPACE.nominal, SPACE.scale)
-    objective(SPACE.nominal[None])  # compiled, or loaded
+    objective(SPACE.nominal[None])  # compile, or load compiled code
     started = clock.perf_counter()
     best, made, first = _searched(objective, box, evaluations, progress)
     seconds = clock.perf_counter() - started

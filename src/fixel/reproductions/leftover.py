@@ -1,4 +1,4 @@
-"""What the physics leaves over of pushes, learned from training pushes."""
+"""Residuals of the physics, learned from training pushes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 def learned_ends(
     group: PushGroup, split: Split, physics: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Ends (n, 3) of held-out members, and their standard deviations along the object's axes at
-    the start.
+    """Predict ends (n, 3) of held-out members, and their standard deviations along the object's
+    axes at the start.
 
     Parameters
     ----------
     physics : (m, 3) float64
-        Ends of all members by the physics; of the measured ones only those for training are read.
+        Ends of all members by the physics. Of the measured ends only those for training are used.
     """
     features = _features(group, physics, speed)
     good: BoolArray = np.asarray(np.isfinite(physics).all(axis=1))
@@ -34,8 +34,8 @@ def learned_ends(
 
 
 def _features(group: PushGroup, physics: FloatArray, speed: FloatArray) -> FloatArray:
-    """What is known before a push: tip and direction from the object, how and where the object
-    lies, the speed, and what the physics says."""
+    """Features known before a push: tip and direction in the object's frame, pose of the object,
+    speed, and motion predicted by the physics."""
     everyone = np.arange(len(group))
     heading = group.tip_end - group.tip_start
     heading = heading / np.hypot(*heading.T)[:, None]
@@ -50,7 +50,7 @@ def _features(group: PushGroup, physics: FloatArray, speed: FloatArray) -> Float
 
 
 def in_object(group: PushGroup, which: IntArray, moves: FloatArray) -> FloatArray:
-    """Small motions (n, 3) along the axes of the object at the start."""
+    """Rotate small motions (n, 3) to the axes of the object at the start."""
     return _turned(moves, -group.start[which, 2])
 
 

@@ -1,7 +1,7 @@
-"""Calibration on the straight pushes of the MIT push dataset, judged on pushes held out.
+"""Calibration on the straight pushes of the MIT push dataset, scored on held-out pushes.
 
-No number of a held-out push enters its prediction but where object and tip were at the start and
-where the tip went. Settings were chosen on inner splits of training pushes; see the how-to page.
+The prediction of a held-out push uses only the start of object and tip and the path of the tip.
+Settings were chosen on inner splits of training pushes; see the how-to page.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from fixel.reproductions.pushes import usable_rows
 from fixel.reproductions.result import Benchmark, HeldOutScores, Row
 from fixel.typing import FloatArray, NotedProgress
 
-PUBLISHED: Final = "poly4"  # the better one of the two published limit surfaces
+PUBLISHED: Final = "poly4"  # the better of the two published limit surfaces
 
 
 def benchmark_pushes(
     data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: NotedProgress
 ) -> Benchmark:
-    """Run protocols on recorded pushes.
+    """Run protocols on recorded pushes and score their predictions.
 
     Parameters
     ----------
     data : MitPushes
     request : BenchmarkRequest
     folder : Path, optional
-        Where finished fits are kept.
+        Folder in which finished fits are stored.
     progress : callable
     """
     if PUBLISHED not in data.predictions:
@@ -91,7 +91,7 @@ def _scored(bench: BenchmarkData, protocol: str, pieces: Sequence[Piece]) -> Hel
 
 
 def _errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """(2, n) distances of the frames' origins [mm] and absolute angles between them [deg]."""
+    """Errors (2, n): distances of the frames' origins [mm], absolute angles between them [deg]."""
     position, angle = pose_error(predicted, measured)
     missing = np.isnan(predicted).any(axis=1)
     return np.where(missing, np.nan, np.stack((position * 1e3, np.degrees(np.abs(angle)))))

@@ -1,4 +1,4 @@
-"""Reproductions of published work by name: the folder each needs, and what runs it."""
+"""Reproductions of published work by name, with their dataset folders and functions."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from fixel.typing import NotedProgress
 
 
 class Part(NamedTuple):
-    """One reproduction."""
+    """Reproduction: folder of its data and function that runs it."""
 
-    folder: str | None  # of its dataset; empty for the folder of all, None where it needs none
+    folder: str | None  # folder of its dataset; empty for the folder of all datasets, None for none
     run: Callable[..., Reproduction]  # (folder, progress, *, quick[, kept])
-    keeps: bool = False  # whether it takes a folder of finished fits
+    keeps: bool = False  # whether it accepts a folder of finished fits
 
 
 REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
@@ -57,20 +57,20 @@ def reproduce(
     progress: NotedProgress | None = None,
     quick: bool = False,
 ) -> Reproduction:
-    """Run one reproduction, and leave its tables and picture in a folder.
+    """Run one reproduction, and write its tables and figure to a folder.
 
     Parameters
     ----------
     name : str
-        Out of `REPRODUCTIONS`.
+        Name of the reproduction, one of `REPRODUCTIONS`.
     data : Path, optional
-        Folder of the datasets, or of the one.
+        Folder of all datasets, or of the required one.
     out : Path, optional
-        Receives `<name>.json`, a table of each kind as `<name>_<table>.csv`, and `<name>.png`;
-        finished fits in `fits`, where there are any.
+        Folder for `<name>.json`, a `<name>_<table>.csv` for each table, and `<name>.png`; also for
+        finished fits in `fits`, if there are any.
     progress : callable, optional
     quick : bool
-        A look, not figures.
+        Test run without meaningful figures.
     """
     if name not in REPRODUCTIONS:
         raise InvalidInput(
@@ -86,7 +86,7 @@ def reproduce(
 
 
 def write(answer: Reproduction, out: Path) -> None:
-    """Leave tables and picture in a folder, which is made."""
+    """Write tables and figure to a folder, which is created."""
     from fixel.drawing.chart import AbstractChart, draw_chart
     from fixel.reproductions.charts.reproductions import draw
 
@@ -123,4 +123,4 @@ def _folder(data: Path | None, name: str) -> Path:
 
 
 def _silent(done: int, of: int, what: str) -> None:
-    """Nobody watches."""
+    """Progress callback that does nothing."""

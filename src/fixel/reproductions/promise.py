@@ -1,8 +1,8 @@
-"""Whether promised bounds on the calibrated simulator's errors hold, on real held-out pushes.
+"""Coverage of error bounds for the calibrated simulator, on real held-out pushes.
 
-The pushes held out of a fit are halved at random within every group: one half judges the promise,
-bounds are counted on the other, and the other way round. Training pushes of the fit shape the model
-of errors, and nothing else.
+The held-out pushes of a fit are halved at random within every group. One half calibrates the
+bounds, coverage is counted on the other, and vice versa. The training pushes of the fit are used
+only to shape the model of errors.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
-HALVINGS: Final = 2  # of the held-out pushes of every fit; each counts both ways
+HALVINGS: Final = 2  # number of halvings of the held-out pushes of every fit, each used both ways
 SEEDS: Final = 3
-# Settings were chosen on a half of the held-out pushes of this split; the others are reported.
+# Settings were chosen on half of the held-out pushes of this split; the other splits are reported.
 CHOSEN_ON: Final = 0
 WHAT: Final = {"position": ("mm", 1e3), "angle": ("deg", 180.0 / np.pi), "both": ("mm", 1e3)}
 
 
 class PushTable(NamedTuple):
-    """All pushes under the fits of one split."""
+    """Features and errors of all pushes with the fits of one split."""
 
     features: FloatArray  # (n, f)
     errors: FloatArray  # (n, 3)
@@ -41,31 +41,31 @@ class PushTable(NamedTuple):
 
 
 class HalfCount(NamedTuple):
-    """One half judged by the other."""
+    """Bounds and errors of one half, with bounds calibrated on the other."""
 
     repeat: int
-    which: IntArray  # (m,) rows of the table that were counted
+    which: IntArray  # (m,) counted rows of the table
     group: IntArray  # (m,)
     error: FloatArray  # (m,)
     bound: FloatArray  # (n_level, m)
     constant: float
-    constant_of_group: FloatArray  # (m,) inf where a group has too few
+    constant_of_group: FloatArray  # (m,) inf if the group has too few pushes
 
 
 def run(
     folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
-    """Measure coverage and sharpness.
+    """Measure coverage and sharpness of the error bounds.
 
     Parameters
     ----------
     folder : Path
-        `mit_push_endpoints`.
+        Folder `mit_push_endpoints`.
     progress : callable
     quick : bool
-        Three plates, few pushes, one split.
+        Use three plates, few pushes and one split.
     kept : Path, optional
-        Folder of finished fits, of the protocol `calibrated`.
+        Folder of finished fits of the protocol `calibrated`.
     """
     begun = clock.perf_counter()
     request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else SEEDS, quick=quick)
@@ -103,7 +103,7 @@ def run(
 
 
 def _tables(bench: BenchmarkData) -> tuple[list[PushTable], tuple[str, ...]]:
-    """One for each split; names of the features."""
+    """Tables of pushes, one per split, and names of the features."""
     found: list[list[PushErrors]] = [[] for _ in range(bench.request.seeds)]
     for key in bench.rows:
         group = bench.group(key)
@@ -140,7 +140,7 @@ def _both_ways(
 
 
 def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
-    """Held-out rows in two halves, each group apart."""
+    """Halve the held-out rows at random, separately in each group."""
     rng = np.random.default_rng(seed)
     halves: tuple[list[int], list[int]] = ([], [])
     for group in np.unique(table.group):
@@ -175,16 +175,16 @@ def _counted(
     )  # fmt: skip
 
 
-# --- what is told of them -----------------------------------------------------------------------
+# --- tables -------------------------------------------------------------------------------------
 
 
 def _reported(counted: Sequence[HalfCount]) -> list[HalfCount]:
-    """Those of splits on which nothing was chosen; all where there are no others."""
+    """Counts of splits on which no settings were chosen, or all if there are no such splits."""
     return [own for own in counted if own.repeat != CHOSEN_ON] or list(counted)
 
 
 def _joined(counted: Sequence[HalfCount]) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Errors (n,), bounds (n,) at the level, groups (n,) and constant bounds (n, 2)."""
+    """Concatenate errors (n,), bounds (n,) at the level, groups (n,), constant bounds (n, 2)."""
     at = LEVELS.index(LEVEL)
     constant = np.concatenate(
         [np.column_stack((np.full(len(c.error), c.constant), c.constant_of_group)) for c in counted]
@@ -198,7 +198,7 @@ def _joined(counted: Sequence[HalfCount]) -> tuple[FloatArray, FloatArray, IntAr
 
 
 def _overall(what: str, counted: Sequence[HalfCount]) -> list[Row]:
-    """Of the splits that are reported, then of each split, and of the single counts."""
+    """Rows of the reported splits together, then of each split."""
     repeats = sorted({own.repeat for own in counted})
     parts = [("reported", _reported(counted))]
     parts += [(f"split {k}", [own for own in counted if own.repeat == k]) for k in repeats]

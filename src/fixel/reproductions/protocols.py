@@ -1,4 +1,4 @@
-"""The protocols: what is learned from which pushes, to predict which others."""
+"""Protocols of the benchmark: which pushes are used for training, and which are predicted."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from fixel.reproductions.result import Row
 from fixel.reproductions.splits import Split, few_of, folds, random_split
 from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
 
-SHARE: Final = 0.6  # of the pushes for training, where there are no folds
-FEW_PUSHES: Final = 10
-# Standard deviations of loads on the net.
+SHARE: Final = 0.6  # share of the pushes for training, if there are no folds
+FEW: Final = 10
+# Standard deviations of the loads on the net.
 FREE: Final = 1.0
 FREEDOMS: Final = (1.5, 0.3, 3.0)
-# Of each other shape in the fit of what a surface has in common.
+# Maximum number of pushes of each other shape in the joint fit of a surface.
 MAX_OF_OTHERS: Final = 100
 QUICK_SHAPES, QUICK_PUSHES, QUICK_ITERATIONS = 3, 60, 4
 ITERATIONS: Final = 10
@@ -55,20 +55,20 @@ PROTOCOLS: Final[dict[str, str]] = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkRequest:
-    """What is asked of the benchmark.
+    """Request of a benchmark: protocols, splits and effort.
 
     Parameters
     ----------
     protocols : tuple of str
-        Out of `PROTOCOLS`.
+        Names of protocols out of `PROTOCOLS`.
     seeds : int
-        Random splits, each with 60 % of every surface, shape and speed for training.
+        Number of random splits, each with 60 % of every surface, shape and speed for training.
     folds : int
-        Instead of these, each push held out once; 0 for random splits.
+        Number of folds, with each push held out once; 0 for random splits.
     quick : bool
-        A few plates of one surface, few pushes, few iterations: to see that it works.
+        Use a few plates of one surface, few pushes and few iterations, as a test.
     threads : int, optional
-        All cores where left out.
+        Number of threads; by default all cores.
     """
 
     protocols: tuple[str, ...] = tuple(PROTOCOLS)
@@ -94,12 +94,12 @@ class BenchmarkRequest:
 
 
 class Piece(NamedTuple):
-    """Held-out members of one group, predicted."""
+    """Predictions for the held-out members of one group."""
 
     group: PushGroup
     repeat: int
-    which: IntArray  # numbers of the members
-    end: FloatArray  # (n, 3) predicted
+    which: IntArray  # indices of the members
+    end: FloatArray  # (n, 3) predicted end poses
     fit: Row
     inside: BoolArray | None = None  # (n, 3)
 
@@ -133,7 +133,7 @@ class BenchmarkData:
         return self._groups[key]
 
     def on_surface(self, key: Key) -> list[Key]:
-        """All plates on the surface of one."""
+        """Keys of all plates on the same surface as a given one."""
         return [own for own in self.rows if own[0] == key[0]]
 
     def splits(self, key: Key) -> list[Split]:
@@ -149,7 +149,7 @@ class BenchmarkData:
         members: Sequence[FitMember],
         beliefs: Sequence[Belief],
     ) -> FittedPushes:
-        """The fit of that name, from the folder if it is there."""
+        """Fit parameters, or load a finished fit of that name from the folder."""
         iterations = self.request.iterations
 
         def compute() -> Row:
@@ -169,7 +169,7 @@ class BenchmarkData:
 
 
 def _data_of(member: FitMember) -> list[Any]:
-    """All that a fit takes from a group."""
+    """Data of a group that a fit depends on."""
     group, own = member.group, member.train
     measured = (group.start, group.end, group.tip_start, group.tip_end)
     return [group.key, group.shape.outline, *(a[own] for a in measured), dict(member.known)]
@@ -184,7 +184,7 @@ def _calibrated(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
 
 
 def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
-    """Of everything that pushes of one plate on one surface say something about."""
+    """Priors of all parameters that pushes of one plate on one surface can determine."""
     shift = gap_registration(group, train).shift
     return [
         *tip_beliefs(),
@@ -198,7 +198,7 @@ def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
 def full_fit(
     bench: BenchmarkData, group: PushGroup, repeat: int | str, split: Split
 ) -> FittedPushes:
-    """Physics calibrated on a split's training pushes."""
+    """Calibrate the physics on a split's training pushes."""
     member = FitMember(group, split.train, {})
     beliefs = full_beliefs(group, split.train)
     return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
@@ -215,9 +215,9 @@ def _unregistered(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
 
 
 def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
-    """A handful of pushes of every plate: what plates have in common comes from all of these.
+    """Predict from a few pushes of each plate, with common parameters from all plates together.
 
-    With so few, how free the loads are decides: three answers to that are averaged.
+    With so few pushes, the prior width of the loads matters; the results of three are averaged.
     """
     for k, split in enumerate(bench.splits(key)):
         group = bench.group(key)
@@ -244,8 +244,8 @@ def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
 def _in_common(
     bench: BenchmarkData, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
 ) -> tuple[FloatArray, FittedPushes]:
-    """What plates on a surface share: the median of their registrations (2,), and a joint fit of
-    friction at the tip and of how loads are spread."""
+    """Common parameters of plates on a surface: median of their registrations (2,), and a joint
+    fit of tip friction and load distribution."""
     members = []
     shifts = []
     for own, some in train.items():
@@ -259,7 +259,7 @@ def _in_common(
 
 
 def _new_shape(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
-    """The plate has no part in anything that predicts it."""
+    """Predict a plate from other plates on the surface only."""
     others = [own for own in bench.on_surface(key) if own != key]
     if others:
         rng = np.random.default_rng(0)
@@ -304,7 +304,7 @@ def _learned(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
 def _piece(
     bench: BenchmarkData, group: PushGroup, repeat: int, which: IntArray, *found: FittedPushes
 ) -> Piece:
-    """The prediction of a fit, or the mean of several."""
+    """Predict members with a fit, or with the mean prediction of several fits."""
     fit = {
         "surface": group.key[0],
         "shape": group.key[1],

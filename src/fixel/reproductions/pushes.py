@@ -1,4 +1,4 @@
-"""Straight pushes of one plate on one surface, ready to be simulated thousands of times."""
+"""Straight pushes of one plate on one surface, prepared for thousands of simulations."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-# The clock of quasi-static pushes is anybody's: all are simulated at one speed [s], in steps of
-# 1 mm. Steps of 0.5 mm gave the same held-out errors within 0.01 mm and 0.01 degrees.
+# Quasi-static pushes do not depend on time: all are simulated at one speed [s], in steps of 1 mm.
+# Steps of 0.5 mm gave the same held-out errors within 0.01 mm and 0.01 degrees.
 DURATION: Final = 5.0
 STEP: Final = 0.1
-# An overlap at the start is taken back over this part of the stroke.
+# The correction of an overlap at the start fades over this share of the stroke.
 FADE: Final = 0.1
 
-# Logarithms of factors on the loads of a part of the net, beside those on edges, or inside where
-# the outline is smooth: how plates are made, and what tables do to them.
+# Names of logarithmic factors on the loads of a part of the net, relative to edges, or to the
+# inside if the outline is smooth; they describe irregularities of plates and tables.
 PART_NAMES: Final = {"corner": "at_corners", "inside": "inside", "ring": "at_rim"}
 _ON_LOADS: Final = (*TABLE_NAMES, *PART_NAMES.values())
 
@@ -45,15 +45,15 @@ Tracker = Callable[[IntArray, Mapping[str, FloatArray]], tuple[FloatArray, BoolA
 
 
 class PushEnds(NamedTuple):
-    """Where pushes ended."""
+    """End poses of simulated pushes."""
 
     end: FloatArray  # (n, 3) pose of the object [m, m, rad]
-    good: BoolArray  # (n,) whether the simulation came to its end
+    good: BoolArray  # (n,) whether the simulation converged
 
 
 @final
 class PushGroup:
-    """Pushes of one plate on one surface, all speeds together.
+    """Pushes of one plate on one surface, at all speeds.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ class PushGroup:
     key : (str, str)
         Surface and shape.
     rows : (n,) int
-        Of the data.
+        Rows of the data.
     threads : int, optional
-        All cores where left out.
+        Number of threads; by default all cores.
     """
 
     def __init__(
@@ -85,28 +85,28 @@ class PushGroup:
         self._net = Ensemble(self.cases, stepper=stepper, threads=threads)
         self.nominal = self._nominal()
         turned = wrapped(self.nominal.end[:, 2] - self.start[:, 2])
-        # The loads of a push are those half way, as far as even pressure tells where that is.
+        # Loads are those half way through a push, at the angle estimated with even pressure.
         self.middle = self.start[:, 2] + 0.5 * np.where(self.nominal.good, turned, 0.0)
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> PushEnds:
-        """Simulate members on the net of points.
+        """Simulate members on the net of support points.
 
         Parameters
         ----------
         which : (n,) int
-            Numbers of the members.
+            Indices of the members.
         values : mapping of name to (n,) float64
-            Parameters of the scene, and of `TABLE_NAMES` and `PART_NAMES`.
+            Parameters of the scene, and those in `TABLE_NAMES` and `PART_NAMES`.
         """
         outcome = self._net.simulate(which, self._given(which, values))
         return PushEnds(outcome.pose[:, -1], outcome.converged)
 
     def tracks(self, samples: int, threads: int | None = None) -> Tracker:
-        """Simulates members as `simulate` does, but tells where the object is at `samples` equal
-        intervals: (n, samples, 3), and (n,) whether it came to its end."""
+        """Create a function like `simulate` that returns poses (n, samples, 3) of the object at
+        equal intervals, and a mask (n,) of converged simulations."""
         times = DURATION * np.arange(1, samples + 1) / samples
         cases = [case._replace(times=times) for case in self.cases]
         ensemble = Ensemble(cases, stepper=StewartTrinkle(step=STEP), threads=threads)
@@ -120,7 +120,7 @@ class PushGroup:
         return track
 
     def _given(self, which: IntArray, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Parameters of the scene alone."""
+        """Convert factors on loads to parameters of the scene."""
         given = {name: v for name, v in values.items() if name not in _ON_LOADS}
         if any(name in values for name in _ON_LOADS):
             given |= self._loads(which, values)
@@ -136,14 +136,14 @@ class PushGroup:
         return {name: values.get(name, 1.0) * factor[:, k] for k, name in enumerate(names)}
 
     def _nominal(self) -> PushEnds:
-        """Nothing calibrated: even pressure, friction as in the published simulator."""
+        """Simulate uncalibrated pushes: even pressure, friction as in the published simulator."""
         n = len(self.rows)
         mu = np.full(n, NOMINAL["mu_pusher"])
         outcome = self._even.simulate(np.arange(n), {"mu_pusher": mu})
         return PushEnds(outcome.pose[:, -1], outcome.converged)
 
     def _paths(self) -> FloatArray:
-        """(n, 3, 4) waypoints of the tips, which touch the object at the start at the nearest."""
+        """Waypoints (n, 3, 4) of the tips, moved out of the object at the start."""
         begin, way = self.tip_start, self.tip_end - self.tip_start
         _, offset = moved_to_contact(self.shape, PUSHER_RADIUS, self.start, begin)
         path = np.zeros((len(begin), 3, 4))
@@ -184,14 +184,14 @@ def _pusher(path: FloatArray) -> Pusher:
 
 
 def usable_rows(data: MitPushes) -> IntArray:
-    """Rows that fit their own geometry: those that `fixel replay` keeps."""
+    """Rows consistent with their own geometry, as selected by `fixel replay`."""
     fits = (np.abs(data.gap_start) <= LARGEST_GAP) & (data.gap_end >= -LARGEST_GAP)
     fits &= np.abs(data.stroke - STROKE) <= MAX_STROKE_ERROR
     return np.flatnonzero(fits)
 
 
 def rows_by_key(data: MitPushes, rows: IntArray) -> dict[Key, IntArray]:
-    """Rows of each surface and shape, in the order of their names."""
+    """Rows of each surface and shape, sorted by their names."""
     surface, shape = data.surface.tolist(), data.shape.tolist()
     keys = [(surface[row], shape[row]) for row in rows.tolist()]
     return {

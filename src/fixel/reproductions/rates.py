@@ -1,8 +1,8 @@
-"""Errors relative to how far things move and how large they are, beside what the paper quotes.
+"""Errors relative to the motion and size of objects, compared with those of the ASME paper.
 
-The ASME paper calls a simulation good that is 20 um RMS off over 600 um of motion, and whose part
-turns within 1 to 3 degrees of the measured angle. Millimetres of other rigs say nothing beside
-these; shares of the motion do.
+The paper calls a simulation good with an RMS error of 20 um over 600 um of motion, and angles
+within 1 to 3 degrees of the measured ones. Errors of rigs of other sizes are comparable only as
+shares of the motion.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from fixel.typing import FloatArray, NotedProgress
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION
 PAPER_ANGLE: Final = (1.0, 3.0)  # [deg]
-# What can be simulated without telling a simulator more than was recorded.
+# Hypotheses that use no more information than was recorded.
 RPI_SHOWN: Final = ("as recorded", "push above the plane, friction")
 NOTHING: Final = "nothing fitted"
 NOT_SIMULATED: Final = {
@@ -43,29 +43,29 @@ NOT_SIMULATED: Final = {
 
 
 class RateErrors(NamedTuple):
-    """Of one simulator on one dataset; one entry for each push, window or frame."""
+    """Errors of one simulator on one dataset; one entry for each push, window or frame."""
 
     dataset: str
     simulator: str
-    judged: str  # on what
+    judged: str  # kind of poses that are compared
     position: FloatArray  # (n,) [m]
     angle: FloatArray  # (n,) absolute [rad]
-    motion: float  # how far the object moves, on average [m]
-    size: float  # largest extent of the object, on average [m]
+    motion: float  # mean motion of the object [m]
+    size: float  # mean of the largest extent of the object [m]
 
 
 def run(
     folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
-    """Errors of each dataset in the folder, as shares.
+    """Compute errors on each dataset in the folder, as shares of motion and size.
 
     Parameters
     ----------
     folder : Path
-        Of the datasets; what is not there is left out, and said.
+        Folder of the datasets; missing ones are reported as left out.
     progress : callable
     quick : bool
-        Few pushes of each.
+        Use few pushes of each dataset.
     kept : Path, optional
         Folder of finished fits to the MIT pushes.
     """

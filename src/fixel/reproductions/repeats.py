@@ -1,7 +1,7 @@
-"""Real repetitions: does the spread predicted before a push hold the one that was measured?
+"""Real repetitions: comparison of the predicted spread of ends with the measured one.
 
-Source: logs of repeated two-finger pushes (CMU 2017), and trials of RPI's 2dgad database that start
-alike.
+Source: logs of repeated two-finger pushes (CMU 2017), and trials of RPI's 2dgad database with
+nearly equal starts.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.starts import StartError, even_points
 
 RANGES: Final = {
-    # What is not known of a rig, the same in all runs of a group: friction of steel or aluminium
-    # fingers, where the load of a block lies [m], where the fingers are in the robot's frame [m].
+    # Unknown parameters of a rig, equal in all runs of a group: friction of steel or aluminium
+    # fingers, centre of a block's load [m], place of the fingers in the robot's frame [m].
     "mu_pusher": (0.15, 0.5),
     "friction_centre_x": (-3e-3, 3e-3),
     "friction_centre_y": (-3e-3, 3e-3),
@@ -35,43 +35,43 @@ RANGES: Final = {
     "registration_y": (-1.5e-3, 1.5e-3),
 }
 
-STEP: Final = 0.05  # [s], 1 to 2 mm of the fingers
-WORLDS: Final = 300  # rigs drawn from the ranges, each with as many runs as the group has
+STEP: Final = 0.05  # [s], 1 to 2 mm of motion of the fingers
+WORLDS: Final = 300  # number of rigs drawn from the ranges, each with the group's number of runs
 
-# Position and angle are judged each at 97.5 %, so that both hold with 95 %.
+# Position and angle have limits of 97.5 % each, so that both are met with 95 %.
 QUANTILE: Final = 0.975
 WANTED: Final = 0.9
 
 
 class GroupPrediction(NamedTuple):
-    """A group, predicted and measured; standard deviations of position [m] and angle [rad]."""
+    """Predicted and measured standard deviations of a group: position [m] and angle [rad]."""
 
     name: str
     kind: str
     n: int
-    start: FloatArray  # (2,) of the starts, measured
-    end: FloatArray  # (2,) of the ends, measured
-    median: FloatArray  # (2,) predicted for as many runs
-    limit: FloatArray  # (2,) 97.5 % of the predicted ones lie below
-    least: FloatArray  # (2,) 2.5 % do
+    start: FloatArray  # (2,) measured, of the starts
+    end: FloatArray  # (2,) measured, of the ends
+    median: FloatArray  # (2,) predicted for the same number of runs
+    limit: FloatArray  # (2,) 97.5 % quantile of the predicted ones
+    least: FloatArray  # (2,) 2.5 % quantile
     failed: int
 
     @property
     def covered(self) -> bool:
-        """Whether both lie below their limit."""
+        """Whether both measured spreads of the ends are within their limits."""
         return bool((self.end <= self.limit).all())
 
 
 def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
-    """Predict the spread of every group from the others' starts, and look.
+    """Predict the spread of every group from the starts of other groups, and compare.
 
     Parameters
     ----------
     folder : Path or None
-        Of the two-finger pushes; RPI's trials are looked for beside it.
+        Folder of the two-finger pushes; RPI's trials are searched next to it.
     progress : callable
     quick : bool
-        Few rigs.
+        Draw few rigs.
     """
     begun = clock.perf_counter()
     if folder is None:
@@ -109,8 +109,8 @@ def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) ->
 
 
 def _two_point(group: RepeatGroup, groups: list[RepeatGroup], worlds: int) -> GroupPrediction:
-    """Other start poses say how well a start is met, and how well an end is seen; of the group's
-    own runs nothing is used but their mean start."""
+    """Predict a group with the start and measurement errors of groups with other start poses. Of
+    the group's own runs, only their mean start is used."""
     others = [other for other in groups if other.start_pose != group.start_pose]
     error = pooled([other for other in others if other.by_hand == group.by_hand])
     noise = rig_noise(others)[[0, 0, 1]]
@@ -155,7 +155,7 @@ def _judged(
 
 
 def scatter(poses: FloatArray) -> FloatArray:
-    """(2,) standard deviations of poses (n, 3): position, both axes together [m], angle [rad]."""
+    """Standard deviations (2,) of poses (n, 3): position, both axes together [m], angle [rad]."""
     angle = poses[0, 2] + wrapped(poses[:, 2] - poses[0, 2])
     off = np.column_stack((poses[:, :2], angle))
     square = ((off - off.mean(axis=0)) ** 2).sum(axis=0) / (len(poses) - 1)
@@ -163,7 +163,7 @@ def scatter(poses: FloatArray) -> FloatArray:
 
 
 def pooled(groups: list[RepeatGroup]) -> StartError:
-    """Standard deviations of starts about the mean of their group."""
+    """Pool the standard deviations of starts about the means of their groups."""
     square, freedom = np.zeros(3), 0
     for group in groups:
         off = group.start - group.start.mean(axis=0)
@@ -175,7 +175,7 @@ def pooled(groups: list[RepeatGroup]) -> StartError:
 
 
 def _rigs(worlds: int, n: int) -> dict[str, FloatArray]:
-    """Parameters (worlds * n,): the same for the n runs of a rig."""
+    """Draw parameters (worlds * n,) of rigs, equal for the n runs of a rig."""
     shares = even_points(worlds, len(RANGES), seed=5)
     return {
         name: np.repeat(low + (high - low) * shares[:, k], n)

@@ -1,4 +1,4 @@
-"""What a reproduction of published work leaves behind: tables, conclusions, a picture."""
+"""Result of a reproduction of published work: tables, conclusions and a figure."""
 
 from __future__ import annotations
 
@@ -8,27 +8,25 @@ from typing import Any, final
 
 Row = dict[str, Any]
 
-# Told after each part: how many of how many are done, and what was.
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reproduction:
-    """Tables of plain numbers, units in the names, and what they say.
+    """Tables of plain numbers, with units in the names, and conclusions from them.
 
     Attributes
     ----------
     name : str
     tables : mapping of str to list of dict
-        Rows of plain values.
+        Tables as rows of plain values.
     conclusions : sequence of str
-        Sentences that the tables bear out.
+        Conclusions from the tables, in sentences.
     settings : dict
-        What it takes to do it again.
+        Settings, sufficient to repeat the reproduction.
     picture : object
-        What `fixel.reproductions.charts.reproductions.draw` asks for.
+        Figure for `fixel.reproductions.charts.reproductions.draw`.
     seconds : float
-        Time it took.
+        Wall time [s].
     """
 
     name: str
@@ -39,7 +37,7 @@ class Reproduction:
     seconds: float
 
     def summary(self) -> Row:
-        """Plain values, for `--json`."""
+        """Return all results as plain values, for `--json`."""
         return {
             "name": self.name,
             "settings": self.settings,

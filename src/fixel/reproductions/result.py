@@ -1,7 +1,7 @@
-"""What a benchmark leaves behind: errors of every scored record, and rows that sum them up.
+"""Result of a benchmark: errors of every scored record, and aggregates.
 
-Shared by all benchmarks on real data: each scores records under protocols, beside what was
-published and what the simulator says before anything is calibrated.
+All benchmarks on real data use it. Each scores records with several protocols, and compares with
+published predictions and with the uncalibrated simulator.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from fixel.reproductions.replay.report import mean_and_median
 from fixel.typing import FloatArray
 
 Row = dict[str, Any]
-# Told after each part: how many of how many are done, and what they are.
 
+# Value of a group's column in rows that aggregate over all groups.
 ALL: Final = "all"
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOutScores:
-    """Held-out records of one protocol; every array has one entry each.
+    """Errors of the held-out records of one protocol; arrays have one entry per record.
 
     Attributes
     ----------
     protocol : str
     names : tuple of str
-        Of the records; one may come several times, held out by several splits.
+        Names of the records; several splits may hold out the same record.
     repeat : (n,) int
-        Which split, or fold.
+        Index of the split or fold.
     groups : tuple of tuple of str
-        What each belongs to, from coarse to fine: surface, shape.
+        Groups of each record, from coarse to fine: surface, shape.
     position, angle : mapping from model to (n,) float64
-        Errors [mm], absolute ones [deg]; NaN where a model has no answer.
+        Errors [mm] and absolute errors [deg]; NaN if a model has no prediction.
     inside : (n, 3) bool array, optional
-        Whether x, y and angle lie in the interval predicted to hold 90 %.
+        Whether x, y and angle are within their predicted 90 % intervals.
     """
 
     protocol: str
@@ -57,18 +57,18 @@ class HeldOutScores:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Benchmark:
-    """The answer of a benchmark on one dataset.
+    """Result of a benchmark on one dataset.
 
     Attributes
     ----------
     part : str
-        `"mit"`.
+        Name of the part, such as `"mit"`.
     scored : tuple of HeldOutScores
     settings, timing : dict
-        Enough to do it again; wall times [s].
+        Settings, sufficient to repeat it; wall times [s].
     notes : tuple of str
     fits : tuple of dict
-        What was found, one a fit.
+        Fitted values, one entry per fit.
     """
 
     part: str
@@ -80,11 +80,11 @@ class Benchmark:
 
     @property
     def rows(self) -> list[Row]:
-        """One a protocol and group, and one a protocol of all its groups together."""
+        """Aggregates: one row per protocol and group, and one per protocol for all its groups."""
         return [row for scored in self.scored for row in rows_of(scored)]
 
     def summary(self) -> Row:
-        """The answer of `--json`."""
+        """Return the output of `--json`."""
         return {
             "part": self.part,
             "settings": self.settings,
@@ -95,7 +95,7 @@ class Benchmark:
 
 
 def rows_of(scored: HeldOutScores) -> list[Row]:
-    """Aggregates of the whole, of the coarse groups and of the fine ones."""
+    """Aggregate over all records, over coarse groups and over fine ones."""
     rows = [_row(scored, (ALL, ALL), np.ones(len(scored.names), bool))]
     for depth in (1, 2):
         for group in sorted({own[:depth] for own in scored.groups if len(own) >= depth}):
@@ -105,7 +105,7 @@ def rows_of(scored: HeldOutScores) -> list[Row]:
 
 
 def _row(scored: HeldOutScores, group: tuple[str, ...], chosen: NDArray[np.bool_]) -> Row:
-    """Every model on the same records: those that all of them have an answer to."""
+    """Aggregate the errors of every model, on the records that all models can predict."""
     common = chosen & np.all([np.isfinite(v) for v in scored.position.values()], axis=0)
     row: Row = {
         "protocol": scored.protocol,
@@ -125,7 +125,7 @@ def _row(scored: HeldOutScores, group: tuple[str, ...], chosen: NDArray[np.bool_
 
 
 def flat(row: Row) -> Row:
-    """A row without nesting, for a table: `calibrated_position_mm_mean`."""
+    """Flatten a nested row for a table; names become `calibrated_position_mm_mean`."""
     found: Row = {}
     for name, value in row.items():
         if isinstance(value, dict):
@@ -136,7 +136,7 @@ def flat(row: Row) -> Row:
 
 
 def write_tables(answer: Benchmark, folder: Path) -> list[Path]:
-    """`rows.csv` with the aggregates and `pushes.csv` with every record."""
+    """Write `<part>_rows.csv` with aggregates and `<part>_pushes.csv` with every record."""
     files = [folder / f"{answer.part}_rows.csv", folder / f"{answer.part}_pushes.csv"]
     _write(files[0], [flat(row) for row in answer.rows])
     _write(files[1], [row for scored in answer.scored for row in _records(scored)])

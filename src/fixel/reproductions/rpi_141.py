@@ -1,8 +1,8 @@
-"""RPI's experiment 141: why simulations miss it, one explanation at a time and together.
+"""RPI's experiment 141: explanations of simulation errors, one at a time and combined.
 
-One run cannot decide between explanations that all fit it. Each is therefore judged three times:
-by its error when fitted to all of the run, by its error before the square meets a fixel when fitted
-to that, and by how it predicts the contact with fixel 2 that it was not fitted to.
+One run cannot decide between explanations that all fit it. Therefore each has three errors: fitted
+to the whole run; fitted to the part before the square meets a fixel, on that part; and with the
+latter fit, on the contact with fixel 2.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray, NotedProgress
 
 EXPERIMENT: Final = "141"
-RATE: Final = 30.0  # video frames a second
+RATE: Final = 30.0  # video frames per second
 
 # Frame at which the square meets fixel 2 (its tactile signal comes on at 115).
 FREE_UNTIL: Final = 112
@@ -44,23 +44,23 @@ SCALE: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])  # [mm/m, mm/m, mm/rad]
 
 
 class HypothesisFit(NamedTuple):
-    """A hypothesis at its best on some frames."""
+    """Fit of a hypothesis to some frames."""
 
     values: Mapping[str, float]
-    difference: FloatArray  # (n_frame, 3) of all useful frames
+    difference: FloatArray  # (n_frame, 3) simulated minus measured, in all useful frames
     pose: FloatArray  # (n_frame, 3)
 
 
 def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
-    """Try every hypothesis.
+    """Fit and score every hypothesis.
 
     Parameters
     ----------
     folder : Path
-        `rpi_2dgad`.
+        Folder `rpi_2dgad`.
     progress : callable
     quick : bool
-        One start each.
+        Use one start for each fit.
     """
     begun = clock.perf_counter()
     experiment = experiment_141(folder)
@@ -90,7 +90,7 @@ def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reprod
 
 
 def experiment_141(folder: Path) -> Experiment:
-    """The one complete trial."""
+    """Load the one complete trial."""
     for experiment in Rpi2dgad().read(folder).experiments():
         if experiment.name == EXPERIMENT:
             return experiment
@@ -103,7 +103,7 @@ def experiment_141(folder: Path) -> Experiment:
 def judged(
     experiment: Experiment, hypothesis: Hypothesis, starts: int
 ) -> tuple[Row, HypothesisFit]:
-    """A row of the table, and the motion of the hypothesis fitted to the whole run."""
+    """Row of the table for a hypothesis, and its fit to the whole run."""
     for change in hypothesis.changes:
         experiment = change(experiment)
     target = target_of(experiment)
@@ -127,12 +127,12 @@ def judged(
 
 
 def _frames(target: Target) -> FloatArray:
-    """Video frames, counted from 1 at 0 s."""
+    """Numbers of the video frames, counted from 1 at 0 s."""
     return np.asarray(np.rint(target.case.times * RATE) + 1.0)
 
 
 def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int) -> HypothesisFit:
-    """Fit to the frames `use` (n_frame,); the motion over all of them."""
+    """Fit a hypothesis to the frames `use` (n_frame,); return its motion over all frames."""
     names = hypothesis.fitted or ("mu_fixel",)
     space = ParameterSpace(
         unknowns=tuple(
@@ -165,7 +165,7 @@ def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int)
 
 
 def rms_mm(difference: FloatArray) -> float:
-    """Root mean square distance of poses (n, 3), angles at 35 mm/rad [mm]."""
+    """Root mean square distance of poses (n, 3), with angles at 35 mm/rad [mm]."""
     return float(np.sqrt(np.mean(np.sum((difference * SCALE) ** 2, axis=1))))
 
 
@@ -202,8 +202,8 @@ def _laboratory(folder: Path) -> Row:
 
 
 def lateral_misses(folder: Path) -> list[Row]:
-    """How far the laboratory's simulation of each trial lies sideways of the measured path, at the
-    end of its first 80 %: the actuator pushes along -y, so sideways is x."""
+    """Sideways motion of each trial, measured and in the laboratory's simulation, after 80 % of the
+    path. The actuator pushes along -y, so sideways is x."""
     measured, simulated = (
         _tracks(folder, name)
         for name in ("object_trajectory.csv.gz", "author_simulation_trajectory.csv.gz")
@@ -275,7 +275,7 @@ def _conclusions(laboratory: Row, rows: list[Row], others: list[Row]) -> list[st
 
 
 def _sideways_slope(rows: Sequence[Row]) -> float:
-    """Measured over simulated sideways motion, in least squares."""
+    """Slope of measured against simulated sideways motion, by least squares."""
     measured, simulated = (
         np.array([row[name] for row in rows]) for name in ("sideways_mm", "sideways_mm_simulated")
     )

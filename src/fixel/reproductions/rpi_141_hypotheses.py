@@ -1,4 +1,4 @@
-"""What may be wrong with a simulation of RPI's experiment 141: data, registration, model."""
+"""Hypotheses on errors of simulations of RPI's experiment 141: data, registration, model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fixel.model import (
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
 from fixel.typing import FloatArray
 
-# [low, high, nominal] of what can be fitted; the lab's own values as nominal.
+# (low, high, nominal) of parameters that can be fitted; nominal values are the laboratory's.
 BOUNDS: Final[Mapping[str, tuple[float, float, float]]] = {
     "mu_pusher": (0.0, 1.0, 0.3622),
     "mu_support": (0.02, 1.0, 0.4616),
@@ -52,8 +52,8 @@ NET: Final = SupportPoints(
 )
 EVEN: Final = UniformPressure(friction=0.4616)
 
-# How far the push of a head 29.8 mm high moves the centre of pressure forward, at most: friction
-# of the plane, 0.46, times that height [m]. Along the body's x axis, which the head pushes along.
+# Largest forward shift of the centre of pressure by the push of a head 29.8 mm high: friction of
+# the plane, 0.46, times that height [m]. It is along the body's x axis, the direction of the push.
 TILT: Final = 13.7e-3
 
 Change = Callable[[Experiment], Experiment]
@@ -62,20 +62,20 @@ Change = Callable[[Experiment], Experiment]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hypothesis:
-    """One explanation, or several together.
+    """Hypothesis on an error of the simulation, or a combination of several.
 
     Parameters
     ----------
     name : str
     fitted : tuple of str
-        Parameters it may choose; the others are the laboratory's.
+        Names of fitted parameters; the others have the laboratory's values.
     changes : tuple of callables
-        What it makes of the experiment.
+        Changes that it applies to the experiment.
     motion : AbstractMotionModel
     together : bool
         Whether it is a combination.
     verdict : str
-        What speaks for or against it besides its error.
+        Further evidence for or against it.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Hypothesis:
 
 
 def hypotheses() -> list[Hypothesis]:
-    """All of them, from the data's possible faults to the model's."""
+    """List all hypotheses, from possible faults of the data to those of the model."""
     friction = ("mu_pusher",)
     place = ("registration_x", "registration_y")
     centre = ("friction_centre_x", "friction_centre_y")
@@ -161,7 +161,7 @@ def _both(name: str, fitted: tuple[str, ...], *changes: Change) -> Hypothesis:
 
 
 def scene_of(experiment: Experiment) -> Scene:
-    """The scene, which this experiment has."""
+    """Scene of an experiment that is known to have one."""
     assert experiment.scene is not None
     return experiment.scene
 
@@ -179,13 +179,13 @@ def _standing(support: Support) -> Change:
 
 
 def _leaning(forward: float) -> Change:
-    """Pressure tilts linearly until its centre is that far along the body's x axis; without
-    inertia the centre of mass counts for nothing else."""
+    """Shift the centre of pressure along the body's x axis by a linear tilt of the pressure.
+    Without inertia, the centre of mass has no other effect."""
     return _with_body(lambda body: replace(body, centre_of_mass=np.array([forward, 0.0])))
 
 
 def _light(experiment: Experiment) -> Experiment:
-    """Gravity of 9.810 mm/s^2."""
+    """Set gravity to 9.810 mm/s^2, as in the laboratory's code."""
     return replace(experiment, scene=replace(scene_of(experiment), gravity=9.81e-3))
 
 
@@ -204,14 +204,14 @@ def _waypoints(experiment: Experiment) -> FloatArray:
 
 
 def _smoothed(experiment: Experiment) -> Experiment:
-    """The actuator where the laboratory's filter saw it."""
+    """Move the actuator along the path of the laboratory's filter."""
     path = _waypoints(experiment)
     path[:, 1:3] = next(c for c in experiment.channels if c.name == "actuator-filtered").values
     return _on_path(experiment, path)
 
 
 def _faster(experiment: Experiment) -> Experiment:
-    """10 % more travel in the same time."""
+    """Increase the actuator's travel by 10 % in the same time."""
     path = _waypoints(experiment)
     path[:, 1:3] = path[0, 1:3] + 1.1 * (path[:, 1:3] - path[0, 1:3])
     return _on_path(experiment, path)

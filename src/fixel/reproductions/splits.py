@@ -1,4 +1,4 @@
-"""Which pushes are learned from, and which are held out."""
+"""Splits of pushes into training and held-out ones."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from fixel.typing import IntArray
 
 
 class Split(NamedTuple):
-    """Members of a group, by number; nobody is in both."""
+    """Disjoint training and held-out members of a group, by index."""
 
     train: IntArray
     held_out: IntArray
 
 
 def random_split(strata: Sequence[Hashable], share: float, seed: int) -> Split:
-    """A share of every stratum at random for training, the rest held out.
+    """Select a random share of every stratum for training, and hold out the rest.
 
     Parameters
     ----------
     strata : (n,) sequence
-        Of each member: its speed, for instance.
+        Stratum of each member, for instance its speed.
     share : float
-        Between 0 and 1.
+        Share for training, between 0 and 1.
     """
     if not 0.0 < share < 1.0:
         raise InvalidInput("share", found=share, expected="a number between 0 and 1")
@@ -38,7 +38,7 @@ def random_split(strata: Sequence[Hashable], share: float, seed: int) -> Split:
 
 
 def folds(strata: Sequence[Hashable], n: int, seed: int) -> list[Split]:
-    """Splits that hold out every member exactly once, each stratum spread evenly over them."""
+    """Create splits that hold out every member exactly once, with each stratum spread evenly."""
     if not 2 <= n <= max(len(strata), 2):
         raise InvalidInput("--folds", found=n, expected=f"2 to {len(strata)}")
     rng = np.random.default_rng(seed)
@@ -51,9 +51,9 @@ def folds(strata: Sequence[Hashable], n: int, seed: int) -> list[Split]:
 
 
 def split_without(labels: IntArray, label: int, seed: int) -> Split:
-    """Three quarters of the members of every other label for training.
+    """Split that trains on three quarters of the members of every label except one.
 
-    Held out are all members of the one label, such as a side, and a quarter of the others.
+    All members of that label, such as a side, and the remaining quarters are held out.
     """
     rng = np.random.default_rng(seed)
     train: list[int] = []
@@ -64,7 +64,7 @@ def split_without(labels: IntArray, label: int, seed: int) -> Split:
 
 
 def few_of(split: Split, n: int, seed: int) -> Split:
-    """The same held out, and only `n` of those for training."""
+    """Reduce the training members to `n` random ones; held-out members stay the same."""
     rng = np.random.default_rng(seed)
     return split._replace(train=np.sort(rng.permutation(split.train)[:n]))
 

@@ -1,4 +1,4 @@
-"""Three support points from pushes: from end poses, and from forces beside them."""
+"""Estimation of three support points from the end poses of pushes, with or without forces."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy"
 
 
 class SupportFit(NamedTuple):
-    """Support points found from pushes."""
+    """Support points and friction fitted to pushes."""
 
     points: FloatArray  # (3, 2) [m], in the order nearest to the machined ones
     values: Mapping[str, float]
-    friction: Mapping[str, float]  # of the surfaces, where forces were used
+    friction: Mapping[str, float]  # surface -> coefficient, if forces were used
     deviance: float
 
 
 def support_space(outline: FloatArray) -> ParameterSpace:
-    """Friction of the finger, and three points anywhere in the outline."""
+    """Parameter space: friction of the finger, and three points in the outline's bounding box."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     middle = outline.mean(axis=0)
     guess = middle + 0.4 * (outline[:3] - middle)
@@ -61,9 +61,9 @@ def support_space(outline: FloatArray) -> ParameterSpace:
 def fitted_points(
     pushes: Sequence[TripodPush], options: LeastSquares, *, forces: bool, known: bool = False
 ) -> SupportFit:
-    """Support points and friction of the finger that explain end poses, and forces if asked.
+    """Fit support points and friction of the finger to end poses, and to forces if requested.
 
-    The friction of each surface is only felt in forces; it is solved for at every trial. With
+    The friction of each surface only affects forces; it is solved for at every trial. With
     `known`, the points are the machined ones, and only the finger's friction is fitted.
     """
     space = support_space(outline_of(pushes[0]))
@@ -96,7 +96,7 @@ def fitted_points(
 
 
 def corners_of(space: ParameterSpace, point: FloatArray) -> FloatArray:
-    """(3, 2) support points of a point of the space [m]."""
+    """Support points (3, 2) in a point of the parameter space [m]."""
     values = space.values(point)
     return np.array([values[name] for name in CORNERS]).reshape(3, 2)
 
@@ -108,8 +108,8 @@ def _force_residuals(
     corners: FloatArray,
     k: int,
 ) -> FloatArray:
-    """(k n, 2) of k trials on points (k, 1, 3, 2), each with the friction of each surface that
-    suits it best."""
+    """Residuals (k n, 2) of forces in k trials with points (k, 1, 3, 2), each with its best
+    friction of each surface."""
     points = np.broadcast_to(corners, (k, len(pushes), 3, 2)).reshape(-1, 3, 2)
     found = sliding_forces(pushes, which, difference, points)
     trial = np.repeat(np.arange(k), len(pushes))

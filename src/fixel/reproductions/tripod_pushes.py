@@ -1,4 +1,4 @@
-"""CMU's pushes on machined supports, ready to be simulated: end poses, and forces on the way."""
+"""CMU's pushes on machined supports, prepared for simulation: end poses, and forces on the way."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from fixel.typing import FloatArray
 GRAVITY: Final = 9.81  # [m/s^2]
 SURFACES: Final = ("hardboard", "plywood")
 
-# What a push can be off by that no parameter explains: tracking and registration, tip gaps of
-# 1.3 mm (5-95 %) [m], its angle over the block [rad], stick-slip of the finger and what the mean
-# of the force scatters by on the machined points [N].
+# Errors of a push that no parameter explains: tracking and registration, tip gaps of 1.3 mm
+# (5-95 %) [m], their angle over the block [rad]; stick-slip of the finger and the scatter of the
+# mean force on the machined points [N].
 POSE_NOISE: Final = np.array([1e-3, 1e-3, math.radians(1.0)])
 FORCE_NOISE: Final = 1.0
 
 # Step of the simulation [s]: 0.25 mm of the finger. End poses lie 0.04 mm (median) and 0.21 mm
 # (90 %) from those of the adaptive stepper, well inside the noise.
 STEP: Final = 0.1
-SAMPLES: Final = 24  # of the way, for the direction of sliding
+SAMPLES: Final = 24  # number of samples of the path, for the direction of sliding
 
-# Share of the fastest interval's motion from which an interval counts as sliding: in slower ones
-# the finger arrived midway.
+# An interval counts as sliding from this share of the fastest one's motion on; in slower ones the
+# finger arrived midway.
 SLIDING: Final = 0.7
 
 
 class TripodPush(NamedTuple):
-    """One push, ready for comparison."""
+    """Target of one push and its measured forces."""
 
-    target: Target  # all its poses are the measured end
+    target: Target  # all its poses are the measured end pose
     force: FloatArray  # (SAMPLES, 2) mean force on the block up to each sample [N]
 
 
 def read_pushes(folder: Path, every: int = 1) -> list[TripodPush]:
-    """Pushes of the folder whose finger ends where it says; every so many of each log."""
+    """Load the pushes of a folder that have a scene and no fault; only every `every`-th one."""
     pushes = [
         push_of(experiment)
         for experiment in CmuTripod().read(folder).experiments()
@@ -56,7 +56,7 @@ def read_pushes(folder: Path, every: int = 1) -> list[TripodPush]:
 
 
 def push_of(experiment: Experiment) -> TripodPush:
-    """The end of a push, and the force along it."""
+    """Prepare a push: measured end pose, and mean forces along the path."""
     assert experiment.scene is not None
     assert experiment.pusher is not None
     end = float(experiment.pusher.time[-1])
@@ -73,7 +73,7 @@ def push_of(experiment: Experiment) -> TripodPush:
 
 
 def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """(n, c) means of readings (m, c) between edges (n + 1,); the nearest where there is none."""
+    """Means (n, c) of readings (m, c) between edges (n + 1,); interpolated where there are none."""
     middle = 0.5 * (edges[1:] + edges[:-1])
     place = np.searchsorted(edges, time) - 1
     means = np.column_stack([np.interp(middle, time, column) for column in values.T])
@@ -84,19 +84,19 @@ def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArra
 
 
 def support_of(push: TripodPush) -> str:
-    """Name of the support."""
+    """Name of the support under a push."""
     return str(push.target.conditions["support"])
 
 
 def machined(push: TripodPush) -> FloatArray:
-    """(3, 2) points it stands on [m]."""
+    """Machined support points (3, 2) of a push [m]."""
     support = push.target.case.scene.bodies[0].support
     assert isinstance(support, SupportPoints)
     return support.points
 
 
 def outline_of(push: TripodPush) -> FloatArray:
-    """(n, 2) of the block [m]."""
+    """Outline (n, 2) of the block [m]."""
     return push.target.case.scene.bodies[0].shape.outline
 
 
@@ -104,26 +104,26 @@ def outline_of(push: TripodPush) -> FloatArray:
 
 
 def comparer_of(pushes: Sequence[TripodPush], space: ParameterSpace) -> Comparer:
-    """Simulates pushes under points of a space."""
+    """Create a comparer that simulates pushes with points of a parameter space."""
     return Comparer([p.target for p in pushes], space, stepper=StewartTrinkle(step=STEP))
 
 
 def unit_forces(way: FloatArray, points: FloatArray, shares: FloatArray) -> FloatArray:
-    """Force that slides a block, for friction and weight of 1, along ways.
+    """Compute the force that slides a block along paths, for friction and weight of 1.
 
     Parameters
     ----------
     way : (n, k, 3) float64
-        Poses [m, m, rad].
+        Poses along the paths [m, m, rad].
     points : (n, p, 2) float64
         Support points from the centre of mass, in the frame of the body [m].
     shares : (n, p) float64
-        Of the weight.
+        Shares of the weight on the points.
 
     Returns
     -------
     (n, k - 1, 2) float64
-        In the world; zero where the block does not move.
+        Forces in the world; zero where the block does not move.
 
     Source
     ------
@@ -142,7 +142,7 @@ def unit_forces(way: FloatArray, points: FloatArray, shares: FloatArray) -> Floa
 
 
 class Forces(NamedTuple):
-    """Means over the sliding part of each push; n of them."""
+    """Mean forces over the sliding part of each of n pushes."""
 
     measured: FloatArray  # (n, 2) [N]
     unit: FloatArray  # (n, 2) predicted for a friction of 1 [N]
@@ -151,8 +151,8 @@ class Forces(NamedTuple):
 def sliding_forces(
     pushes: Sequence[TripodPush], which: np.ndarray, difference: FloatArray, points: FloatArray
 ) -> Forces:
-    """Forces of rollouts (n,), from how far (n, k, 3) their poses are from the measured ends, and
-    the points (n, 3, 2) they slid on."""
+    """Compute forces of rollouts (n,) from the differences (n, k, 3) of their poses from the
+    measured ends, and from their support points (n, 3, 2)."""
     start = np.array([p.target.case.scene.bodies[0].pose for p in pushes])[which]
     end = np.array([p.target.pose[-1] for p in pushes])[which]
     way = np.concatenate((start[:, None], difference + end[:, None]), axis=1)
@@ -166,5 +166,5 @@ def sliding_forces(
 
 
 def best_friction(forces: Forces) -> float:
-    """Coefficient that makes the predicted forces meet the measured ones, in least squares."""
+    """Coefficient of friction that fits predicted to measured forces by least squares."""
     return float(np.sum(forces.measured * forces.unit) / max(np.sum(forces.unit**2), 1e-30))

@@ -1,4 +1,4 @@
-"""CMU's repeated two-finger pushes as groups: runs of one push from one planned start."""
+"""Groups of CMU's repeated two-finger pushes: runs of one push from one planned start."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
 from fixel.uncertainty.apart import Neighbour, set_apart
 
-MIN_ROWS: Final = 30  # of a push
-JUMP: Final = 4e-3  # [m], from the last pose of the push before to the first of a push
+MIN_ROWS: Final = 30  # minimum number of rows of a push
+JUMP: Final = 4e-3  # [m], minimum distance of two rows that belong to different pushes
 WAYPOINTS: Final = 40
-READINGS: Final = 3  # of the tracker that make one pose
-# [s], a reading this far from when it is wanted is none: blocks move meanwhile.
+READINGS: Final = 3  # number of readings of the tracker that are averaged to a pose
+# Maximum time between a reading and the time of interest [s]: blocks may move meanwhile.
 OLD: Final = 0.15
-MAX_APART: Final = 6e-3  # [m], how far the frame of the fingers may be off
+MAX_APART: Final = 6e-3  # [m], largest error of the fingers' frame
 
-MASS: Final = 0.1  # [kg]; without inertia it does not matter
-CORNERS: Final = 4  # straight pieces a quarter of a finger is drawn with
+MASS: Final = 0.1  # [kg]; irrelevant without inertia
+CORNERS: Final = 4  # number of straight segments per quarter circle of a finger
 
 
 class RepeatGroup(NamedTuple):
-    """One push, several times."""
+    """Repeated runs of one push."""
 
     name: str
     start_pose: str
     object: str
-    by_hand: bool  # whether a person put the object there, or the push before
-    start: FloatArray  # (runs, 3) measured [m, m, rad]
+    by_hand: bool  # whether a person placed the object, rather than the previous push
+    start: FloatArray  # (runs, 3) measured poses [m, m, rad]
     end: FloatArray  # (runs, 3)
-    path: FloatArray  # (n, 4) of the fingers' middle: time [s], pose
+    path: FloatArray  # (n, 4) of the point midway between the fingers: time [s], pose
 
     @property
     def runs(self) -> int:
-        """How many."""
+        """Number of runs."""
         return len(self.start)
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the push [s]."""
         return float(self.path[-1, 0])
 
 
 class _RepeatedPush(NamedTuple):
-    start: FloatArray | None  # None where nobody saw it
+    start: FloatArray | None  # None if it was not tracked
     end: FloatArray | None
     path: FloatArray
 
 
 def read_groups(folder: Path) -> list[RepeatGroup]:
-    """Groups of at least three runs whose start and end were seen."""
+    """Load groups of at least three runs whose start and end were tracked."""
     runs: dict[str, list[list[_RepeatedPush]]] = {}
     objects: dict[str, str] = {}
     for experiment in CmuTwoPoint().read(folder).experiments():
@@ -77,7 +77,7 @@ def read_groups(folder: Path) -> list[RepeatGroup]:
 
 
 def _at_rest(pushes: list[_RepeatedPush]) -> list[_RepeatedPush]:
-    """Nothing moves a block between pushes: where one end was not seen, the next start was."""
+    """Replace untracked ends by the next start, and vice versa: blocks rest between pushes."""
     full = list(pushes)
     for k in range(len(full) - 1):
         before, after = full[k], full[k + 1]
@@ -102,10 +102,10 @@ def _off(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rig_noise(groups: Sequence[RepeatGroup]) -> FloatArray:
-    """(2,) standard deviations of a measured end that no block can have [m], [rad].
+    """Standard deviations (2,) of measured ends that are due to noise alone [m], [rad].
 
-    Two fingers against an edge leave a block no freedom to turn, or to be nearer or farther: what
-    varies there from run to run is the tracker, and the camera's place over the robot.
+    Two fingers against an edge fix a block's angle and its distance from them. What varies there
+    from run to run is the error of the tracker, and of the camera's place above the robot.
     """
     square, freedom = np.zeros(2), 0
     for group in groups:
@@ -118,7 +118,7 @@ def rig_noise(groups: Sequence[RepeatGroup]) -> FloatArray:
 
 
 def _pushes(experiment: Experiment) -> Iterator[_RepeatedPush]:
-    """The pushes of a run."""
+    """Yield the pushes of a run."""
     channel, pusher = experiment.channel("action"), experiment.pusher
     assert channel is not None
     assert pusher is not None
@@ -126,7 +126,7 @@ def _pushes(experiment: Experiment) -> Iterator[_RepeatedPush]:
     edges = np.flatnonzero(np.diff(action)) + 1
     for rows in np.split(np.arange(len(action)), edges):
         pose, time = pusher.pose[rows], pusher.time[rows]
-        # The first row of a push often still has the fingers where the push before left them.
+        # The first row of a push often still has the fingers at the end of the previous push.
         skip = 0
         while skip < 3 and np.hypot(*(pose[skip + 1] - pose[skip])[:2]) > JUMP:
             skip += 1
@@ -140,7 +140,7 @@ def _pushes(experiment: Experiment) -> Iterator[_RepeatedPush]:
 
 
 def _seen(experiment: Experiment, instant: float, way: float) -> FloatArray | None:
-    """The pose at an instant: the mean of the next readings after or before it."""
+    """Pose at an instant: mean of the next readings after (way 1) or before it (way -1)."""
     time, pose = experiment.trajectory.time, experiment.trajectory.pose
     late = way * (time - instant)
     near = np.flatnonzero((late >= -1e-9) & (late <= OLD))
@@ -152,9 +152,9 @@ def _seen(experiment: Experiment, instant: float, way: float) -> FloatArray | No
 
 
 def group_scene(group: RepeatGroup) -> Scene:
-    """What was on the table, the object at the mean of the measured starts.
+    """Scene of a group, with the object at the mean of the measured starts.
 
-    The fingers are drawn with what is between them: no block is hollow, so it never matters.
+    The fingers are joined to one shape; the area between them never matters for convex blocks.
     """
     fingers = Polygon(_fingers())
     outline = outline_of(group.object)
@@ -183,7 +183,7 @@ def group_scene(group: RepeatGroup) -> Scene:
 
 
 def outline_of(kind: str) -> Polygon:
-    """Of a block, about its centroid [m]."""
+    """Outline of a block about its centroid [m]."""
     if kind == "tri":
         a, b = 58e-3 / 3.0, 27.5e-3 / 3.0
         return Polygon(np.array([[a, -b], [a, 2.0 * b], [-2.0 * a, -b]]))
@@ -193,7 +193,7 @@ def outline_of(kind: str) -> Polygon:
 
 
 def _fingers() -> FloatArray:
-    """Two round fingers side by side along y, pushing along x."""
+    """Outline of two round fingers side by side along y, joined, pushing along x."""
     half = 0.5 * FINGER_SPACING
     line = shapely.LineString([(0.0, -half), (0.0, half)])
     return np.array(line.buffer(FINGER_RADIUS, quad_segs=CORNERS).exterior.coords[:-1])

@@ -1,1 +1,1 @@
-"""Figures of published results repeated."""
+"""Figures of reproduced results, replays and benchmarks."""

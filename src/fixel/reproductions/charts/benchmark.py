@@ -24,30 +24,30 @@ COLOURS: Final = {
     "calibrated": palette.BODY,
 }
 MARKERS: Final = {"published": "s", "uncalibrated": "o", "calibrated": "D"}
-# Protocols after the first have a shade each: their calibrated curve.
+# Colour of the calibrated curve of each protocol.
 SHADES: Final = (palette.BODY, palette.TOUCHED, palette.CONE, palette.TRAIL, palette.FORCE)
-# A share to read a distribution at, as a fine line.
+# Share marked by a thin line in the distributions: the median.
 HALF: Final = 0.5
 
 
 class ProtocolPanel(NamedTuple):
-    """One protocol."""
+    """Errors of one protocol, by group and by model."""
 
     protocol: str
     groups: Sequence[str]
-    mean: Mapping[str, FloatArray]  # model -> (n_group,) of the position errors [mm]
+    mean: Mapping[str, FloatArray]  # model -> (n_group,) mean position errors [mm]
     position: Mapping[str, FloatArray]  # model -> (n,) [mm]
     angle: Mapping[str, FloatArray]  # model -> (n,) [deg]
 
 
 class BenchmarkPicture(NamedTuple):
-    """Protocols in order; the groups of the first are drawn one by one."""
+    """Panels of a benchmark, one per protocol; groups are drawn for the first one only."""
 
     panels: Sequence[ProtocolPanel]
 
     @classmethod
     def of(cls, scored: Sequence[tuple[str, Sequence[Any], Any, Any]]) -> BenchmarkPicture:
-        """From protocol, rows of a benchmark, and errors of position and angle by model."""
+        """Build from tuples of protocol, rows, and errors of position and angle by model."""
         panels = []
         for protocol, rows, position, angle in scored:
             fine = [row for row in rows if row["shape"] != "all"]
@@ -61,7 +61,7 @@ class BenchmarkPicture(NamedTuple):
 
 
 def draw(picture: BenchmarkPicture, file: str | Path) -> None:
-    """Draw a benchmark into a file that ends with .png, .svg or .pdf."""
+    """Draw a benchmark to a file that ends with .png, .svg or .pdf."""
     path = Path(file)
     refuse_file(path)
     save_filled(lambda figure: _fill(figure, picture), path)
@@ -80,7 +80,7 @@ def _fill(figure: Figure, picture: BenchmarkPicture) -> None:
 
 
 def _groups(axes: Axes, panel: ProtocolPanel) -> None:
-    """Mean errors of the groups, a line each from the worst model to the best."""
+    """Draw mean errors of the groups, each with a line from the worst model to the best."""
     place = np.arange(len(panel.groups))[::-1]
     shown = [model for model in MODELS if model in panel.mean]
     table = np.array([panel.mean[model] for model in shown])
@@ -105,7 +105,7 @@ def _groups(axes: Axes, panel: ProtocolPanel) -> None:
 
 
 def _curves(axes: Axes, picture: BenchmarkPicture, what: str, label: str) -> None:
-    """Share of pushes below an error: the reference models once, then every protocol's own."""
+    """Draw cumulative errors: reference models once, then the calibrated one of every protocol."""
     far = 1.0
     first = True
     for panel, shade in zip(picture.panels, SHADES, strict=False):

@@ -1,4 +1,4 @@
-"""Spread of repeated pushes, measured beside predicted."""
+"""Figure of the measured and predicted spread of repeated pushes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class RepeatPoint(NamedTuple):
-    """A group of repetitions; (2,) spreads of position [m] and angle [rad]."""
+    """Group of repetitions; spreads are (2,): position [m] and angle [rad]."""
 
     name: str
     kind: str
@@ -40,7 +40,7 @@ class RepeatPoint(NamedTuple):
 @final
 @dataclass(frozen=True)
 class RepeatPicture(AbstractChart):
-    """Groups, one a line: the predicted range, and the measured spread on it."""
+    """Predicted range and measured spread, one row per group."""
 
     groups: Sequence[RepeatPoint]
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ENDINGS = (".pdf", ".png", ".svg")
 
-# What each model is called and drawn like; measurements are black.
+# Label, colour and line style of each model; measurements are black.
 LABELS = {
     "fixel": "fixel",
     "poly4": "published, poly4",
@@ -45,18 +45,18 @@ DASHES = {
 
 WIDE = 2.0 * palette.COLUMN + 0.2  # width of a figure over two columns [inch]
 
-# Share of the pushes that the axes of the error curves reach to.
+# Share of the pushes within the axes of the error curves.
 SHOWN = 0.97
 
 
 class PushExample(NamedTuple):
-    """One push from above; poses [m, m, rad]."""
+    """Top view of one push; poses [m, m, rad]."""
 
     name: str
     outline: FloatArray  # (n, 2) in the frame of the object [m]
     start: FloatArray  # (3,)
-    measured: FloatArray  # (3,) at the end
-    predicted: Mapping[str, FloatArray]  # model -> (3,) at the end
+    measured: FloatArray  # (3,) end pose
+    predicted: Mapping[str, FloatArray]  # model -> (3,) end pose
     tip_start: FloatArray  # (2,)
     tip_end: FloatArray  # (2,)
     tip_radius: float
@@ -64,7 +64,7 @@ class PushExample(NamedTuple):
 
 
 class PushPicture(NamedTuple):
-    """Errors of all pushes, and a few of them from above."""
+    """Errors of all pushes, and top views of a few."""
 
     position: Mapping[str, FloatArray]  # model -> (n,) [mm]
     angle: Mapping[str, FloatArray]  # model -> (n,) [deg]
@@ -72,7 +72,7 @@ class PushPicture(NamedTuple):
 
 
 class TrialCurve(NamedTuple):
-    """Pose of the object against time."""
+    """Poses of the object against time, measured or of one model."""
 
     name: str
     time: FloatArray  # (n,) [s]
@@ -80,7 +80,7 @@ class TrialCurve(NamedTuple):
 
 
 class TrialPicture(NamedTuple):
-    """One grasp acquisition trial."""
+    """Curves and geometry of one grasp acquisition trial."""
 
     name: str
     outline: FloatArray
@@ -93,7 +93,7 @@ class TrialPicture(NamedTuple):
 
 
 class WindowCurve(NamedTuple):
-    """One window of a long run."""
+    """Poses and errors in one window of a long run."""
 
     run: str
     time: FloatArray  # (n,) on the clock of the run [s]
@@ -113,13 +113,13 @@ Picture = PushPicture | TrialPicture | WindowPicture
 
 
 def draw(picture: Picture, file: str | Path) -> None:
-    """Draw a replay into a file.
+    """Draw a replay to a file.
 
     Parameters
     ----------
     picture : PushPicture, TrialPicture or WindowPicture
     file : str or Path
-        Ends with .png, .svg or .pdf.
+        File to write (`.png`, `.svg` or `.pdf`).
     """
     path = Path(file)
     refuse_file(path)
@@ -136,7 +136,7 @@ def _fill(figure: Figure, picture: Picture) -> None:
 
 
 def refuse_file(path: Path) -> None:
-    """Refuse a file that nothing can be drawn into."""
+    """Raise `InvalidInput` for a file with another ending, or in a folder that does not exist."""
     if path.suffix.lower() not in ENDINGS:
         raise InvalidInput("--plot", found=path.name, expected="a file .png, .svg or .pdf")
     if not path.parent.is_dir():
@@ -167,14 +167,14 @@ def _pushes(figure: Figure, picture: PushPicture) -> None:
         _push(axes, example)
     if picture.examples:
         below.axes[0].set_ylabel("y from the start [mm]")
-        # One legend for all, from the push that shows most.
+        # One legend for all panels, from the one with most entries.
         full = max(below.axes, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
         handles, labels = full.get_legend_handles_labels()
         below.legend(handles, labels, frameon=False, ncols=5, loc="outside lower center")
 
 
 def _error_curves(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None:
-    """Empirical distributions; a dot marks the median."""
+    """Draw empirical distributions of errors; a dot marks the median."""
     far = 1.0
     for name, values in errors.items():
         ordered = np.sort(values[np.isfinite(values)])
@@ -241,7 +241,7 @@ def _trial(figure: Figure, picture: TrialPicture) -> None:
 
 
 def _above(axes: Axes, picture: TrialPicture) -> None:
-    """Outlines at the start and at the end, paths of the object's frame, fixels, actuator."""
+    """Draw outlines at start and end, paths of the object's frame, fixels and actuator."""
 
     def closed(outline: FloatArray, pose: FloatArray) -> FloatArray:
         corners = placed(outline, pose)
@@ -301,5 +301,5 @@ def _windows(figure: Figure, picture: WindowPicture) -> None:
 
 
 def _short(name: str) -> str:
-    """A file's name without what all of them share."""
+    """Name of a file without the parts that all names share."""
     return name.removeprefix("cpush_").removeprefix("StraightLine_2016_10_23_").replace("_", " ")

@@ -1,4 +1,4 @@
-"""Pictures of reproduced work: supports found and machined, a trial before and after, clusters."""
+"""Figures of reproductions: supports found and machined, paths of a trial, clusters."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ COLOURS = (palette.BODY, palette.TOUCHED, palette.CONE, palette.FORCE, palette.T
 
 
 class SupportPanel(NamedTuple):
-    """One support of a block; points (3, 2) in its frame [m]."""
+    """Machined and found points (3, 2) of one support, in the frame of the block [m]."""
 
     name: str
     outline: FloatArray  # (n, 2)
     machined: FloatArray
     from_poses: FloatArray
-    from_forces: FloatArray  # poses and forces
+    from_forces: FloatArray  # from poses and forces
 
 
 class SupportPicture(NamedTuple):
-    """Supports side by side."""
+    """Figure of several supports, side by side."""
 
     panels: Sequence[SupportPanel]
 
 
 class PathCurve(NamedTuple):
-    """One motion of an object, and how far it is from the measured one."""
+    """Motion of an object, with its distance from the measured one."""
 
     label: str
     pose: FloatArray  # (n, 3)
@@ -47,11 +47,11 @@ class PathCurve(NamedTuple):
 
 
 class PathPicture(NamedTuple):
-    """A trial, measured and simulated."""
+    """Figure of a trial, measured and simulated."""
 
     outline: FloatArray  # (n, 2) in the frame of the object [m]
     time: FloatArray  # (n,) [s]
-    curves: Sequence[PathCurve]  # measured first
+    curves: Sequence[PathCurve]  # the measured one first
     fixels: FloatArray  # (n, 2) [m]
     fixel_radius: float
     actuator_outline: FloatArray
@@ -59,15 +59,15 @@ class PathPicture(NamedTuple):
 
 
 class TriangleCluster(NamedTuple):
-    """Support triangles that a push cannot tell apart."""
+    """Cluster of support triangles that pushes cannot distinguish."""
 
     label: str
     points: FloatArray  # (k, 3, 2) [m]
-    shares: FloatArray  # (k, 3) of the load
+    shares: FloatArray  # (k, 3) shares of the load
 
 
 class ClusterPicture(NamedTuple):
-    """Clusters side by side, with the truth in each."""
+    """Figure of clusters side by side, each with the true support."""
 
     outline: FloatArray
     truth: FloatArray  # (3, 2)
@@ -78,13 +78,13 @@ Picture = SupportPicture | PathPicture | ClusterPicture | AbstractChart
 
 
 def draw(picture: Picture, file: str | Path) -> None:
-    """Draw a reproduction into a file.
+    """Draw a reproduction to a file.
 
     Parameters
     ----------
     picture : SupportPicture, PathPicture, ClusterPicture or AbstractChart
     file : str or Path
-        Ends with .pdf, .png or .svg.
+        File to write (`.pdf`, `.png` or `.svg`).
     """
     if isinstance(picture, AbstractChart):
         draw_chart(picture, file)

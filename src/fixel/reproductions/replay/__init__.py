@@ -1,4 +1,4 @@
-"""Replay recorded pushes: build their scenes, drive the measured paths, and compare."""
+"""Replay of recorded pushes: build their scenes, drive the measured paths, and compare."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def replay_dataset(
     Parameters
     ----------
     folder : str or Path
-        One of the datasets that `fixel.datasets.raw` knows.
+        Folder of a dataset that `fixel.datasets.raw` can read.
     choice : ReplayRequest, optional
-        Which records, with which values; all of them with nominal values where left out.
+        Selection of records and values; by default all records with nominal values.
     progress : callable, optional
-        Told after each part how many records of how many are done, and what they are.
+        Called after each part with the numbers of finished records and of all, and its name.
 
     Raises
     ------
     DatasetMissing
-        Nothing known in the folder.
+        The folder has no known dataset.
     InvalidInput
-        Files, a selection or a value that cannot be.
+        Invalid files, selection or value.
     """
     choice = choice or ReplayRequest(select={}, settings={})
     progress = progress or _silent
@@ -48,21 +48,21 @@ def replay_dataset(
 
 
 def draw_replay(replay: Replay, file: Path) -> None:
-    """Draw a replay into a file: .png, .svg or .pdf."""
+    """Draw a replay to a file: .png, .svg or .pdf."""
     from fixel.reproductions.charts.replay import draw
 
     draw(replay.picture, file)
 
 
 def refuse_picture(file: Path) -> None:
-    """Refuse a file that cannot be drawn into, before the work is done."""
+    """Raise `InvalidInput` for a file that cannot be drawn to, before the replay is computed."""
     from fixel.reproductions.charts.replay import refuse_file
 
     refuse_file(file)
 
 
 def _silent(done: int, of: int, what: str) -> None:
-    """Nobody watches."""
+    """Progress callback that does nothing."""
 
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Which records to replay, and with which values: `COLUMN=VALUE` and `NAME=VALUE`."""
+"""Selection of records to replay, and of values: `COLUMN=VALUE` and `NAME=VALUE`."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayRequest:
-    """What the caller asks of a replay.
+    """Request of a replay: records, values and method.
 
     Parameters
     ----------
     select : mapping from column to values
-        Keep records whose column is one of the values; every column must fit.
+        Select records whose columns all have one of the given values.
     limit : int, optional
-        At most this many records, spread evenly over those selected.
+        Maximum number of records, spread evenly over those selected.
     settings : mapping from name to number
-        In place of the nominal values.
+        Values that replace the nominal ones.
     motion : str, optional
-        Name of a motion model, in place of the dataset's usual one.
+        Name of a motion model; by default that of the dataset.
     everything : bool
-        Keep records that the quality filter would leave out.
+        Include records that the quality filter would exclude.
     window : float
         Length of the windows of long runs [s]; 0 for whole runs.
     """
@@ -44,7 +44,7 @@ class ReplayRequest:
 
 
 def columns_and_values(pairs: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """`["shape=rect1", "shape=hex"]` as a mapping from column to the values wanted."""
+    """Parse `["shape=rect1", "shape=hex"]` to a mapping from column to requested values."""
     wanted: dict[str, tuple[str, ...]] = {}
     for pair in pairs:
         name, value = _cut(pair, "--select", "COLUMN=VALUE, as in shape=rect1")
@@ -53,7 +53,7 @@ def columns_and_values(pairs: Iterable[str]) -> dict[str, tuple[str, ...]]:
 
 
 def names_and_numbers(pairs: Iterable[str]) -> dict[str, float]:
-    """`["mu_pusher=0.2"]` as a mapping from name to number."""
+    """Parse `["mu_pusher=0.2"]` to a mapping from name to number."""
     values: dict[str, float] = {}
     for pair in pairs:
         name, text = _cut(pair, "--set", "NAME=VALUE, as in mu_pusher=0.2")
@@ -67,7 +67,7 @@ def names_and_numbers(pairs: Iterable[str]) -> dict[str, float]:
 def matching(
     columns: Mapping[str, Sequence[object]], wanted: Mapping[str, tuple[str, ...]], n: int
 ) -> NDArray[np.bool_]:
-    """(n,) which records fit; a refusal where a column or a value is in none of them."""
+    """Mask (n,) of the matching records; raise if a column or a value occurs in none of them."""
     fits = np.ones(n, dtype=bool)
     for name, values in wanted.items():
         if name not in columns:
@@ -92,7 +92,7 @@ def matching(
 
 
 def spread(n: int, limit: int | None) -> NDArray[np.intp]:
-    """At most `limit` of `n` records, evenly spread, in order."""
+    """Select at most `limit` of `n` records, evenly spread, in order."""
     if limit is None or limit >= n:
         return np.arange(n)
     return np.arange(limit) * n // limit
@@ -101,7 +101,7 @@ def spread(n: int, limit: int | None) -> NDArray[np.intp]:
 def settings_from(
     nominal: Mapping[str, float], given: Mapping[str, float], where: str = "--set"
 ) -> dict[str, float]:
-    """Nominal values with those given in their place; a refusal of any other name."""
+    """Replace nominal values by given ones; raise for unknown names."""
     for name in given:
         if name not in nominal:
             raise _unknown(where, name, nominal)
@@ -109,7 +109,7 @@ def settings_from(
 
 
 def motion_named(name: str) -> AbstractMotionModel:
-    """The motion model of that name."""
+    """Create the motion model of a given name."""
     for kind in MOTION_MODELS:
         if kind.name == name:
             return kind()

@@ -33,18 +33,18 @@ from fixel.reproductions.replay.report import Replay, Row, Timing, mean_and_medi
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
 from fixel.typing import FloatArray, NotedProgress
 
-# Nothing here is fitted: friction at the tip as in the published simulator, even pressure. Friction
-# of the plane drops out of quasi-static motion.
+# Nothing is fitted: friction at the tip as in the published simulator, even pressure. Friction of
+# the plane has no effect on quasi-static motion.
 NOMINAL = {"mu_pusher": 0.25, "mu_support": 0.3, "support_points": 64}
 
-# Beyond these a record does not fit its own geometry (the dataset's README) [m].
+# Larger values mean that a record contradicts its own geometry (the dataset's README) [m].
 LARGEST_GAP = 3e-3
 MAX_STROKE_ERROR = 1e-3
 
-# Shares of the pushes that are nearer than those drawn as examples.
+# Quantiles of the error at which pushes are drawn as examples.
 EXAMPLES_AT = (0.25, 0.5, 0.75, 0.9)
 
-CLEAR_DISTANCE = 1.0  # where the template's pusher waits, clear of the object [m]
+FAR = 1.0  # place of the template's pusher, clear of the object [m]
 
 
 def replay_pushes(
@@ -58,7 +58,7 @@ def replay_pushes(
     choice : ReplayRequest
     progress : callable
     reading : float
-        Time it took to read the data [s].
+        Time spent on reading the data [s].
     """
     begun = clock.perf_counter()
     settings = settings_from(NOMINAL, choice.settings)
@@ -100,7 +100,7 @@ def replay_pushes(
 
 
 def scene_of(data: MitPushes, key: tuple[str, str, float], settings: dict[str, float]) -> Scene:
-    """The template of one surface, shape and speed [mm/s]; starts and strokes vary."""
+    """Template scene of one surface, shape and speed [mm/s]; starts and strokes vary."""
     _, name, speed = key
     shape = data.shapes[name]
     return Scene(
@@ -149,7 +149,7 @@ def _whole(name: str, value: float) -> int:
 
 
 def _usable(data: MitPushes, choice: ReplayRequest) -> tuple[NDArray[np.intp], dict[str, int]]:
-    """Rows to replay, and how many were left out for which reason."""
+    """Rows to replay, and numbers of rows left out by reason."""
     fits = matching(data.table.columns, choice.select, len(data))
     astray = (np.abs(data.gap_start) > LARGEST_GAP) | (data.gap_end < -LARGEST_GAP)
     short = np.abs(data.stroke - STROKE) > MAX_STROKE_ERROR
@@ -181,7 +181,7 @@ def _groups(
 
 
 def _errors(predicted: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of the frames' origins [mm] and absolute angle between them [deg]."""
+    """Distances of the frames' origins [mm] and absolute angles between them [deg]."""
     position, angle = pose_error(predicted, measured)
     missing = np.isnan(predicted).any(axis=1)
     return position * 1e3, np.where(missing, np.nan, np.degrees(np.abs(angle)))
@@ -234,7 +234,7 @@ def _aggregates(
 
 
 def _aggregate(rows: NDArray[np.intp], errors: Errors) -> Row:
-    """Every model on the same rows: those that all of them have an answer to."""
+    """Aggregate the errors of every model, on the rows that all models can predict."""
     common = rows[np.all([np.isfinite(pair[0][rows]) for pair in errors.values()], axis=0)]
     return {
         "pushes": len(common),

@@ -34,26 +34,26 @@ from fixel.reproductions.replay.report import Replay, Row, Timing, mean_and_medi
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
 from fixel.typing import FloatArray, NotedProgress
 
-# Friction as in the authors' model of their rig; masses of 13 mm of steel: 10000 kg/m^3 for rect1
-# as they have it, the plate of the MIT push dataset for the hexagon.
+# Friction as in the authors' model of their rig; masses of 13 mm steel plates: with the authors'
+# 10000 kg/m^3 for rect1, and from the MIT push dataset for the hexagon.
 NOMINAL = {"mu_pusher": 0.3, "mu_support": 0.35, "support_points": 64}
 MASSES = {"rect1": 10_000.0 * 0.09 * 0.09 * 0.013, "hex": 0.983}
 
 GRAVITY = 9.81  # [m/s^2]
 
-# How far an object slides on once it is let go decides whether inertia counts [m].
+# Inertia matters if a released object would slide farther than this [m].
 MAX_COAST = 1e-3
 
-# A window is left out where the tip starts deeper in the object than this: the tracker had lost
-# it; or where the tip is farther than this for half of the time: nothing is pushed [m].
+# A window is left out if the tip starts deeper in the object than this (tracking lost), or is
+# farther from it than this for half of the time (nothing is pushed) [m].
 DEEPEST, FARTHEST = 2e-3, 2e-3
 
-# Time between the errors that are written out; aggregates use every measured instant [s].
+# Time between errors in the output; aggregates use every measured time [s].
 WRITTEN_EVERY = 0.1
 
 
 class RunWindow(NamedTuple):
-    """A stretch of a run; times from its start."""
+    """Window of a run; times count from its start."""
 
     run: PushRun
     number: int
@@ -61,13 +61,13 @@ class RunWindow(NamedTuple):
     duration: float
     waypoints: FloatArray  # (n, 4)
     start: FloatArray  # (3,)
-    time: FloatArray  # (n_sample,) instants with a measured pose
+    time: FloatArray  # (n_sample,) times with a measured pose
     measured: FloatArray  # (n_sample, 3)
-    gap: FloatArray  # (n,) of the tip, at the waypoints [m]
+    gap: FloatArray  # (n,) gap of the tip at the waypoints [m]
 
 
 class WindowOutcome(NamedTuple):
-    """What came of one window."""
+    """Simulation of one window, with its errors."""
 
     window: RunWindow
     motion: str
@@ -80,7 +80,7 @@ class WindowOutcome(NamedTuple):
 def replay_runs(
     data: PushRuns, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
 ) -> Replay:
-    """Drive the measured path of the pusher, window by window.
+    """Simulate the measured path of the pusher, window by window.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def replay_runs(
     choice : ReplayRequest
     progress : callable
     reading : float
-        Time it took to read the data [s].
+        Time spent on reading the data [s].
     """
     begun = clock.perf_counter()
     settings = settings_from(NOMINAL, choice.settings)
@@ -138,7 +138,7 @@ def replay_runs(
 
 
 def cut(run: PushRun, length: float) -> list[RunWindow]:
-    """Equal windows of about that length [s]; 0 for one window."""
+    """Cut a run into equal windows of about a given length [s]; 0 for one window."""
     begin = max(float(run.pusher[0, 0]), float(run.object.time[0]))
     end = min(float(run.pusher[-1, 0]), float(run.object.time[-1]))
     if end <= begin:
@@ -152,7 +152,7 @@ def cut(run: PushRun, length: float) -> list[RunWindow]:
 
 
 def doubt(window: RunWindow) -> str | None:
-    """Why a window says nothing about pushing, if so."""
+    """Reason why a window is useless for pushing; None if it is useful."""
     if window.gap[0] < -DEEPEST:
         return "tip starts more than 2 mm inside the object: tracking lost"
     if np.median(window.gap) > FARTHEST:
@@ -161,7 +161,7 @@ def doubt(window: RunWindow) -> str | None:
 
 
 def usual_motion(run: PushRun, mu_support: float) -> str:
-    """Dynamic where the object would slide on for more than a millimetre, else quasi-static."""
+    """Motion model: dynamic if a released object would slide more than 1 mm, else quasi-static."""
     way = float(np.hypot(*np.diff(run.pusher[:, 1:], axis=0).T).sum())
     speed = run.commanded_speed or way / float(np.ptp(run.pusher[:, 0]))
     coast = speed**2 / (2.0 * mu_support * GRAVITY) if mu_support > 0.0 else np.inf
@@ -200,8 +200,8 @@ def _simulate(
 ) -> BatchResult:
     run = window.run
     way = float(np.hypot(*np.diff(window.waypoints[:, 1:3], axis=0).T).sum())
-    # Measured starts overlap by the noise of the tracker: a template whose pusher stands clear,
-    # with start and path as variations, which the engine then separates in its first step.
+    # Measured starts may overlap, due to noise of the tracker. Therefore the template's pusher is
+    # clear of the object; start and path are variations, which the first step separates.
     template = Scene(
         bodies=(
             Body(

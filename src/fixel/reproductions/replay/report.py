@@ -1,4 +1,4 @@
-"""What a replay leaves behind: rows, aggregates, and how they were made."""
+"""Results of a replay: rows, aggregates, and settings."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ Row = dict[str, Any]
 # Length by which angles count in the error of the thesis [m/rad] (section 5.1: "a scale of 35").
 ANGLE_LENGTH = 35e-3
 
-# Told after each part: how many of how many are done, and what they are.
-
 
 class Timing(NamedTuple):
-    """Where the time went [s]."""
+    """Wall times of the parts of a replay [s]."""
 
     reading: float
-    compiling: float  # or loading compiled kernels, and one push
+    compiling: float  # compiling or loading kernels, and one push
     simulation: float
     total: float
     simulated: int
 
     def summary(self) -> Row:
-        """Plain numbers; the rate is that of the simulation alone."""
+        """Return the times as plain numbers; `per_second` counts the simulation alone."""
         rate = self.simulated / self.simulation if self.simulation > 0.0 else None
         end_to_end = self.simulated / self.total if self.total > 0.0 else None
         return {
@@ -44,26 +42,26 @@ class Timing(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """Recorded pushes, simulated again.
+    """Result of replaying recorded pushes.
 
     Attributes
     ----------
     dataset : str
     pushes : list of dict
-        One row for each push, window or run, as plain numbers; units are in the names.
+        One row of plain numbers for each push, window or run; units are in the names.
     groups : list of dict
-        Aggregates; the last one is of all, where there is more than one.
+        Aggregates; the last one includes all records, if there are several.
     left_out : dict from reason to count
         Records that were not replayed.
     not_solved : int
-        Simulations that did not finish; they count in no aggregate.
+        Number of simulations that did not finish; aggregates exclude them.
     settings : dict
-        Values and methods, enough to do it again.
+        Values and methods, sufficient to repeat the replay.
     notes : list of str
-        What was done to the data, in sentences.
+        Remarks on the treatment of the data, in sentences.
     timing : Timing
     picture : object
-        What the drawing of this dataset asks for.
+        Data of the figure, of a kind that depends on the dataset.
     """
 
     dataset: str
@@ -77,7 +75,7 @@ class Replay:
     picture: Any
 
     def summary(self) -> Row:
-        """The answer of `fixel replay --json`."""
+        """Return the output of `fixel replay --json`."""
         answer = {
             "dataset": self.dataset,
             "settings": self.settings,
@@ -94,7 +92,7 @@ class Replay:
 
 
 def mean_and_median(values: ArrayLike) -> Row:
-    """Of the numbers that are there; None where there are none."""
+    """Mean and median of the finite numbers; None if there are none."""
     numbers = np.asarray(values, dtype=np.float64)
     numbers = numbers[np.isfinite(numbers)]
     if not numbers.size:
@@ -103,12 +101,12 @@ def mean_and_median(values: ArrayLike) -> Row:
 
 
 def rms(values: ArrayLike) -> float:
-    """Root of the mean square."""
+    """Root mean square of numbers."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and containers that JSON knows; what is not finite becomes None."""
+    """Convert to numbers and containers of JSON; numbers that are not finite become None."""
     if isinstance(value, dict):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):

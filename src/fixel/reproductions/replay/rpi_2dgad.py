@@ -34,9 +34,9 @@ from fixel.typing import FloatArray, NotedProgress
 
 GRAVITY = 9.81  # [m/s^2]
 
-# The laboratory's MATLAB twin, to meet its stored simulation and for nothing else: 9.810 taken in
-# millimetres, friction polygons of 16 directions, steps of one video frame with the driver one step
-# ahead (mechanics.md, sections 0 and 2.8).
+# Settings of the laboratory's MATLAB simulator, only to reproduce its stored simulation: gravity of
+# 9.810 mm/s^2, friction polygons of 16 directions, steps of one video frame with the driver one
+# step ahead (mechanics.md, sections 0 and 2.8).
 LAB_GRAVITY = 9.81e-3
 LAB_DIRECTIONS = 16
 LAB_STEP = 1.0 / FRAME_RATE
@@ -54,8 +54,8 @@ class ObjectMotion(NamedTuple):
 def replay_trials(
     data: RpiTrials, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
 ) -> Replay:
-    """Drive the measured actuator path of every complete trial, and set the laboratory's own
-    simulation beside it.
+    """Simulate the measured actuator path of every complete trial, and compare with the
+    laboratory's own simulation.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def replay_trials(
     choice : ReplayRequest
     progress : callable
     reading : float
-        Time it took to read the data [s].
+        Time spent on reading the data [s].
     """
     begun = clock.perf_counter()
     numbers = [trial.experiment_id for trial in data.trials]
@@ -122,21 +122,21 @@ def trial_scene(
     gravity: float = GRAVITY,
     support_directions: int | None = None,
 ) -> Scene:
-    """The scene of a trial.
+    """Build the scene of a trial.
 
     Parameters
     ----------
     trial : RpiTrial
     start : (3,) float64
-        Pose of the object [m, m, rad].
+        Start pose of the object [m, m, rad].
     path : (n, 2) float64
-        Of the actuator [m], at `time` (n,) [s], which starts at 0.
+        Path of the actuator [m], at `time` (n,) [s], which starts at 0.
     parameters : Parameters
-        All four of them.
+        Values of all four parameters.
     gravity : float
-        [m/s^2]
+        Gravitational acceleration [m/s^2].
     support_directions : int, optional
-        Exact friction discs where left out.
+        Directions of friction polygons; by default exact friction discs.
     """
     waypoints = np.column_stack((time, path, np.full(len(path), trial.actuator_angle)))
     origin: FloatArray = np.zeros(2)
@@ -179,12 +179,12 @@ def trial_scene(
 
 
 def as_the_lab_did(trial: RpiTrial, *, leading: bool = True) -> Simulation:
-    """Repeat the laboratory's stored simulation, with its slips.
+    """Repeat the laboratory's stored simulation, including its mistakes.
 
     Parameters
     ----------
     trial : RpiTrial
-        With a stored simulation.
+        Trial with a stored simulation.
     leading : bool
         Whether the driver is a step ahead of the object, as in the laboratory's code.
     """
@@ -206,13 +206,13 @@ def as_the_lab_did(trial: RpiTrial, *, leading: bool = True) -> Simulation:
 
 
 def weighted_error(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(n,) distance of poses with angles counted by 35 mm/rad [m]: the thesis, section 5.1."""
+    """Distances (n,) of poses, with angles scaled by 35 mm/rad [m]; thesis, section 5.1."""
     position, angle = pose_error(a, b)
     return np.hypot(position, ANGLE_LENGTH * angle)
 
 
 def contact_mode(touching: list[tuple[str, str]], n_fixel: int) -> int:
-    """Which fixels the object touches, as bits: fixels 1, 2, 3 count 4, 2, 1."""
+    """Contact mode as bits of the touched fixels: fixels 1, 2, 3 have the values 4, 2, 1."""
     names = {name for pair in touching for name in pair}
     return sum(1 << (n_fixel - 1 - k) for k in range(n_fixel) if f"fixel-{k + 1}" in names)
 
