@@ -3,7 +3,7 @@
 Every side of every plate is held out once, and every speed of the plates with two. The calibration
 is fitted to three quarters of the plate's other pushes; the rest of these are its pushes of known
 sides. What bounds a new side is learned from left-out sides of the other plates. The same with
-labels of sides dealt out at random tells how much of the error the side itself makes.
+labels of sides dealt out at random shows how much of the error the side itself makes.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Conformance suites and example scenes, for fixel and for authors of plug-ins."""
+"""Conformance test suites, emulated devices and example scenes, for fixel and for plug-ins."""

@@ -1,7 +1,7 @@
-"""What every actuator promises, as a test suite to inherit from.
+"""Contract of actuators, as a test suite to inherit from.
 
-Subclass it, override its one fixture, and pytest runs the suite on your driver, which should be
-behind an emulated drive: the suite moves it by some millimetres at up to 50 mm/s.
+Subclass it, override its one fixture, and pytest runs the suite on your driver. Use an emulated
+drive, since the suite moves it by some millimetres at up to 50 mm/s.
 
     class TestMyDrive(ActuatorContract):
         @pytest.fixture
@@ -27,16 +27,16 @@ EXACT = 5e-5  # [m]
 
 
 class ActuatorContract:
-    """Arrives, refuses, stops, and says where it is."""
+    """Tests of an actuator: connecting, moving, rejecting input, stopping, reporting position."""
 
     @pytest.fixture
     def actuator(self) -> AbstractActuator:
-        """The driver under test, not connected, its drive withdrawn or nearly so."""
+        """Driver under test, not connected, with its drive withdrawn or nearly so."""
         raise NotImplementedError
 
     @pytest.fixture
     def ready(self, actuator: AbstractActuator) -> Iterator[AbstractActuator]:
-        """The driver, connected and homed."""
+        """Driver under test, connected and homed."""
         with actuator:
             actuator.home()
             yield actuator

@@ -1,4 +1,4 @@
-"""Pictures of boards through a known lens, for tests and benchmarks of calibration."""
+"""Rendered pictures of boards through a known lens, for tests and benchmarks of calibration."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from fixel.vision.calibrate_lens import BoardView
 from fixel.vision.lens import Lens
 from fixel.vision.opencv import opencv
 
-FINE: Final = 2  # samples of a pixel along each axis
+FINE: Final = 2  # samples per pixel along each axis
 
 Place = tuple[FloatArray, FloatArray]  # rotation and translation in the camera's axes [m]
 
 
 @final
 class Studio:
-    """Takes pictures of one board with one lens.
+    """Renderer of pictures of one board with one lens.
 
     Parameters
     ----------
     lens : Lens
     board : Board
     per_square : int
-        Pixels along a square of what is printed on the board.
+        Resolution of the printed board, in pixels per square.
     seed : int
-        Of the noise.
+        Seed of the noise.
     """
 
     def __init__(self, lens: Lens, board: Board, per_square: int = 64, seed: int = 0) -> None:
@@ -53,11 +53,11 @@ class Studio:
         return np.kron(squares, np.ones((per_square, per_square), np.uint8))
 
     def picture(self, rotation: FloatArray, translation: FloatArray, noise: float = 2.0) -> Picture:
-        """Of the board whose frame is at a rotation and translation of the camera's [m]."""
+        """Render the board, with its frame at a rotation and translation in the camera's [m]."""
         h = np.stack([rotation[:, 0], rotation[:, 1], translation], axis=1)
         place = self.rays @ np.linalg.inv(h).T
         x, y = (place[..., k] / place[..., 2] for k in (0, 1))
-        # Pixel 0 of the texture is the middle of its first; y counts from the upper edge.
+        # Pixel 0 of the texture is the centre of its first pixel; y counts from the upper edge.
         across = (x * self.per_metre - 0.5).astype(np.float32)
         down = ((self.board.size[1] - y) * self.per_metre - 0.5).astype(np.float32)
         fine = opencv().remap(self.texture, across, down, opencv().INTER_LINEAR, borderValue=255)
@@ -69,7 +69,7 @@ class Studio:
     def facing(
         self, at: tuple[float, float], depth: float, tilt: tuple[float, float], spin: float = 0.0
     ) -> Place:
-        """Rotation and translation of the board, its middle in a direction at a depth [m]."""
+        """Rotation and translation of a board whose centre is in a direction at a depth [m]."""
         return _facing(self.board, at, depth, tilt, spin)
 
 
@@ -86,7 +86,7 @@ def _facing(
 
 
 def spread(studio: Studio, count: int, depth: float, near: float = 1.0) -> list[Place]:
-    """Places of a board that calibrate a lens well: tilted, near every corner in turn."""
+    """Poses of a board that calibrate a lens well: tilted, near each corner in turn."""
     lens, random = studio.lens, np.random.default_rng(5)
     corners = 0.5 + near * np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2), (0, 0)])
     places = []
@@ -114,7 +114,7 @@ def seen_corners(
     tilt: float = 0.5,
     seed: int = 0,
 ) -> tuple[BoardView, ...]:
-    """Views of a board as a finder of corners would give them, all corners in the picture."""
+    """Simulate detected corners of a board in views that show all of them, with noise."""
     random = np.random.default_rng(seed)
     i, j = np.meshgrid(np.arange(1, board.columns), np.arange(1, board.rows))
     places = board.square * np.stack([i, j], axis=-1).reshape(-1, 2).astype(np.float64)

@@ -1,4 +1,4 @@
-"""What every motion model, stepper and solver promises, as test suites to inherit from.
+"""Contracts of motion models, steppers and solvers, as test suites to inherit from.
 
 Subclass one, override its one fixture, and pytest runs the suite on your plug-in:
 
@@ -29,7 +29,7 @@ from fixel.testing.scenes import free_push, grasp, row, sliding_block, touching_
 from fixel.typing import FloatArray
 
 G = 9.81
-SIDES = 16  # of support friction in the problems below, so that linear solvers can take part
+SIDES = 16  # directions of support friction in the problems below, for linear solvers
 
 
 def step_problem(
@@ -37,12 +37,12 @@ def step_problem(
     contacts: tuple[tuple[float, float, float], ...] = (),
     limit: float | None = None,
 ) -> tuple[Problem, Workspace]:
-    """The step of one body of unit mass and inertia, in scaled units.
+    """Step problem of one body of unit mass and inertia, in scaled units.
 
     Parameters
     ----------
     momentum : (3,)
-        Before the step.
+        Momentum before the step.
     contacts
         Direction of the normal [rad], bias of the normal velocity and friction of each contact; all
         act through the centre of mass.
@@ -72,11 +72,11 @@ def step_problem(
 
 
 class SolverContract:
-    """Problems with known answers, one without, and honesty about both."""
+    """Tests of a solver: known solutions, and a true residual with and without a solution."""
 
     @pytest.fixture
     def solver(self) -> AbstractSolver:
-        """The solver under test."""
+        """Solver under test."""
         raise NotImplementedError
 
     def _solved(
@@ -174,11 +174,11 @@ class SolverContract:
 
 
 class StepperContract:
-    """Time runs on, to the end, and failures end it."""
+    """Tests of a stepper: time advances to the end, and failures stop it."""
 
     @pytest.fixture
     def stepper(self) -> AbstractStepper:
-        """The stepper under test."""
+        """Stepper under test."""
         raise NotImplementedError
 
     def test_declares_its_order(self, stepper: AbstractStepper) -> None:
@@ -199,7 +199,7 @@ class StepperContract:
 
     def test_block_slides_to_rest(self, stepper: AbstractStepper) -> None:
         run = simulate(sliding_block(0.5, 0.25, duration=0.5), stepper=stepper)
-        # A first-order step of 10 ms is wrong by half of it at 0.5 m/s.
+        # A first-order step of 10 ms has an error of half a step at 0.5 m/s.
         assert run.final["block"][0] == pytest.approx(0.25 / (0.5 * G), abs=0.0026)
         assert np.abs(run.twist["block"][-1]).max() < 1e-9
 
@@ -254,11 +254,11 @@ class StepperContract:
 
 
 class MotionModelContract:
-    """Rows that can be solved, velocities that move the bodies, contact laws that hold."""
+    """Tests of a motion model: solvable problems, poses from velocities, and contact laws."""
 
     @pytest.fixture
     def motion(self) -> AbstractMotionModel:
-        """The motion model under test."""
+        """Motion model under test."""
         raise NotImplementedError
 
     def _run(self, motion: AbstractMotionModel, scene: Scene, **more: Any) -> Simulation:
@@ -287,7 +287,7 @@ class MotionModelContract:
         run = self._run(
             motion, Scene(bodies=(moved,), pushers=scene.pushers, duration=scene.duration)
         )
-        # The finger goes 20 mm; the body goes along and, being pushed off its middle, turns.
+        # The finger moves 20 mm; the body moves along and turns, since it is pushed off centre.
         assert run.final["body"][0] - pose[0] > 0.01
         assert abs(run.final["body"][2] - pose[2]) > 0.01
 

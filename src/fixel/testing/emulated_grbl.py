@@ -1,10 +1,10 @@
-"""A GRBL 1.1 controller without the controller: one axis that moves in real time, on a port.
+"""Emulated GRBL 1.1 controller: one axis that moves in real time, on a pseudo-terminal.
 
     python -m fixel.testing.emulated_grbl --link /tmp/grbl
 
-For tests, and for trying `fixel actuator` without hardware. It does what matters for one drive:
-realtime characters, the receive buffer, the planner's look-ahead, holds that slow down, alarms,
-limit switches, soft limits, homing. It does not do arcs, spindles, overrides, probing.
+It is for tests, and for trying `fixel actuator` without hardware. It emulates what one drive needs:
+realtime characters, the receive buffer, the planner's look-ahead, holds with deceleration, alarms,
+limit switches, soft limits, homing. It has no arcs, spindles, overrides or probing.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from typing import Final, NamedTuple, Self, final
 
 BUFFER: Final = 128  # bytes
 PLANNER: Final = 15  # moves
-TURN: Final = 0.001  # [s]
+TURN: Final = 0.001  # [s], wait for input in one turn of the loop
 SUBSTEP: Final = 0.001  # [s]
-PULL_OFF: Final = 1.0  # [mm] from the switch, after homing
+PULL_OFF: Final = 1.0  # [mm], distance from the switch after homing
 HOMING_SPEED: Final = 25.0  # [mm/s]
 NO_SPACE: Final = b" \t"
 WORDS: Final = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
 
 
 class GrblEvent(NamedTuple):
-    """Something that happened.
+    """Event of the emulated controller.
 
     Attributes
     ----------
     what : str
-        `hold`, `reset`, `rest` (the drive came to rest), `alarm 3`, ...
+        Name of the event: `hold`, `reset`, `rest` (the drive came to rest), `alarm 3`, ...
     time : float
-        On `time.monotonic` [s].
+        Time of the event, by `time.monotonic` [s].
     speed : float
-        Of the drive at that moment [mm/s].
+        Speed of the drive at that time [mm/s].
     """
 
     what: str
@@ -51,36 +51,36 @@ class GrblEvent(NamedTuple):
 
 @final
 class EmulatedGrbl:
-    """A controller with one axis, X.
+    """Emulated controller with one axis, X.
 
     Parameters
     ----------
     travel : float
-        Between the limit switches [mm].
+        Distance between the limit switches [mm].
     start : float
-        Where the drive stands at first, from the withdrawn end [mm].
+        Initial position of the drive, from the withdrawn end [mm].
     acceleration : float
-        [mm/s^2].
+        Acceleration [mm/s^2].
     fastest : float
-        [mm/s].
+        Maximum speed [mm/s].
     homing : bool
-        Whether it has switches, and asks to be homed first.
+        Whether it has switches, and requires homing first.
     inches : bool
         Whether it reports inches.
     rate : float
-        Its seconds over ours: 10 is ten times as fast.
+        Emulated seconds per real second: 10 is ten times as fast.
 
     Attributes
     ----------
     port : str
-        What to open.
+        Path of the port to open.
     lines : list of str
-        All it was sent.
+        All received lines.
     events : list of GrblEvent
     lost : int
-        Bytes that did not fit into its buffer.
+        Number of bytes that did not fit into its buffer.
     trace : list of (float, float)
-        Place from the withdrawn end [mm] and speed [mm/s], as long as it moved.
+        Position from the withdrawn end [mm] and speed [mm/s], while it moved.
     """
 
     def __init__(
@@ -99,15 +99,15 @@ class EmulatedGrbl:
 
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
-        # A port that nobody reads is full at some point: a real wire would lose it too.
+        # A port without a reader becomes full; a real wire would lose the data, too.
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
         self.lines: list[str] = []
         self.events: list[GrblEvent] = []
         self.lost = 0
-        self.mute = False  # fault: says nothing
-        self.garble = 0  # fault: so many of the next bytes are damaged
-        self.refuse = 0  # fault: so many of the next lines are not understood
+        self.mute = False  # fault: sends nothing
+        self.garble = 0  # fault: number of following bytes to damage
+        self.refuse = 0  # fault: number of following lines to reject
         self._rate = rate
         self._travel, self._end = travel, start  # the withdrawn end is at 0, where the switch is
         self._homing = homing
@@ -115,7 +115,7 @@ class EmulatedGrbl:
             10: 1.0, 13: float(inches), 20: float(homing), 21: float(homing), 22: float(homing),
             23: 0.0, 110: 60.0 * fastest, 120: acceleration, 130: travel,
         }  # fmt: skip
-        # Machine coordinates fall as the drive extends, as GRBL has it after homing to the switch.
+        # Machine coordinates decrease as the drive extends, as in GRBL after homing to the switch.
         self._shift = -start if not homing else 0.0
         self._sign = -1.0 if homing else 1.0
         self.state = "Alarm" if homing else "Idle"
@@ -139,22 +139,22 @@ class EmulatedGrbl:
 
     @property
     def place(self) -> float:
-        """Where the drive truly is, from the withdrawn end [mm]."""
+        """True position of the drive, from the withdrawn end [mm]."""
         return self._end
 
     def slowest(self, begin: float, end: float) -> float:
-        """The least speed [mm/s] so far between two places [mm]."""
+        """Smallest speed [mm/s] so far between two positions [mm]."""
         low, high = sorted((begin, end))
         return min(speed for place, speed in self.trace if low < place < high)
 
     @property
     def speed(self) -> float:
-        """How fast it truly moves [mm/s], without sign."""
+        """Magnitude of the true speed [mm/s]."""
         return abs(self._speed)
 
     @property
     def stopped(self) -> float:
-        """When it last came to rest, by itself or by an alarm, on `time.monotonic` [s]."""
+        """Time at which it last came to rest or had an alarm, by `time.monotonic` [s]."""
         return next(
             event.time
             for event in reversed(self.events)
@@ -163,14 +163,14 @@ class EmulatedGrbl:
 
     @property
     def queued(self) -> float:
-        """How long it would go on if nothing more came [s]."""
+        """Duration of the queued moves at their commanded speeds [s]."""
         total, here = 0.0, self._end
         for end, speed in list(self._blocks):
             total, here = total + abs(end - here) / speed, end
         return total
 
     def wait_for(self, what: str, patience: float = 5.0) -> GrblEvent:
-        """The first event of a name, waited for."""
+        """Wait for an event of a given name; return the first one."""
         until = time.monotonic() + patience
         while time.monotonic() < until:
             found = next((event for event in self.events if event.what == what), None)
@@ -180,27 +180,27 @@ class EmulatedGrbl:
         raise TimeoutError(f"no {what!r} among {[event.what for event in self.events]}")
 
     def unplug(self) -> None:
-        """The port goes away; what the drive was told it does to the end."""
+        """Remove the port; the drive completes its queued moves."""
         self._do(self._unplug)
 
     def power_cycle(self) -> None:
-        """Off and on again: it stops, and knows nothing."""
+        """Switch the controller off and on: it stops and loses its state."""
         self._do(lambda: self._reset(cold=True))
 
     def hit_switch(self) -> None:
-        """A limit switch closes."""
+        """Close a limit switch."""
         self._do(lambda: self._alarm(1))
 
     def press_hold(self) -> None:
-        """Somebody presses the hold button on the controller."""
+        """Press the hold button on the controller."""
         self._do(lambda: self._take(b"!"))
 
     def obey(self, line: str) -> None:
-        """Do as a line from elsewhere says."""
+        """Execute a motion command that did not come through the port."""
         self._do(lambda: self._motion(line))
 
     def _do(self, errand: Callable[[], object]) -> None:
-        """In its own thread, and return when that is done."""
+        """Run a function in the controller's thread, and return when it is done."""
         done = threading.Event()
         self._errands += [errand, done.set]
         if not done.wait(5.0):
@@ -212,7 +212,7 @@ class EmulatedGrbl:
         self._master = -1
 
     def close(self) -> None:
-        """End it; the port goes away."""
+        """End the controller and remove the port."""
         self._ended = True
         self._thread.join()
         if self._master >= 0:
@@ -233,7 +233,7 @@ class EmulatedGrbl:
                 self._errands.popleft()()
             self._listen()
             now = time.monotonic()
-            # A loaded computer lets it sleep; a drive does not make up for that in one leap.
+            # A loaded computer may suspend this thread; a drive would not catch up in one leap.
             left = min(now - last, 0.25) * self._rate
             last = now
             while left > 0.0:
@@ -251,7 +251,7 @@ class EmulatedGrbl:
             for value in os.read(self._master, 1024):
                 self._take(bytes([value]))
         except OSError:
-            time.sleep(TURN)  # nobody has the port open, or it was unplugged
+            time.sleep(TURN)  # the port is not open elsewhere, or it was unplugged
 
     def _take(self, byte: bytes) -> None:
         if byte == b"?":
@@ -276,7 +276,7 @@ class EmulatedGrbl:
                 self._partial += byte
 
     def _work(self) -> None:
-        """Lines, as long as the planner has room for what they ask."""
+        """Execute waiting lines, as long as the planner has room for their moves."""
         while self._waiting and len(self._blocks) < PLANNER and self.state != "Home":
             if self._critical or (self.state == "Hold" and not self._waiting[0].startswith(b"$")):
                 return
@@ -357,7 +357,7 @@ class EmulatedGrbl:
         return "ok"
 
     def _stroke(self, coordinate: float) -> float:
-        """From the withdrawn end [mm], of a machine coordinate [mm]."""
+        """Position from the withdrawn end [mm] of a machine coordinate [mm]."""
         return self._sign * coordinate - self._shift
 
     def _coordinate(self) -> float:
@@ -405,7 +405,7 @@ class EmulatedGrbl:
             self._come_to_rest()
 
     def _ahead(self, way: float) -> float:
-        """How far it can go on in this direction [mm]."""
+        """Distance that the queued moves continue in this direction [mm]."""
         here = self._end
         for end, _ in list(self._blocks):
             if way * (end - here) < 0.0:
@@ -414,7 +414,7 @@ class EmulatedGrbl:
         return abs(here - self._end)
 
     def _speed_for(self, distance: float) -> float:
-        """From which it can still come to rest within a distance."""
+        """Largest speed from which it can come to rest within a distance [mm/s]."""
         return float((2.0 * self._settings[120] * distance) ** 0.5)
 
     def _come_to_rest(self) -> None:
@@ -484,7 +484,7 @@ class EmulatedGrbl:
 
 
 def main() -> None:
-    """Run one until Ctrl-C."""
+    """Run an emulated controller until Ctrl-C."""
     parser = argparse.ArgumentParser(description="An emulated GRBL controller.")
     parser.add_argument("--link", type=Path, required=True, help="name the port gets")
     parser.add_argument("--homing", action="store_true", help="wants to be homed first")

@@ -1,7 +1,7 @@
-"""The tactile board without the board: its firmware in an emulator, behind a pseudo-terminal.
+"""Emulated tactile board: its firmware in an emulator, behind a pseudo-terminal.
 
 The emulator is built from `firmware/` of a checkout with Debian's AVR tools and libsimavr (GPL 3);
-it is not part of the installed package. `why_not()` says what is missing.
+it is not part of the installed package. `why_not()` names missing prerequisites.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ PACKAGES: Final = (
 )
 CHANNEL_OF_BIT: Final = (2, 0, 1)  # bit 0 blue A2, bit 1 red A0, bit 2 green A1
 TOUCHED_V, FREE_V = 4.9, 0.4
-ANSWERS_WITHIN: Final = 10.0  # [s] the emulator, on a loaded computer
-BUILT_WITHIN: Final = 300.0  # [s] also where another process builds it first
+ANSWERS_WITHIN: Final = 10.0  # [s], for the emulator on a loaded computer
+BUILT_WITHIN: Final = 300.0  # [s], also if another process builds it first
 
 
 def why_not() -> str:
-    """Why the emulator cannot run here; empty if it can."""
+    """Reason why the emulator cannot run here; empty if it can."""
     packages, *headers = PACKAGES
     if not (FIRMWARE / "Makefile").is_file():
         return "the firmware is in a checkout of fixel, not in the installed package"
@@ -37,11 +37,11 @@ def why_not() -> str:
 
 
 def built(folder: Path) -> Path:
-    """The firmware and the emulator, built into a folder; nothing happens if they are there."""
+    """Build firmware and emulator in a folder, unless they exist; return the folder."""
     folder = folder.resolve()  # make works in another folder
     folder.mkdir(parents=True, exist_ok=True)
     command = ["make", "-s", "-j2", "-C", str(FIRMWARE), f"BUILD={folder}", "emulator"]
-    # Two test processes may want it at once; util-linux's flock makes one of them wait.
+    # Two test processes may build it at once; util-linux's flock makes one of them wait.
     if shutil.which("flock"):
         command = ["flock", str(folder / "lock"), *command]
     done = subprocess.run(
@@ -54,17 +54,17 @@ def built(folder: Path) -> Path:
 
 @final
 class EmulatedMega:
-    """A Mega 2560 that runs the tactile firmware in real time.
+    """Emulated Mega 2560 that runs the tactile firmware in real time.
 
     Parameters
     ----------
     folder : Path
-        Where `built` put things.
+        Folder that `built` returned.
 
     Attributes
     ----------
     port : str
-        What to open.
+        Path of the port to open.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -83,7 +83,7 @@ class EmulatedMega:
             raise RuntimeError("the emulator did not start")
 
     def tell(self, command: str) -> str:
-        """Give the emulator a command of its own (see `emulated_mega.c`); what it answers."""
+        """Send a command to the emulator itself (see `emulated_mega.c`); return its answer."""
         assert self._process.stdin is not None
         self._process.stdin.write(command + "\n")
         answer = self._answer()
@@ -93,22 +93,22 @@ class EmulatedMega:
         return answer[3:]
 
     def touch(self, bits: int, after: float = 0.0) -> None:
-        """Close the contacts of these bits and open the others, now or so many seconds from now."""
+        """Close the contacts of these bits and open the others, `after` seconds from now."""
         for bit, channel in enumerate(CHANNEL_OF_BIT):
             volts = TOUCHED_V if bits >> bit & 1 else FREE_V
             self.tell(f"at {round(1e3 * after)} adc {channel} {round(1e3 * volts)}")
 
     def volts(self, bit: int, volts: float) -> None:
-        """The voltage at the pin of a bit."""
+        """Set the voltage at the pin of a bit."""
         self.tell(f"adc {CHANNEL_OF_BIT[bit]} {round(1e3 * volts)}")
 
     @property
     def time(self) -> float:
-        """On the board's clock [s]."""
+        """Time on the board's clock [s]."""
         return 1e-6 * int(self.tell("time"))
 
     def close(self) -> None:
-        """End the emulator; the port goes away."""
+        """End the emulator and remove the port."""
         self._process.kill()
         self._process.communicate()
         self._place.cleanup()
@@ -120,7 +120,7 @@ class EmulatedMega:
         self.close()
 
     def _answer(self) -> str:
-        """One line; empty where it died or hangs."""
+        """Read one line; empty if the emulator ended or hangs."""
         stream = self._process.stdout
         assert stream is not None
         said = select.select([stream], [], [], ANSWERS_WITHIN)[0]

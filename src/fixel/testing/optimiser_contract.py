@@ -1,4 +1,4 @@
-"""What every optimiser promises, as a test suite to inherit from.
+"""Contract of optimisers, as a test suite to inherit from.
 
 Subclass it, override its one fixture, and pytest runs the suite on your plug-in:
 
@@ -25,27 +25,27 @@ Error = Callable[[FloatArray], float]
 
 SCALE = np.array([0.1, 0.006, 2.0])
 LOW = np.array([0.0, 0.001, -10.0])
-TARGET = LOW + SCALE * np.array([4.3, 6.2, 5.4])  # where the errors below are least
+TARGET = LOW + SCALE * np.array([4.3, 6.2, 5.4])  # minimum of the errors below
 
 
 def box(start: tuple[float, ...] = (5.0, 5.0, 5.0)) -> SearchBox:
-    """Ten scales wide, of unlike units; `start` in scales from the lower bounds."""
+    """Search box ten scales wide, with different units; `start` in scales from the lower bounds."""
     return _frozen(SearchBox(LOW, LOW + 10.0 * SCALE, LOW + SCALE * np.array(start), SCALE))
 
 
 def bowl(point: FloatArray) -> float:
-    """Smooth, with one minimum, at `TARGET`."""
+    """Smooth error with one minimum, at `TARGET`."""
     x, y, z = ((point - TARGET) / SCALE).tolist()
     return float(1.0 + x * x + 3.0 * y * y + 0.5 * z * z + 0.5 * x * y)
 
 
 def crease(point: FloatArray) -> float:
-    """The same with a crease along every unknown."""
+    """Error with the same minimum and a crease along every parameter."""
     return float(1.0 + np.array([1.0, 3.0, 0.5]) @ np.abs((point - TARGET) / SCALE))
 
 
 def failing(error: Error) -> Error:
-    """One point in ten fails, half of them as inf and half as NaN; the same points every time."""
+    """Make one point in ten fail, half with inf and half with NaN; always the same points."""
 
     def value(point: FloatArray) -> float:
         lot = int.from_bytes(point.tobytes(), "little") % 20011 % 20
@@ -55,7 +55,7 @@ def failing(error: Error) -> Error:
 
 
 def run(search: Search, error: Error, limit: int = 10_000) -> list[tuple[FloatArray, FloatArray]]:
-    """Run a search to its end, or a limit of evaluations; what it asked and was told."""
+    """Run a search to its end or a limit of evaluations; return its points and their errors."""
     journal = []
     while not search.done and search.evaluations < limit:
         points = search.ask()
@@ -66,14 +66,14 @@ def run(search: Search, error: Error, limit: int = 10_000) -> list[tuple[FloatAr
 
 
 class OptimiserContract:
-    """Stays in its box, repeats itself, resumes, outlives failures, finds a minimum."""
+    """Tests of an optimiser: bounds, reproducibility, resuming, failures, convergence."""
 
-    # How near the minimum, in scales. A search that is not meant to converge sets its own.
+    # Required distance from the minimum, in scales; override for a search that does not converge.
     precision = 1e-3
 
     @pytest.fixture
     def optimiser(self) -> AbstractOptimiser:
-        """The optimiser under test."""
+        """Optimiser under test."""
         raise NotImplementedError
 
     def test_is_named_options_that_compare_and_hash(self, optimiser: AbstractOptimiser) -> None:
@@ -190,7 +190,7 @@ class OptimiserContract:
             for points, errors in journal[:cut]:
                 assert np.array_equal(search.ask(), points)
                 search.tell(errors)
-            # What was under way when it stopped is asked for again.
+            # Points that were being evaluated at the interrupt are requested again.
             _assert_same(run(search, failing(bowl), 150), journal[cut:])
             assert search.best.error == whole.best.error
             assert search.reason == whole.reason
@@ -205,7 +205,7 @@ def _assert_same(
 
 
 def _frozen(area: SearchBox) -> SearchBox:
-    """A box that a search cannot write to."""
+    """Make the arrays of a box read-only."""
     for array in area:
         array.flags.writeable = False
     return area

@@ -1,4 +1,4 @@
-"""Small pictures of tags and stickers on a plate, painted point by point through a camera."""
+"""Small rendered pictures of tags and stickers on a plate, seen by a camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
 from fixel.vision.tracking.tag_reader import cells
 
-OVER = 3  # points a pixel, in each direction
+OVER = 3  # points per pixel, in each direction
 WHITE, BLACK = 215.0, 35.0
 PLATE = np.array([120.0, 125.0, 130.0])
 PAINT = {
@@ -27,7 +27,7 @@ PAINT = {
 
 
 def camera(size: tuple[int, int] = (320, 240)) -> Camera:
-    """At about 0.55 mm a pixel, with distortion, and not quite upright."""
+    """Create a camera with about 0.55 mm per pixel, distortion, and a slight tilt."""
     lens = Lens(
         image_size=size,
         focal=row(940.0, 945.0),
@@ -43,7 +43,7 @@ def camera(size: tuple[int, int] = (320, 240)) -> Camera:
 
 
 def tag_rig(size: tuple[int, int] = (320, 240), plate: bool = False) -> Rig:
-    """A part with a tag of 30 mm, and one with a tag of 20 mm."""
+    """Create a rig with one part with a tag of 30 mm, and one with a tag of 20 mm."""
     return Rig(
         name="small",
         camera=camera(size),
@@ -64,7 +64,7 @@ def tag_rig(size: tuple[int, int] = (320, 240), plate: bool = False) -> Rig:
 
 
 def sticker_rig(size: tuple[int, int] = (320, 240)) -> Rig:
-    """A part with two stickers of 12 mm, and one with two of 10 mm."""
+    """Create a rig with one part with two stickers of 12 mm, and one with two of 10 mm."""
     return Rig(
         name="small",
         camera=camera(size),
@@ -89,12 +89,12 @@ def sticker_rig(size: tuple[int, int] = (320, 240)) -> Rig:
 
 @functools.cache
 def painted(rig: Rig) -> Painter:
-    """The painter of a rig; one for all tests."""
+    """Painter of a rig, cached for all tests."""
     return Painter(rig)
 
 
 class Painter:
-    """Paints frames of a rig; what costs time is done once a height."""
+    """Renderer of frames of a rig; places in the world are computed once per height."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -112,7 +112,7 @@ class Painter:
         return self._places[height]
 
     def picture(self, poses: Mapping[str, FloatArray], plain: bool = False) -> FloatArray:
-        """(height, width, 3) float of all marks at their poses."""
+        """Render all marks at their poses, (height, width, 3) float."""
         canvas = np.broadcast_to(PLATE, (*self._pixel.shape[:2], 3)).copy()
         for tag in self.rig.plate:
             self._tag(canvas, tag, np.zeros(3))
@@ -126,7 +126,7 @@ class Painter:
         return np.asarray(canvas.reshape(height, OVER, width, OVER, 3).mean((1, 3)))
 
     def frame(self, time: float) -> Frame:
-        """A frame of the small film, as a camera with noise has it."""
+        """Render a frame of the small film, with a camera's noise."""
         if time not in self._frames:
             self._frames[time] = Frame(
                 time, as_seen(self.picture(moving(time)), seed=int(1e6 * time))
@@ -150,13 +150,13 @@ class Painter:
 
 
 def inverse(pose: FloatArray, xy: FloatArray) -> FloatArray:
-    """Points of the world in the frame of a pose."""
+    """Transform points of the world to the frame of a pose."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.asarray((xy - np.asarray(pose)[:2]) @ np.array([[c, -s], [s, c]]))
 
 
 def as_seen(picture: FloatArray, noise: float = 2.0, seed: int = 0) -> Picture:
-    """With a camera's blur and noise, in whole numbers."""
+    """Add a camera's noise to a picture and round it to whole numbers."""
     random = np.random.default_rng(seed)
     return np.clip(np.rint(picture + noise * random.standard_normal(picture.shape)), 0, 255).astype(
         np.uint8
@@ -164,7 +164,7 @@ def as_seen(picture: FloatArray, noise: float = 2.0, seed: int = 0) -> Picture:
 
 
 def moving(t: float) -> dict[str, FloatArray]:
-    """Poses in a small film."""
+    """Poses of the parts in the small film at a time [s]."""
     return {
         "object": np.array([0.02 + 0.0135 * t, 0.004 - 0.003 * t, 0.3 + 0.2 * t]),
         "actuator": np.array([-0.045 + 0.0135 * t, -0.012, 0.02]),

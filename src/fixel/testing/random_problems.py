@@ -1,16 +1,16 @@
-"""Random step problems that look like a simulator's and always have a solution.
+"""Random step problems that resemble those of simulations and always have a solution.
 
-Every problem is a function of its seed alone. A velocity v* is drawn first and every contact is
-given a bias such that at v* it opens faster than friction could drag it shut, ``u_n >= mu
-|u_t|``. That bounds the impulses of every solution of every Coulomb problem with these rows, and
-with it a solution exists: for positive inertia by copositivity (Stewart & Trinkle 1996), without
-inertia by Kakutani's theorem on the friction bounds. Three things would break existence and are
-therefore never drawn:
+Every problem is a function of its seed alone. A velocity v* is drawn first. Every contact is given
+a bias such that at v* it opens faster than friction could close it, ``u_n >= mu |u_t|``. This
+bounds the impulses of every solution of every Coulomb problem with these rows. Therefore a
+solution exists: for positive inertia by copositivity (Stewart & Trinkle 1996), without inertia by
+Kakutani's theorem on the friction bounds. Three conditions would violate existence and are never
+drawn:
 
-- a rigid drive that squeezes bodies (no v* at all); - in a quasi-static problem, an applied
-wrench above what the support can hold; - in a quasi-static problem, contacts with no room at v*
-(``u_n = mu |u_t|``) and slip there: impulses may
-  grow without bound. Contacts without room are drawn carried along, ``u_n = u_t = 0``.
+- a rigid drive that squeezes bodies, so that there is no v*;
+- in a quasi-static problem, an applied wrench above what the support can hold;
+- in a quasi-static problem, contacts with no room at v* (``u_n = mu |u_t|``) that slip there:
+  impulses may grow without bound. Contacts without room move along, ``u_n = u_t = 0``.
 """
 
 import math
@@ -50,7 +50,7 @@ def _between(state: IntArray, low: float, high: float) -> float:
 
 @kernel
 def _spread(state: IntArray, low: float, high: float) -> float:
-    """Uniform in the logarithm."""
+    """Next number between two positive ones, uniform in the logarithm."""
     return math.exp(_between(state, math.log(low), math.log(high)))
 
 
@@ -63,7 +63,7 @@ def _whole(state: IntArray, low: int, high: int) -> int:
 def fill(
     problem: Problem, aim: FloatArray, place: FloatArray, random: IntArray, seed: int
 ) -> tuple[int, int]:
-    """Draw problem `seed`; impulses are zero on return. Returns (motion, 1 where degenerate).
+    """Draw problem `seed` with zero impulses; return its motion, and 1 if it is degenerate.
 
     `aim` becomes v*, `place` (MAX_BODIES, 2) the centres of mass.
     """
@@ -75,7 +75,7 @@ def fill(
     n_contact = _whole(random, 1, MAX_CONTACTS if n_body > 1 else 6)
     motion = _whole(random, 0, 2)
     degenerate = 1 if _uniform(random) < 0.1 else 0
-    kind = _whole(random, 0, 5)  # of degeneracy
+    kind = _whole(random, 0, 5)  # kind of degeneracy
     smooth = degenerate == 1 and kind == 2
     collinear = degenerate == 1 and kind == 1
     heavy = degenerate == 1 and kind == 3
@@ -124,7 +124,7 @@ def _draw_motion(
     n_body: int,
     n_drive: int,
 ) -> None:
-    """v*: half the time all bodies go along with one rigid motion of the plane."""
+    """Draw v*; with probability 1/2, all bodies share one rigid motion of the plane."""
     together = _uniform(random) < 0.5
     spin = _between(random, -1.0, 1.0)
     vx = _between(random, -1.0, 1.0)
@@ -147,7 +147,7 @@ def _draw_motion(
 def _draw_bodies(
     problem: Problem, random: IntArray, motion: int, strength: float, n_body: int, heavy: bool
 ) -> None:
-    """Inertia and momentum."""
+    """Draw inertia and momentum of the bodies."""
     for b in range(n_body):
         o = 3 * b
         for i in range(3):
@@ -156,8 +156,8 @@ def _draw_bodies(
                 problem.inertia[o + i, j] = 0.0
         mass = _spread(random, 0.2, 5.0)
         if heavy:
-            # A ratio of 1e6 around the unit of mass: the judge's tolerance is absolute, and a
-            # momentum beyond 1e6 could not be met by any number of 16 digits.
+            # A ratio of 1e6 around the unit of mass: the tolerance of residuals is absolute, and a
+            # momentum beyond 1e6 could not be balanced with 16 digits.
             mass *= 1e3 if b % 2 == 1 else 1e-3
         gyration = _between(random, 0.1, 0.6)
         if motion == DYNAMIC:
@@ -167,7 +167,7 @@ def _draw_bodies(
             for k in range(3):
                 problem.momentum[o + k] = problem.inertia[o + k, k] * _between(random, -1.0, 1.0)
         elif motion == FIRST_ORDER:
-            # A drag of two points: positive definite, with coupling.
+            # Drag of two points: positive definite, with coupling.
             x = _between(random, -0.2, 0.2)
             y = _between(random, -0.2, 0.2)
             drag = strength * mass
@@ -187,8 +187,8 @@ def _draw_bodies(
 def _draw_supports(
     problem: Problem, random: IntArray, strength: float, n_body: int, collinear: bool, motion: int
 ) -> int:
-    """Tripods mostly; one point, or one ellipsoid. A quasi-static body may be pulled, within its
-    hold."""
+    """Draw supports: mostly tripods, else one point or one ellipsoid. A quasi-static body may be
+    pulled by less than its friction holds."""
     sides = 0 if _uniform(random) < 0.5 else 4 * _whole(random, 1, 4)
     e = 0
     for b in range(n_body):
@@ -222,7 +222,7 @@ def _draw_supports(
                 problem.element_row[e, 2, 2] = _between(random, 0.1, 0.8)
             e += 1
         if motion == QUASI_STATIC and _uniform(random) < 0.15:
-            # Half the force along an axis that a square of the same radius still holds.
+            # Half of the force that a square friction limit of the same radius holds along an axis.
             pull = 0.5 * limit * _between(random, 0.0, 1.0)
             problem.momentum[3 * b] = pull * math.cos(angle)
             problem.momentum[3 * b + 1] = pull * math.sin(angle)
@@ -253,7 +253,7 @@ def _draw_drives(
 def _draw_contact(
     problem: Problem, place: FloatArray, random: IntArray, i: int, n_body: int, n_drive: int
 ) -> None:
-    """Rows of a contact between two neighbours, or of one body with an obstacle or a drive."""
+    """Draw the rows of a contact of two neighbours, or of a body with an obstacle or a drive."""
     a = _whole(random, 0, n_body - 1)
     b = _whole(random, 0, n_body - 1)
     direction = _between(random, 0.0, 2.0 * math.pi)
@@ -310,7 +310,7 @@ def _copy_contact(problem: Problem, source: int, target: int) -> None:
 
 @kernel
 def _draw_room(problem: Problem, aim: FloatArray, random: IntArray, i: int, snug: bool) -> None:
-    """Bias of contact i such that v* has room there: ``u_n = mu |u_t| + room``."""
+    """Draw a bias of contact i such that v* has room there: ``u_n = mu |u_t| + room``."""
     un = 0.0
     ut = 0.0
     for side in range(2):
@@ -322,7 +322,7 @@ def _draw_room(problem: Problem, aim: FloatArray, random: IntArray, i: int, snug
     bias_t = 0.0
     o = problem.contact_dof[i, 1]
     if o < 0 or snug:
-        # An obstacle that moves too, at times just along with the body.
+        # An obstacle that moves too, sometimes exactly along with the body.
         bias_t = -ut if snug or _uniform(random) < 0.3 else _between(random, -0.5, 0.5)
     room = 0.0 if snug else _spread(random, 1e-3, 1.0)
     problem.bias[i, 1] = bias_t
@@ -352,7 +352,7 @@ def _room() -> tuple[Problem, Workspace]:
 
 @entry
 def draw(seed: int) -> tuple[Problem, Workspace, FloatArray, int]:
-    """Problem of one seed, its workspace, the velocity v* that has room, and its motion."""
+    """Draw the problem of a seed; return it, its workspace, the velocity v*, and its motion."""
     problem, work = _room()
     aim = np.zeros(MAX_DOF + 2)
     motion, _ = fill(problem, aim, np.zeros((MAX_BODIES, 2)), np.zeros(1, np.int64), seed)
@@ -365,9 +365,9 @@ def solve_many(
 ) -> int:
     """Draw and solve the problems `first` to ``first + count - 1``, each cold and then warm.
 
-    `failed` (n,) receives ``2 seed + (1 if warm)`` of the first n failures; `tally` (4,) is added
-    to: problems solved, fallbacks, and keeps the largest residual in [2]. Returns the number of
-    failures.
+    `failed` (n,) receives ``2 seed + (1 if warm)`` of the first n failures. In `tally` (4,), the
+    numbers of solver calls and of fallbacks are added to [0] and [1], and [2] becomes the largest
+    residual of a success. Returns the number of failures.
     """
     problem, work = _room()
     aim = np.zeros(MAX_DOF + 2)
@@ -379,7 +379,7 @@ def solve_many(
         motion, _ = fill(problem, aim, place, random, seed)
         share = _uniform(random)
         for i in range(problem.size[0]):
-            # Cold: from rest, from v* or from half way.
+            # Cold start: from rest, from v*, or from a share of v*.
             guess[i] = aim[i] * (0.0 if share < 0.3 else (1.0 if share < 0.6 else share))
             problem.velocity[i] = guess[i]
         for warm in range(2):

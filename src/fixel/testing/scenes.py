@@ -1,4 +1,4 @@
-"""Scenes with a name: tests, benchmarks and examples all build them here."""
+"""Named scenes for tests, benchmarks and examples."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from fixel.sampling.eight_push import (
 )
 from fixel.typing import FloatArray
 
-FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch pegs of the thesis, appendix C.3
-FINGER_RADIUS: Final = 0.005  # [m] of `free_push`
-STALL_FORCE: Final = 34.3  # [N] of the thesis's actuator, section 1.3.3
+FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch fixels of the thesis, appendix C.3
+FINGER_RADIUS: Final = 0.005  # [m], finger of `free_push`
+STALL_FORCE: Final = 34.3  # [N], actuator of the thesis, section 1.3.3
 
 
 def row(*numbers: float) -> FloatArray:
-    """Numbers as an array, for what is documented as array_like but typed as an array."""
+    """Convert numbers to an array, for parameters that are typed as an array."""
     return np.array(numbers, np.float64)
 
 
 def box(width: float, height: float) -> Polygon:
-    """A rectangle about the origin of its frame [m]."""
+    """Rectangle about the origin of its frame [m]."""
     x, y = 0.5 * width, 0.5 * height
     return Polygon(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]))
 
@@ -68,20 +68,20 @@ def grasp(
     force_limit: float | None = STALL_FORCE,
     support_directions: int | None = None,
 ) -> Scene:
-    """A square pushed by a flat head against three pegs.
+    """Square pushed by a flat head against three fixels.
 
-    Sizes, masses, speed, reach and stall force are the testbed's of the thesis (RPI, sections
-    1.3 and 5.1). Its peg coordinates are not printed; these are ours.
+    Sizes, masses, speed, reach and stall force are those of the thesis's testbed (RPI 2011,
+    sections 1.3 and 5.1). The thesis does not print the fixels' coordinates; these are made up.
 
     Parameters
     ----------
     layout : str
         ``"seated"``: the square comes to rest between head and pegs, and the drive stalls.
-        ``"slip"``: the pegs stand where the square meets them late, or slides off.
+        ``"slip"``: the fixels are where the square meets them late, or slides off.
     force_limit : float or None
-        At which the drive stalls [N]; None for a rigid drive, which jams in a seated grasp.
+        Force at which the drive stalls [N]; None for a rigid drive, which jams in a seated grasp.
     support_directions : int or None
-        None: exact friction discs; 16 as in the thesis's own runs.
+        Directions of friction polygons, 16 as in the thesis; None for exact friction discs.
     """
     square = Body(
         name="object",
@@ -115,7 +115,7 @@ def grasp(
 Estimate = Literal["p1", "p2"]
 
 _ESTIMATES: Final[dict[str, tuple[tuple[tuple[float, float], ...], float, float]]] = {
-    # Support points [um] with the decimal point put back, friction of probe and of plane.
+    # Support points [um] with decimal points restored, friction of probe and of plane.
     "p1": (((411.3, -563.3), (-409.1, 605.9), (-273.2, -102.1)), 0.666, 0.757),
     "p2": (((-412.4, 794.0), (-217.8, 774.5), (278.8, -538.8)), 0.536, 0.013),
 }
@@ -124,23 +124,23 @@ _ESTIMATES: Final[dict[str, tuple[tuple[tuple[float, float], ...], float, float]
 def micro_push(
     test: int = 1, estimate: Estimate = "p1", mu_support: float | None = None, speed: float = 1e-4
 ) -> Scene:
-    """One of the eight pushes of a 1.6 mm part by a probe, under parameters the paper estimated.
+    """One of the eight pushes of a 1.6 mm part by a probe, with parameters estimated in the paper.
 
     Source: the ASME 2006 paper on meso-scale manipulation, figures 4 and 5, table 1. Support points
-    are read in a body frame whose y axis runs along the long side: only then do all of them lie in
-    the part. Pushes go along +x; the long side stands upright in tests 1-5, the short one in tests
-    6-8. Meant for `QuasiStatic` motion, as in the paper, so speed and mass do not matter.
+    are read in a body frame whose y axis is along the long side: only then are all of them in the
+    part. Pushes go along +x; the long side is along y in tests 1-5, the short one in tests 6-8. The
+    scene is for `QuasiStatic` motion, as in the paper, so speed and mass do not matter.
 
     Parameters
     ----------
     test : int
-        1 to 8. Half a side off the midpoint is read as a probe flush with the corner.
+        Number of the test, 1 to 8. Half a side off the midpoint means flush with the corner.
     estimate : str
-        ``"p1"`` or ``"p2"``, the columns of table 1.
+        Column of table 1, ``"p1"`` or ``"p2"``.
     mu_support : float, optional
-        In place of the estimated friction of the plane.
+        Friction of the plane; by default the estimated one.
     speed : float
-        Of the probe [m/s]; not legible in the paper.
+        Speed of the probe [m/s]; not legible in the paper.
     """
     if test not in range(1, 9):
         raise InvalidInput("test", found=test, expected="a test from 1 to 8")
@@ -171,7 +171,7 @@ def micro_push(
 def sliding_block(
     speed: float = 0.5, friction: float = 0.25, heading: float = 0.0, duration: float = 1.0
 ) -> Scene:
-    """A square block that slides and stops after ``speed^2 / (2 friction g)``, all alone."""
+    """Single square block that slides and stops after ``speed^2 / (2 friction g)``."""
     block = Body(
         name="block",
         shape=box(0.1, 0.1),
@@ -190,7 +190,7 @@ def spinning_disk(
     n_points: int = 256,
     duration: float = 1.0,
 ) -> Scene:
-    """A disk of radius 50 mm on even pressure that spins, and slides if asked, until it rests.
+    """Disk of radius 50 mm on even pressure that spins, and slides if `speed` is given, to rest.
 
     Without sliding it stops after ``3 R spin / (4 friction g)``.
     """
@@ -206,9 +206,9 @@ def spinning_disk(
 
 
 def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
-    """`n` blocks and disks in rows of three, on tripods, swept by a wide plate along +x.
+    """Heap of `n` blocks and disks in rows of three, on tripods, swept by a wide plate along +x.
 
-    Ours: made for many bodies in contact at once. Every third one is a disk.
+    It has many bodies in contact at once. Every third one is a disk.
     """
     if n < 1:
         raise InvalidInput("n", found=n, expected="at least 1")
@@ -218,7 +218,7 @@ def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
             name=f"body-{k + 1}",
             shape=Disk(0.02) if k % 3 == 2 else box(0.04, 0.03),
             mass=0.05,
-            # A little out of line, so that nothing hangs on a tie.
+            # Slightly out of line, so that results do not depend on ties.
             pose=row(0.03 + pitch * (k // 3), pitch * (k % 3 - 1) + 0.002 * (k // 3 % 2), 0.07 * k),
             support=Tripod(radius=0.012, friction=0.3, angle=0.4 * k),
         )
@@ -240,7 +240,7 @@ def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
 
 
 def moved(scene: Scene, shift: tuple[float, float], turn: float) -> Scene:
-    """The scene turned about the origin [rad], then shifted [m]; only for drives along lines."""
+    """Turn a scene about the origin [rad], then shift it [m]; only for drives along lines."""
     c, s = np.cos(turn), np.sin(turn)
     spin = np.array([[c, -s], [s, c]])
 
@@ -273,9 +273,9 @@ def free_push(
     step: float = 1e-4,
     support_directions: int | None = None,
 ) -> Scene:
-    """A body of 200 g ready to be pushed along +x by a disk at the origin; a step of it by default.
+    """Body of 200 g to be pushed along +x by a disk at the origin, by default for one short step.
 
-    Where it starts is left to `touching_pose`, for a batch of rollouts.
+    Batches of rollouts take their start poses from `touching_pose`.
     """
     shape = shape or box(0.1, 0.1)
     body = Body(name="body", shape=shape, mass=0.2, pose=row(0.5, 0.0, 0.0), support=support)
@@ -295,12 +295,12 @@ def free_push(
 
 
 def touching_pose(point: ArrayLike, outward: ArrayLike, towards: ArrayLike) -> FloatArray:
-    """Poses at which a body's outline touches the finger of `free_push`.
+    """Compute poses at which a body's outline touches the finger of `free_push`.
 
     Parameters
     ----------
     point : (..., 2) array_like
-        On the outline, in the frame of the shape [m].
+        Point on the outline, in the frame of the shape [m].
     outward : (...) array_like
         Direction of the outward normal there, in the frame of the shape [rad].
     towards : (...) array_like
@@ -309,7 +309,7 @@ def touching_pose(point: ArrayLike, outward: ArrayLike, towards: ArrayLike) -> F
     Returns
     -------
     (..., 3) float64
-        [m, m, rad].
+        Poses of the body [m, m, rad].
     """
     at = np.asarray(point, np.float64)
     angle = np.asarray(towards, np.float64) + pi - np.asarray(outward, np.float64)

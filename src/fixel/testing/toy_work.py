@@ -1,4 +1,4 @@
-"""Work that is none: a cheap function, evaluated in several rounds that depend on each other.
+"""Toy job: a cheap function, evaluated in several rounds that depend on each other.
 
 For tests and benchmarks of `fixel.jobs`: chunks may sleep, compute, fail, or kill their worker.
 """
@@ -25,10 +25,10 @@ _BLOCK = bytes(1_000_000)
 
 @callable_by_jobs
 def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
-    """A small search: each round tries points around the best of the round before.
+    """Run a small search: each round tries points around the best of the previous round.
 
-    Options are `rounds`, `chunks` (of a round), `sleep_s` and `compute_s` (of a chunk), `poison`
-    and `faulty` (names of chunks that kill their worker, that raise).
+    Options are `rounds`, `chunks` (per round), `sleep_s` and `compute_s` (per chunk), `poison` and
+    `faulty` (names of chunks that kill their worker, or raise).
     """
     rounds, chunks = int(options.get("rounds", 3)), int(options.get("chunks", 8))
     best, best_value, width = 0.0, float("inf"), 1.0
@@ -51,7 +51,7 @@ def make_toy_work(inputs: Path, options: Mapping[str, Any]) -> Work:
 
 @callable_by_jobs
 def evaluate(inputs: Path, payload: bytes) -> bytes:
-    """The function that is minimised, after what the payload asks for besides."""
+    """Evaluate the minimised function, after the sleep, computation or failure in the payload."""
     given = json.loads(payload)
     offset = float((inputs / "offset").read_text()) if (inputs / "offset").exists() else 0.3
     _log_call(inputs, given["name"])
@@ -78,7 +78,7 @@ def _payload(name: str, x: float, options: Mapping[str, Any]) -> bytes:
 
 
 def _log_call(inputs: Path, name: str) -> None:
-    """Leave a line for tests that count calls, where they have put a file for it."""
+    """Append a line to the file `calls`, if a test that counts calls has created it."""
     calls = inputs.parent / "calls"
     if calls.exists():
         with calls.open("a") as stream:
@@ -86,7 +86,7 @@ def _log_call(inputs: Path, name: str) -> None:
 
 
 def _compute(cpu_s: float) -> None:
-    """Keep a core busy for so much of its own time [s]; as kernels do, let others run."""
+    """Use a given CPU time [s], and, like kernels, let other threads run meanwhile."""
     end = time.thread_time() + cpu_s
     while time.thread_time() < end:
         hashlib.sha256(_BLOCK)

@@ -1,4 +1,4 @@
-"""What every method of tracking promises, as a test suite to inherit from.
+"""Contract of tracking methods, as a test suite to inherit from.
 
 Subclass it, override its two fixtures, and pytest runs the suite on your method:
 
@@ -24,22 +24,22 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import AbstractTracking
 from fixel.vision.tracking.follow import track
 
-POSITION, ANGLE = 0.15e-3, 0.0026  # [m], [rad]: what tracking of the thesis's bench must reach
+POSITION, ANGLE = 0.15e-3, 0.0026  # [m], [rad], accuracy required for the thesis's testbed
 FRAMES = 6
 RATE = 30.0  # [Hz]
 
 
 class TrackingContract:
-    """A film with known poses, and pictures that must not be believed."""
+    """Tests of a tracking method: a film with known poses, and pictures it must reject."""
 
     @pytest.fixture
     def tracking(self) -> AbstractTracking:
-        """The method under test."""
+        """Tracking method under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def painter(self) -> Painter:
-        """What paints pictures of a rig that it can follow."""
+        """Painter of a rig that the method can track."""
         raise NotImplementedError
 
     def _film(self, painter: Painter, n: int = FRAMES) -> list[Frame]:
@@ -71,7 +71,7 @@ class TrackingContract:
     def test_a_camera_of_another_response(
         self, tracking: AbstractTracking, painter: Painter
     ) -> None:
-        """Webcams show half of the light as three quarters of white, and lenses are blurred."""
+        """Webcams have a nonlinear response (half of the light is about 3/4 of white) and blur."""
         frames = []
         for k in range(FRAMES):
             sharp = painter.picture(moving(k / RATE))
