@@ -35,10 +35,10 @@ class ExperimentView:
     Parameters
     ----------
     words : tuple of str
-        Each must occur in the name, a condition, a flag or a note.
+        Words that must all occur in the name, a condition, a flag or a note.
     bounds : tuple of Bound
     flags : tuple of str
-        Names of flags that each must carry.
+        Names of flags that each experiment must have.
     marks : tuple of str
         Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
         experiments replaced by a correction only with `replaced`.
@@ -204,7 +204,7 @@ def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
     return condition_of(connection.dialect.name, name)
 
 
-# --- questions --------------------------------------------------------------------------------
+# --- queries ----------------------------------------------------------------------------------
 
 
 def browse(connection: sa.Connection, view: ExperimentView) -> Leaf:

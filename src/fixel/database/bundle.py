@@ -489,7 +489,7 @@ class _Reader:
             arrays.row_of("experiment", place, *one, media)
             for place, one in enumerate(rows.series_of(experiment))
         ]
-        bare = dataclasses.replace(experiment, flags=())  # they come below, with their instants
+        bare = dataclasses.replace(experiment, flags=())  # inserted below, with their times
         with writing(self._store._engine) as connection:
             number = self._store._known(connection, row["content_sha256"])
             if number is not None:
@@ -521,7 +521,7 @@ class _Reader:
             stream.flush()
             os.fsync(stream.fileno())
 
-    # --- what is computed from them
+    # --- results
 
     def _simulations(self, parameters: list[Parameters]) -> None:
         known: dict[int, set[SimulationRecord]] = {}

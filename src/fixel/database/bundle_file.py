@@ -255,7 +255,7 @@ def read_npy(data: bytes, where: str) -> FloatArray:
         if np.lib.format.read_magic(stream) != (1, 0):
             raise ValueError("another version of npy")
         shape, by_column, dtype = np.lib.format.read_array_header_1_0(stream)
-    except Exception as problem:  # a header is Python text: what its parser raises varies
+    except Exception as problem:  # a header is Python text, whose parser raises various errors
         raise InvalidInput(where, found=str(problem), expected=expected) from None
     if dtype.hasobject or dtype.str != "<f8" or by_column or len(shape) != 2:
         raise InvalidInput(where, found=f"{dtype} of shape {shape}", expected=expected)

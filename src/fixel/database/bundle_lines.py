@@ -95,7 +95,7 @@ class ExperimentLine(SourceEntry):
     video_sha256: Sha256 | None
     flags: list[FlagLine]
     series: list[SeriesLine]
-    notes: list[NoteLine] = []  # omitted if empty: older versions of fixel know no notes
+    notes: list[NoteLine] = []  # omitted if empty, since older versions of fixel have no notes
 
     def record(self, measured: list[Measured]) -> Experiment:
         """Experiment as first stored, with the flags of its import only."""

@@ -31,7 +31,7 @@ def open_engine(url: str) -> sa.Engine:
     Raises
     ------
     StoreRefused
-        On a network file system; no driver; not a database URL.
+        The file is on a network file system, the driver is missing, or the URL is invalid.
     """
     try:
         parsed = sa.make_url(url)

@@ -447,7 +447,7 @@ class Store:
             row = _row(connection, tables.experiment, number, "experiment")
         return arrays.media_path(row.video_sha256, self._media) if row.video_sha256 else None
 
-    # --- what is computed from them -------------------------------------------------------------
+    # --- results --------------------------------------------------------------------------------
 
     def add_parameters(self, parameters: Mapping[str, float]) -> int:
         """Store a set of parameters if it is new; return its id."""

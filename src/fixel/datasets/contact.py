@@ -55,7 +55,7 @@ def corrected_path(path: FloatArray, offset: FloatArray, fade: float = math.inf)
     Parameters
     ----------
     path : (n, 4) float64
-        Time [s], pose [m, m, rad].
+        Path: time [s] and pose [m, m, rad].
     offset : (2,) float64
         Shift of the start [m].
     fade : float

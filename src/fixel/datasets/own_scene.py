@@ -35,7 +35,7 @@ OFTEN: Final = 0.1
 # and less than a quarter as deep with the other, the other unit is meant.
 INSIDE: Final = 0.03
 
-FAR_AWAY: Final = 1e3  # [m] from everything
+FAR: Final = 1e3  # [m], distance from all bodies
 
 NOMINAL_FRICTION: Final = 0.25
 
@@ -47,7 +47,7 @@ def with_scene(
     *,
     sure_of_angles: bool = False,
 ) -> tuple[Experiment, tuple[str, ...]]:
-    """Complete an experiment with the scene of a file.
+    """Complete an experiment with the scene from a file.
 
     The object starts at the first measured pose. A pusher whose path was measured follows it, and
     the scene lasts as long as the table.
@@ -158,7 +158,7 @@ _HEAD: Final = """\
 
 
 def _loaded(path: Path, experiment: Experiment) -> Scene:
-    """Load the scene of a file; a pusher whose path was measured is put far away.
+    """Load the scene of a file; a pusher whose path was measured is moved far away.
 
     With the poses of the file, from another run or with noise, the two might overlap.
     """
@@ -201,7 +201,7 @@ def _pusher_of(scene: Scene, path: Path) -> Pusher:
 def _driven(
     pusher: Pusher, shape: Shape, track: Trajectory, tip: Trajectory
 ) -> tuple[Pusher, tuple[Flag, ...], str]:
-    """Put the pusher on its measured path, moved out of the object if it starts inside."""
+    """Move the pusher to its measured path, corrected if it starts inside the object."""
     measured = np.column_stack((tip.time, tip.pose))
     flags: tuple[Flag, ...] = ()
     sentence = f"{pusher.name!r} follows its measured path"

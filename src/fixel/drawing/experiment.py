@@ -36,7 +36,7 @@ MAX_OUTLINES = 60  # maximum number of outlines from which the extent is compute
 FEW = 3  # up to this number of poses, draw dots: the motion between them is unknown
 DOTTED: Final = (0, (1, 1))
 MAX_NAMES = 12  # maximum number of fixels with names
-STEPS = 2  # outlines between start and end in a comparison
+STEPS = 2  # number of outlines between start and end in a comparison
 
 DASHED: Final = (0, (3, 2))
 
@@ -73,7 +73,7 @@ def draw_comparison(
     simulated : Trajectory
         Simulated poses of the object, on the experiment's clock.
     path : str or Path
-        File (`.pdf`, `.svg` or `.png`).
+        File to write (`.pdf`, `.svg` or `.png`).
     contacts : Channel, optional
         Simulated contacts of the fixels, like the channel `tactile` of an experiment.
 
@@ -130,7 +130,7 @@ def _together(experiment: Experiment, simulated: Trajectory) -> Trajectory:
     return Trajectory(time=time[both], pose=experiment.trajectory.pose[both])
 
 
-# --- what is on the plate ---------------------------------------------------------------------
+# --- top view ---------------------------------------------------------------------------------
 
 
 def _shape(experiment: Experiment) -> Shape | None:
@@ -352,7 +352,7 @@ def _patches(axes: Axes, outlines: Sequence[FloatArray], label: str, **style: An
     return Patch(label=label, **style)
 
 
-# --- what is against time ---------------------------------------------------------------------
+# --- panels against time ----------------------------------------------------------------------
 
 
 class _TouchSpan(NamedTuple):
@@ -443,7 +443,7 @@ def _time_axes(sheet: _ExperimentSheet, experiment: Experiment) -> None:
     every[-1].set_xlabel("time [s]", labelpad=1.5)
 
 
-# --- the sheet --------------------------------------------------------------------------------
+# --- layout -----------------------------------------------------------------------------------
 
 
 class _ExperimentSheet(NamedTuple):

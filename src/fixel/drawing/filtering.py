@@ -125,7 +125,7 @@ def _scene(experiment: Experiment) -> Scene:
     return experiment.scene
 
 
-# --- from above -------------------------------------------------------------------------------
+# --- top view ---------------------------------------------------------------------------------
 
 
 def _extent(experiment: Experiment, estimates: FilterEstimates) -> Rectangle:
@@ -323,7 +323,7 @@ def _time_axes(sheet: _FilterSheet, estimates: FilterEstimates) -> None:
     every[-1].set_xlabel("time [s]", labelpad=1.5)
 
 
-# --- the sheet --------------------------------------------------------------------------------
+# --- layout -----------------------------------------------------------------------------------
 
 
 def _laid_out(

@@ -32,7 +32,7 @@ BINS: Final = 14
 
 
 class OffsetSeries(NamedTuple):
-    """Experiments that differ along one axis."""
+    """Experiments whose start poses differ along one axis."""
 
     name: str
     unit: str

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROW: Final = 0.42  # [inch], height of the row of a parameter
-COLUMNS: Final = 4  # profiles side by side
+COLUMNS: Final = 4  # maximum number of profiles side by side
 # Profiles are drawn up to this multiple of the threshold.
 SHOWN: Final = 3.0
 

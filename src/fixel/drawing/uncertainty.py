@@ -142,7 +142,7 @@ class CornerChart(AbstractChart):
             axes.tick_params(labelleft=False, which="both")
 
     def _number(self, axes: Axes, which: Literal["x", "y"], k: int) -> None:
-        """Put few numbers on an axis, written upwards if too long to stand side by side."""
+        """Set few ticks on an axis, with labels written upwards if they are too long."""
         from matplotlib.ticker import MaxNLocator, NullFormatter
 
         axis = getattr(axes, f"{which}axis")

@@ -76,7 +76,7 @@ class CameraRecord(SceneLevel):
 
 
 def load_camera(path: str | Path) -> MeasuredCamera:
-    """Read a camera file: YAML, or JSON if the name ends in `.json`.
+    """Load a camera file: YAML, or JSON if the name ends in `.json`.
 
     Raises
     ------

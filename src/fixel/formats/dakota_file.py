@@ -125,7 +125,7 @@ class _Token(NamedTuple):
 
 
 def load_dakota(path: str | Path) -> DakotaFile:
-    """Read a Dakota input file.
+    """Load a Dakota input file.
 
     Raises
     ------

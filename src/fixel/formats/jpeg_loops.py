@@ -75,7 +75,7 @@ def find_blocks(
     Returns
     -------
     bool
-        Whether the data made sense.
+        Whether the data are valid.
     """
     n = len(parts)
     first, second, third = state[2], state[3], state[4]
@@ -228,7 +228,7 @@ def read_blocks(
     Returns
     -------
     bool
-        Whether the data made sense.
+        Whether the data are valid.
     """
     others = part[5] & 1
     block = np.empty(64, np.int64)

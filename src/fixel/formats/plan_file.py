@@ -158,7 +158,7 @@ class PlanRecord(SceneLevel):
 
 
 def load_plan(path: str | Path) -> Plan:
-    """Read a plan file: YAML, or JSON if the name ends in `.json`.
+    """Load a plan file: YAML, or JSON if the name ends in `.json`.
 
     Raises
     ------

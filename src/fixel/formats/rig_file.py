@@ -98,7 +98,7 @@ def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
 
 
 def load_rig(path: str | Path) -> Rig:
-    """Read a rig file: YAML, or JSON if the name ends in `.json`.
+    """Load a rig file: YAML, or JSON if the name ends in `.json`.
 
     Raises
     ------

@@ -41,12 +41,12 @@ class SceneFile:
 
 
 def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
-    """Read a scene file.
+    """Load a scene file.
 
     Parameters
     ----------
     path : str or Path
-        YAML, or JSON if the name ends in `.json`.
+        Scene file: YAML, or JSON if the name ends in `.json`.
     overrides : sequence of str
         Changes as `path.to.key=value`, applied in order before validation.
 

@@ -192,7 +192,7 @@ def _friction_row(
     }
 
 
-# --- what transfers -----------------------------------------------------------------------------
+# --- transfer to other supports -----------------------------------------------------------------
 
 
 def shared_space() -> ParameterSpace:

@@ -106,7 +106,7 @@ class Piece(NamedTuple):
 
 @final
 class BenchmarkData:
-    """Data, splits and finished fits that the protocols share."""
+    """Data, splits and finished fits, shared by all protocols."""
 
     def __init__(
         self,

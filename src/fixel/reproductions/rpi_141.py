@@ -97,7 +97,7 @@ def experiment_141(folder: Path) -> Experiment:
     raise InvalidInput(str(folder), found="no experiment 141", expected="the complete trial")
 
 
-# --- how it is judged ---------------------------------------------------------------------------
+# --- fits ---------------------------------------------------------------------------------------
 
 
 def judged(
@@ -234,7 +234,7 @@ def _tracks(folder: Path, name: str) -> dict[int, FloatArray]:
     return {int(n): poses[numbers == n] for n in np.unique(numbers)}
 
 
-# --- what is said of it -------------------------------------------------------------------------
+# --- conclusions and figure ---------------------------------------------------------------------
 
 
 def _row(rows: Sequence[Row], name: str) -> Row:

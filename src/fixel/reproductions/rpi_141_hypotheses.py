@@ -73,7 +73,7 @@ class Hypothesis:
         Changes that it applies to the experiment.
     motion : AbstractMotionModel
     together : bool
-        Whether it is a combination.
+        Whether the hypothesis is a combination of several.
     verdict : str
         Further evidence for or against it.
     """

@@ -453,7 +453,7 @@ class EmulatedGrbl:
         self._feed, self._relative, self._units = 0.0, False, 1.0
         self._say("", "Grbl 1.1h ['$' for help]", *self._lock_words())
 
-    # --- words --------------------------------------------------------------------------------
+    # --- output -------------------------------------------------------------------------------
 
     def _lock_words(self) -> list[str]:
         return ["[MSG:'$H'|'$X' to unlock]"] if self.state == "Alarm" else []

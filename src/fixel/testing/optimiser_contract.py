@@ -94,7 +94,7 @@ class OptimiserContract:
     def test_stays_within_the_bounds(self, optimiser: AbstractOptimiser) -> None:
         area = box()
 
-        def downhill(point: FloatArray) -> float:  # least at a corner
+        def downhill(point: FloatArray) -> float:  # smallest at a corner
             assert (point >= area.low).all()
             assert (point <= area.high).all()
             return float(((point - LOW) / SCALE).sum())

@@ -34,7 +34,7 @@ MAX_ELEMENTS = 3 * MAX_BODIES + MAX_DRIVES
 
 @kernel
 def _uniform(state: IntArray) -> float:
-    """Next number of [0, 1): splitmix64 on int64, whose overflow wraps in compiled code."""
+    """Next random number in [0, 1), by splitmix64 on int64, which wraps in compiled code."""
     state[0] += -7046029254386353131
     z = np.uint64(state[0])
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -331,7 +331,7 @@ def _draw_room(problem: Problem, aim: FloatArray, random: IntArray, i: int, snug
 
 @kernel
 def shift(problem: Problem, aim: FloatArray, random: IntArray, motion: int) -> None:
-    """Turn a solved problem into one that could be its next step; the impulses stay."""
+    """Change a solved problem to one that could be its next step; the impulses are unchanged."""
     for o in range(0, problem.size[3], 3):
         if motion == DYNAMIC:
             for k in range(3):

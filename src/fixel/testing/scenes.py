@@ -76,7 +76,7 @@ def grasp(
     Parameters
     ----------
     layout : str
-        ``"seated"``: the square comes to rest between head and pegs, and the drive stalls.
+        ``"seated"``: the square comes to rest between head and fixels, and the drive stalls.
         ``"slip"``: the fixels are where the square meets them late, or slides off.
     force_limit : float or None
         Force at which the drive stalls [N]; None for a rigid drive, which jams in a seated grasp.

@@ -47,9 +47,9 @@ class MitPushes:
     shapes : mapping from name to Shape
         Outlines in the frame of the dataset's poses.
     start, end : (n, 3) float64
-        Measured pose of the object [m, m, rad].
+        Measured poses of the object [m, m, rad].
     tip_start, tip_end : (n, 2) float64
-        Measured centre of the tip [m].
+        Measured centres of the tip [m].
     speed : (n,) float64
         Speed of the tip [m/s].
     gap_start, gap_end : (n,) float64

@@ -104,7 +104,7 @@ class WindowCurve(NamedTuple):
 
 
 class WindowPicture(NamedTuple):
-    """Windows of long runs."""
+    """Figure of windows of long runs."""
 
     windows: Sequence[WindowCurve]
 

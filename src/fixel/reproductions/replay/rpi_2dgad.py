@@ -45,7 +45,7 @@ OBJECT, ACTUATOR = "object", "actuator"
 
 
 class ObjectMotion(NamedTuple):
-    """Poses of the object at video frames."""
+    """Poses of the object in the video frames of a trial."""
 
     frame: FloatArray  # (n,)
     pose: FloatArray  # (n, 3) [m, m, rad]
