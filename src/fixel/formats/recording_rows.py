@@ -56,7 +56,7 @@ class RecordingRows(NamedTuple):
     ends : list of int
         Offset of the end of each row in the file [bytes].
     torn : bool
-        Whether the file ends with an incomplete row.
+        Whether the file ends with incomplete or damaged rows.
     """
 
     rows: list[RecordingRow]
