@@ -1,4 +1,4 @@
-"""The actuator from the command line: home it, move it, stop it, ask where it is."""
+"""Home the actuator, move it and report its position."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from fixel.typing import Notify
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActuatorAnswer:
-    """Where the drive is after what was asked.
+    """Position and state of the drive after a command.
 
     Attributes
     ----------
     driver : str
     position : float
-        [m].
+        Position of the drive [m].
     reach : (float, float)
-        [m].
+        Range of positions [m].
     state : str
-        As the controller names it; empty where it does not.
+        State as the controller names it; empty if it names none.
     seconds : float
-        What it took [s].
+        Duration of the command [s].
     """
 
     driver: str
@@ -40,7 +40,7 @@ class ActuatorAnswer:
     seconds: float
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "driver": self.driver,
             "position_m": self.position,
@@ -53,7 +53,7 @@ class ActuatorAnswer:
 def chosen_actuator(
     driver: str, port: str | None, *, say: Notify = print, dead_man: float | None = None
 ) -> AbstractActuator:
-    """The driver of a name: `grbl`, `manual`, `simulated`."""
+    """Create the driver called `grbl`, `manual` or `simulated`."""
     if driver == GrblActuator.name:
         return GrblActuator(port, keys=True, dead_man=dead_man)
     if driver == ManualActuator.name:
@@ -65,7 +65,7 @@ def chosen_actuator(
 
 
 def _asking(say: Notify) -> Callable[[str], str]:
-    """`input`, but with the question where everything else is said: it may write to the answer."""
+    """Return an `input` that prompts through the notifier: stdout may be used for the answer."""
 
     def ask(sentence: str) -> str:
         say(sentence)
@@ -75,7 +75,7 @@ def _asking(say: Notify) -> Callable[[str], str]:
 
 
 def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
-    """Let it find its place."""
+    """Home the drive, so that it knows its position."""
     start = time.perf_counter()
     with actuator:
         actuator.home()
@@ -90,7 +90,7 @@ def move_actuator(
     speed: float = SPEED,
     unlock: bool = False,
 ) -> ActuatorAnswer:
-    """Move it, and return when it is there [m, m/s]."""
+    """Move the drive and return when it has arrived [m, m/s]."""
     start = time.perf_counter()
     with actuator:
         if unlock and isinstance(actuator, GrblActuator):
@@ -100,7 +100,7 @@ def move_actuator(
 
 
 def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
-    """Ask it."""
+    """Read the position of the drive."""
     start = time.perf_counter()
     with actuator:
         return _answer(actuator, start)

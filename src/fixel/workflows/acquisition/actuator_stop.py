@@ -1,4 +1,4 @@
-"""Stopping drives in an emergency. Nothing heavy is imported: every millisecond counts."""
+"""Stop drives in an emergency. Nothing heavy is imported: every millisecond counts."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from fixel.testbed.emergency import running, stop_drive
 
 
 def stop_actuators(port: str | None) -> list[str]:
-    """Stop the drive at a port, or every drive that a program of this user moves; which ports.
+    """Stop the drive at a port, or all drives moved by programs of this user; return the ports.
 
-    It writes to the port without asking the program that has it open.
+    Writes to the port although another program has it open.
 
     Raises
     ------
     DeviceFailed
-        A drive that could not be stopped; the others were.
+        A drive could not be stopped; the others were stopped.
     """
     ports = [port] if port else [program.port for program in running()]
     if not ports:
@@ -25,7 +25,7 @@ def stop_actuators(port: str | None) -> list[str]:
             hint="if something moves, switch its power off",
         )
     stopped, failed = [], []
-    # One that cannot be stopped must not keep us from the rest.
+    # A drive that cannot be stopped must not prevent stopping the others.
     for one in ports:
         try:
             stop_drive(one)

@@ -1,4 +1,4 @@
-"""The rendered twin: recordings of simulated experiments, with the truth beside them."""
+"""Render simulated experiments as recordings, together with their ground truth."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from fixel.workflows.compilation import get_ready
 Write = Callable[[Frame, int | None, float], None]
 
 LEAD: Final = 0.5  # [s] at rest before the motion
-REST: Final = 0.5  # [s] after it
+REST: Final = 0.5  # [s] at rest after the motion
 RATE: Final = 30.0  # [Hz]
 
 # A film has no date of its own, and the same seed must give the same bits.
 STARTED: Final = "2000-01-01T00:00:00.000+00:00"
 
-# Names of the files beside a recording.
+# Files stored in the folder of a recording.
 RIG_FILE: Final = "rig.yaml"
 SCENE_FILE: Final = "scene.yaml"
 
@@ -39,26 +39,26 @@ SCENE_FILE: Final = "scene.yaml"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shooting:
-    """How to film.
+    """Settings of a film.
 
     Attributes
     ----------
     rig : str
-        A rig file, or the name of an example.
+        File of the rig, or name of an example.
     looks : str
-        A preset; empty for the one that suits the rig: `thesis` or `microscope`.
+        Appearance preset; empty for the one that suits the rig: `thesis` or `microscope`.
     changes : tuple of str
-        Numbers of the looks, each as `NAME=VALUE`.
+        Values of the looks to change, each as `NAME=VALUE`.
     seed : int
-        Of everything random.
+        Seed of all random numbers.
     codec : str
         `near` or `exact`, as for recordings.
     rate : float
-        Frames a second [Hz].
+        Frame rate [Hz].
     lead, rest : float
-        At rest before and after the motion [s].
+        Rest before and after the motion [s].
     frames : int, optional
-        No more than so many.
+        Maximum number of frames.
     """
 
     rig: str = "thesis-tags"
@@ -75,22 +75,22 @@ class Shooting:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmResult:
-    """One film.
+    """Result of rendering one film.
 
     Attributes
     ----------
     name : str
     folder : Path
-        A recording, with rig, scene and truth beside it.
+        Folder of the recording, its rig, scene and truth.
     frames : int
     seconds : float
         Time of the last frame [s].
     status : str
-        Of the simulation.
+        Status of the simulation.
     video : Path or None
-        A copy as one video file.
+        Copy of the film as one video file.
     unmarked : tuple of str
-        What moves and carries no mark that the rig knows, so that nobody can track it.
+        Moving bodies and pushers without marks in the rig, which cannot be tracked.
     """
 
     name: str
@@ -113,29 +113,29 @@ def film(
     say: Notify | None = None,
     progress: Progress | None = None,
 ) -> list[FilmResult]:
-    """Film scenes, plans and experiments.
+    """Render films of scenes, plans and experiments.
 
     Parameters
     ----------
     sources : list of str
         Scene files, plan files, and ids or names of experiments of the project.
     out : Path
-        Folder to make: the recording itself, or with several of them a folder of recordings.
+        Folder to create: the recording, or a folder of recordings for several films.
     shooting : Shooting, optional
     project : Path
     limit : int, optional
-        Only the first so many experiments of each plan.
+        Maximum number of experiments per plan.
     video : Path, optional
-        Write the one film into this video file too, as a camera to play back.
+        Video file to write too, which a camera source can play; only for a single film.
     say : callable, optional
-        Told in a sentence what takes long.
+        Called with a sentence before long operations.
     progress : callable, optional
         Called as `progress(done, total)` after every frame of a film.
 
     Raises
     ------
     InvalidInput
-        Nothing to film, or a rig, looks or folder that cannot be.
+        Nothing to film, or an invalid rig, looks or folder.
     """
     shooting = shooting or Shooting()
     rig = rig_of(shooting.rig)
@@ -171,7 +171,7 @@ def _looks(name: str, rig: Rig) -> Looks:
 
 
 def _prepared(items: Iterator[FilmScene], say: Notify | None) -> Iterator[FilmScene]:
-    """The shots, after a word about what the first one waits for."""
+    """Prepare the compiled code of the simulation, then yield the scenes."""
     from fixel.testing.scenes import sliding_block
 
     get_ready(sliding_block(), say)
@@ -187,7 +187,7 @@ def _shoot(
     video: Path | None,
     progress: Progress | None,
 ) -> FilmResult:
-    # Films of one seed have another noise each, or their errors would all be the same.
+    # Each film has its own noise; otherwise films of one seed would have the same errors.
     seed = int(stream(shooting.seed, "film", shot.name).integers(2**31))
     duration = shooting.lead + float(shot.simulation.time[-1]) + shooting.rest
     times = frame_times(duration, shooting.rate, looks, seed)[: shooting.frames]
@@ -210,7 +210,7 @@ def _shoot(
             note = f"SIMULATED by {header.simulated_by}"
             copy = stack.enter_context(VideoWriter(video, header.size, rate=header.rate, note=note))
             writers.append(lambda frame, *_: copy.write(frame))
-        # Before the frames: a film that is broken off is still one to try things on.
+        # Before the frames: an interrupted film is then still usable.
         save_rig(rig, folder / RIG_FILE)
         save_scene(shot.planned, folder / SCENE_FILE)
         write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
@@ -227,7 +227,7 @@ def _shoot(
 
 
 def _unmarked(shot: FilmScene, rig: Rig) -> tuple[str, ...]:
-    """What moves and carries no mark."""
+    """Names of moving bodies and pushers without marks in the rig."""
     moving = [body.name for body in shot.scene.bodies]
     moving += [pusher.name for pusher in shot.scene.pushers]
     return tuple(name for name in moving if name not in rig.parts or not rig.parts[name].marks)

@@ -1,4 +1,4 @@
-"""What is to be filmed: scenes, plans, and experiments of the simulated testbed done again."""
+"""Collect scenes to film from scene files, plans and experiments of the simulated testbed."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from fixel.simulation import Simulation, simulate
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.workflows.simulation import SimulationMethod, parts
 
-SAMPLE: Final = 1.0 / 240.0  # [s] between poses of the true motion
+SAMPLE: Final = 1.0 / 240.0  # [s] between samples of the true motion
 
-# How far the end of the motion done again may be from what the experiment remembers; the sampling
-# of a run moves the steps of its solver, and its end by some micrometres.
+# Largest distance between the ends of a repeated and of the stored motion; the sampling of a
+# rollout changes the steps of its solver, and its end by some micrometres.
 SAME_END: Final = 2e-4  # [m]
 
 FILES: Final = (".yaml", ".yml", ".json")
@@ -31,19 +31,19 @@ FILES: Final = (".yaml", ".yml", ".json")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmScene:
-    """Something to film.
+    """Scene to film, with its true motion.
 
     Attributes
     ----------
     name : str
     planned : SceneFile
-        What the experimenter believes to be on the plate.
+        Scene as the experimenter believes it to be.
     simulation : Simulation
-        What really happens; its scene has the true shapes and frictions.
+        True motion; its scene has the true shapes and frictions.
     testbed : SimulatedTestbed
-        Whose camera and fixels report it.
+        Testbed whose camera and fixels report the motion.
     truth : mapping of str to float or str
-        What is known of the difference, under names that end with their unit.
+        Known true conditions, under names that end with their unit.
     """
 
     name: str
@@ -54,30 +54,30 @@ class FilmScene:
 
     @property
     def scene(self) -> Scene:
-        """As it really is."""
+        """Scene with the true shapes and frictions."""
         return self.simulation.scene
 
 
 def shots(
     sources: Sequence[str], project: Path, *, seed: int = 1, limit: int | None = None
 ) -> tuple[int, Iterator[FilmScene]]:
-    """How many there are, and one after the other.
+    """Return the number of scenes to film and an iterator over them.
 
     Parameters
     ----------
     sources : sequence of str
         Scene files, plan files, and ids or names of experiments of a project.
     project : Path
-        Folder of the project, opened only where an experiment is asked for.
+        Folder of the project; opened only if a source is an experiment.
     seed : int
-        Of the simulated testbed, for plans.
+        Seed of the simulated testbed that performs plans.
     limit : int, optional
-        Only the first so many of each plan.
+        Maximum number of experiments per plan.
 
     Raises
     ------
     InvalidInput
-        Nothing to film, a file that cannot be read, or an experiment no simulated testbed has done.
+        Nothing to film, an unreadable file, or an experiment of no simulated testbed.
     """
     if not sources:
         raise InvalidInput(
@@ -116,7 +116,7 @@ def _done(item: _Item, seed: int) -> FilmScene:
 
 
 def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
-    """A scene file, as exactly as it is written."""
+    """Simulate a scene file exactly as it is written."""
     motion, stepper, solver = parts(scene_file, SimulationMethod())
     simulation = simulate(
         scene_file.scene, motion=motion, stepper=stepper, solver=solver, output_interval=SAMPLE
@@ -126,7 +126,7 @@ def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
 
 
 def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> FilmScene:
-    """A planned experiment, on the simulated testbed."""
+    """Simulate a planned experiment on the simulated testbed."""
     simulation = simulate(bench.true_scene(planned), output_interval=SAMPLE)
     return FilmScene(
         name=planned.name,
@@ -137,7 +137,7 @@ def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> FilmScene
 
 
 def _again(experiment: Experiment) -> FilmScene:
-    """An experiment that the simulated testbed has done, done once more: its true motion."""
+    """Repeat an experiment of the simulated testbed to obtain its true motion."""
     scene, conditions = experiment.scene, experiment.conditions
     assert scene is not None
     planned = PlannedExperiment(

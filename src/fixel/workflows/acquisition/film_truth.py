@@ -1,4 +1,4 @@
-"""What really is at every frame of a film, for judging what a tracker makes of it."""
+"""Ground truth at every frame of a film, to evaluate trackers."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ ABOUT: Final = "truth.json"
 
 
 class Truth(NamedTuple):
-    """What really is at every frame of a film.
+    """Ground truth at every frame of a film.
 
     Attributes
     ----------
     time : (n,) float64
         [s]
     pose : dict of str to (n, 3) float64
-        Of bodies and pushers in the middle of the exposure [m, m, rad].
+        Poses of bodies and pushers in the middle of the exposure [m, m, rad].
     touches : (n, n_fixel) bool
         Whether the object touches each fixel of the scene.
     reading : (n,) int64
-        The tactile byte as reported, false and missed contacts included; -1 without fixels.
+        Tactile byte as reported, with false and missed contacts; -1 without fixels.
     light : (n, 3) float64
         Factors of blue, green and red [-].
     covered : (n,) float64
-        Share of the object's upper face under the hand [-].
+        Fraction of the object's upper face under the hand [-].
     """
 
     time: FloatArray
@@ -54,7 +54,7 @@ class Truth(NamedTuple):
 
 
 def tracks_of(shot: FilmScene, lead: float) -> dict[str, Trajectory]:
-    """True trajectories on the clock of a film that begins with a rest [s]."""
+    """Return the true trajectories on the clock of a film that begins with a rest [s]."""
     simulation = shot.simulation
     tracks = {}
     for name, pose in simulation.pose.items():
@@ -66,7 +66,7 @@ def tracks_of(shot: FilmScene, lead: float) -> dict[str, Trajectory]:
 def truth_of(
     shot: FilmScene, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
 ) -> Truth:
-    """What really is at the frames of a film taken at instants (n,) [s]."""
+    """Compute the ground truth of a film at its frame times (n,) [s]."""
     tracks = tracks_of(shot, lead)
     occlusion = occlusion_of(shot.scene, rig, looks, times, seed)
     name = shot.scene.bodies[0].name
@@ -88,7 +88,7 @@ def truth_of(
 def write_truth(
     shot: FilmScene, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
 ) -> None:
-    """`truth.npz`, frame by frame, and `truth.json`; whoever tracks must not look at them."""
+    """Write `truth.npz` (frame by frame) and `truth.json`; trackers must not read them."""
     arrays: dict[str, Any] = {
         "time_s": truth.time,
         "touches": truth.touches,
@@ -117,7 +117,7 @@ def write_truth(
 
 
 def _touches(shot: FilmScene, times: FloatArray) -> BoolArray:
-    """(n, n_fixel) at instants of the simulation; before its begin none has moved."""
+    """Contacts (n, n_fixel) at times of the simulation; the first sample before its start."""
     simulation = shot.simulation
     sample = np.searchsorted(simulation.time, times, side="right") - 1
     return np.asarray(touching(simulation)[np.clip(sample, 0, len(simulation.time) - 1)])
@@ -126,7 +126,7 @@ def _touches(shot: FilmScene, times: FloatArray) -> BoolArray:
 def _readings(
     shot: FilmScene, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
 ) -> NDArray[np.int64]:
-    """(n,) bytes as the fixels report them: a bit a coil, in the rig's order."""
+    """Tactile bytes (n,) as reported: one bit per coil, in the rig's order."""
     names = [fixel.name for fixel in shot.scene.fixels]
     if not names:
         return np.full(len(times), -1, np.int64)

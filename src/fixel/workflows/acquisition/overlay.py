@@ -1,4 +1,4 @@
-"""Placing parts by eye and camera: how far everything is from where a scene wants it."""
+"""Compare camera pictures with a scene, to place parts by eye."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ from fixel.vision.tracking.fixels import MIN_FRAMES
 from fixel.workflows.acquisition.overlay_charts import draw_look
 from fixel.workflows.acquisition.overlay_check import Look, PartLook, Tolerance
 
-ACTUATOR_HEIGHT: Final = 0.03  # [m] of one that the rig does not know
-TRIES: Final = 10  # pictures that one look may take
-HELD: Final = 2  # pictures that wait; of a live camera the older of them are late
-BETWEEN_SIGNS: Final = 0.2  # [s] of waiting for a picture before looking whether there will be any
-SILENT: Final = STALLED + 1.0  # [s] most sources notice by themselves, and say more
+ACTUATOR_HEIGHT: Final = 0.03  # [m] of an actuator that the rig does not list
+TRIES: Final = 10  # largest number of pictures for one look
+HELD: Final = 2  # pictures in the queue; of a live camera the older of them are late
+BETWEEN_SIGNS: Final = 0.2  # [s] of waiting for a picture before checking whether any will come
+SILENT: Final = STALLED + 1.0  # [s] without pictures; most sources report the cause before
 
 Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
 
 
 @final
 class Overlay:
-    """Compares pictures with a scene.
+    """Comparison of pictures with a scene.
 
     Parameters
     ----------
     rig : Rig
-        Of at least one part of the scene.
+        Rig with at least one part of the scene.
     scene : Scene
-        Its poses are those that are wanted.
+        Scene with the wanted poses.
     tolerance : Tolerance, optional
-        The rig's own where left out.
+        Defaults to the tolerances of the rig.
 
     Raises
     ------
     InvalidInput
-        A rig that knows no part of the scene.
+        The rig has no part of the scene.
     """
 
     def __init__(self, rig: Rig, scene: Scene, tolerance: Tolerance | None = None) -> None:
@@ -66,7 +66,7 @@ class Overlay:
         )
 
     def look(self, frame: Frame) -> Look:
-        """Where everything is in this frame."""
+        """Locate all parts in a frame and compute their errors."""
         located = self._locator.see(frame)
         return Look(
             rig=self.rig,
@@ -77,13 +77,13 @@ class Overlay:
         )
 
     def drawn(self, picture: Picture, look: Look, *, words: bool = False) -> Picture:
-        """A copy of the picture with outlines; `words` writes the errors into it too."""
+        """Return a copy of the picture with outlines; `words` writes the errors on it too."""
         return draw_look(picture, look, words=words)
 
     def _part(self, thing: Body | Pusher | Fixel, located: FramePoses) -> PartLook:
         sight = located.parts.get(thing.name)
         measured = None if sight is None else sight.pose
-        if thing.name in located.fixels:  # round: turned as it should be
+        if thing.name in located.fixels:  # round: its angle counts as correct
             measured = np.append(located.fixels[thing.name], thing.pose[2])
         known = self.rig.parts.get(thing.name)
         return PartLook(
@@ -104,12 +104,12 @@ class Overlay:
 
 
 def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
-    """The scene of a file, or of a stored experiment.
+    """Load the scene of a file or of a stored experiment.
 
     Raises
     ------
     InvalidInput
-        Neither or both are given, or not all is known of what was on the plate.
+        Neither or both are given, or the experiment has no scene.
     """
     if (path is None) == (key is None):
         raise InvalidInput(
@@ -133,15 +133,15 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
 def frames_of(
     source: FrameSource, live: bool, tell: Callable[[str], None] | None = None
 ) -> Iterator[Frame]:
-    """Pictures of an open source as they are wanted now: of a live one only ever the newest.
+    """Yield the pictures of an open source; of a live source only the newest.
 
     Parameters
     ----------
     source : FrameSource
     live : bool
-        Whether it goes on without waiting for its reader.
+        Whether the source continues without waiting for its reader.
     tell : callable, optional
-        Told why there are no more, when there are no more.
+        Called with the reason when the pictures have ended.
     """
     queue = FrameQueue(source, live=live, held=HELD)
     queue.start()
@@ -166,7 +166,7 @@ def frames_of(
 
 
 def _decoded(arrived: CameraPicture) -> Frame | None:
-    """The frame, or None for a spoilt one: the next is soon there."""
+    """Return the frame, or None for a damaged one: the next arrives soon."""
     try:
         return Frame(arrived.time, arrived.picture())
     except InvalidInput:
@@ -174,20 +174,20 @@ def _decoded(arrived: CameraPicture) -> Frame | None:
 
 
 def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:
-    """Look at frames until they end, and show each with its outlines.
+    """Compare frames with the scene until they end, and show each with its outlines.
 
     Parameters
     ----------
     overlay : Overlay
     frames : iterable of Frame
     show : callable
-        Told a function that draws the picture, to be called only if somebody looks, and the status:
-        `LiveView.show`.
+        Called with a function that draws the picture, to be used only if there is a viewer, and
+        with the status: `LiveView.show`.
 
     Yields
     ------
     Look
-        After it was shown.
+        Result for one frame, after it was shown.
     """
     for frame in frames:
         look = overlay.look(frame)
@@ -196,12 +196,12 @@ def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Loo
 
 
 def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]:
-    """A picture that shows everything that can be measured, of a few; else the last of them.
+    """Return the first picture that shows all measurable parts, else the last of a few.
 
     Raises
     ------
     InvalidInput
-        No picture at all, or one that nothing can be measured in.
+        No picture, or one in which nothing can be measured.
     """
     answer = None
     for number, frame in enumerate(islice(frames, TRIES), 1):
@@ -217,7 +217,7 @@ def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """A picture as a PNG file, whole or absent."""
+    """Write a picture as a PNG file, completely or not at all."""
     from PIL import Image
 
     with written_whole(path) as unfinished:

@@ -1,4 +1,4 @@
-"""A look at the places of all parts, drawn on its picture."""
+"""Draw the wanted and measured outlines of all parts on a picture."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ BRIGHT: Final = bgr("#7CFFB2")  # the same green, to be read on a dark rim
 WARNING: Final = bgr("#FF8A66")
 AXIS: Final = 55.0  # [px] length of the world's axes as drawn
 FAINT: Final = 0.45
-ARROW: Final = (45.0, 130.0)  # [px] least and greatest length of the push
-EXAGGERATED: Final = 8.0  # the push is drawn so many times as long as it is
+ARROW: Final = (45.0, 130.0)  # [px] shortest and longest arrow of a push
+EXAGGERATED: Final = 8.0  # drawn length of a push over its true length
 
 
 def draw_look(picture: Picture, look: Look, *, words: bool) -> Picture:
-    """A copy of a picture with outlines; `words` writes the errors into it too."""
+    """Return a copy of a picture with outlines; `words` writes the errors on it too."""
     canvas = picture.copy()
     if (canvas.shape[1], canvas.shape[0]) == look.rig.camera.lens.image_size:
         _axes(canvas, look)
@@ -50,7 +50,7 @@ def draw_look(picture: Picture, look: Look, *, words: bool) -> Picture:
 
 
 def _wanted(canvas: Picture, look: Look, part: PartLook) -> None:
-    """The upper outline solid; faint, the footprint and the edges between them."""
+    """Draw the upper outline solid, the footprint and the edges between them faint."""
     camera, thing = look.rig.camera, part.thing
     foot = outline_pixels(camera, thing.shape, thing.pose, 0.0)
     upper = outline_pixels(camera, thing.shape, thing.pose, part.height)
@@ -65,7 +65,7 @@ def _wanted(canvas: Picture, look: Look, part: PartLook) -> None:
 
 
 def _measured(canvas: Picture, look: Look, part: PartLook) -> None:
-    """Where it is, in dashes, and an arrow to where it should be."""
+    """Draw the measured outline dashed, and an arrow towards the wanted place."""
     if part.measured is None or look.problems:
         return
     camera = look.rig.camera
@@ -98,7 +98,7 @@ def _colour(part: PartLook) -> Bgr:
 
 
 def _words(canvas: Picture, look: Look) -> None:
-    """The verdict large, then a line for each part, from the upper left."""
+    """Write the verdict large, then one line for each part, from the upper left."""
     size = max(0.4, canvas.shape[1] / 1600.0)
     step = 42.0 * size
     lines = [*look.problems, *(_line(look, part) for part in look.checked), *look.remarks]

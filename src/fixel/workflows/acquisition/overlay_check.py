@@ -1,4 +1,4 @@
-"""What one picture says about the places of all parts: errors, a verdict, what to do."""
+"""Errors of all parts in one picture, with a verdict and the next thing to do."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from fixel.vision.marks import Rig
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerance:
-    """How far from its place a part may be.
+    """Largest allowed deviation of a part from its place.
 
     Parameters
     ----------
     distance : float
-        Of the origin of its frame [m].
+        Deviation of the origin of its frame [m].
     angle : float
-        [rad].
+        Deviation of its angle [rad].
     """
 
     distance: float
@@ -39,19 +39,19 @@ class Tolerance:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PartLook:
-    """One part of the scene, as it should lie and as it does.
+    """Wanted and measured pose of one part of the scene.
 
     Attributes
     ----------
     thing : Body or Pusher or Fixel
     height : float
-        Of its upper face [m].
+        Height of its upper face [m].
     looked_for : bool
-        Whether it can be measured.
+        Whether the part can be measured.
     measured : (3,) float64 or None
-        Its pose [m, m, rad], if it is seen.
+        Measured pose [m, m, rad], if the part is seen.
     reason : str
-        Why it is not.
+        Why the part is not seen.
     tolerance : Tolerance
     """
 
@@ -64,17 +64,17 @@ class PartLook:
 
     @property
     def name(self) -> str:
-        """Of the part, in the scene."""
+        """Name of the part in the scene."""
         return self.thing.name
 
     @property
     def round(self) -> bool:
-        """Whether it shows no angle: a round fixel is turned as it should be, always."""
+        """Whether the part shows no angle; that of a round fixel always counts as correct."""
         return isinstance(self.thing, Fixel) and isinstance(self.thing.shape, Disk)
 
     @property
     def error(self) -> FloatArray | None:
-        """(3,) measured less wanted [m, m, rad], the angle the short way round."""
+        """(3,) measured minus wanted pose [m, m, rad], with the angle wrapped."""
         if self.measured is None:
             return None
         off = self.measured - self.thing.pose
@@ -82,7 +82,7 @@ class PartLook:
 
     @property
     def within(self) -> bool:
-        """Whether it is where it should be, within tolerance."""
+        """Whether the part is at its wanted pose, within tolerance."""
         error = self.error
         if error is None:
             return False
@@ -93,7 +93,7 @@ class PartLook:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """What one picture says about the places of all parts.
+    """Errors of all parts in one picture, with a verdict.
 
     Attributes
     ----------
@@ -102,9 +102,9 @@ class Look:
     parts : tuple of PartLook
         Bodies first, then pushers, then fixels.
     problems : tuple of str
-        Why nothing that is measured can be believed.
+        Reasons why no measurement is valid.
     remarks : tuple of str
-        What else one should know.
+        Further remarks for the user.
     """
 
     rig: Rig
@@ -125,7 +125,7 @@ class Look:
 
     @property
     def state(self) -> str:
-        """`trouble`, `not-seen` (the part to place), `off` or `placed`."""
+        """One of `trouble`, `not-seen` (the part to place), `off` or `placed`."""
         if self.problems:
             return "trouble"
         if all(part.within for part in self.checked):
@@ -134,12 +134,12 @@ class Look:
 
     @property
     def to_place(self) -> PartLook:
-        """The part that needs a hand next: the first that is not in place, else the first."""
+        """Part to place next: the first that is not in place, else the first."""
         return next((part for part in self.checked if not part.within), self.checked[0])
 
     @property
     def headline(self) -> str:
-        """The verdict, in words that change only with it."""
+        """Verdict in a few words that change only with it."""
         if self.problems:
             return "Cannot measure"
         if self.placed:
@@ -148,7 +148,7 @@ class Look:
 
     @property
     def sentence(self) -> str:
-        """What to do, in a few words."""
+        """Instruction for the part to place, in a few words."""
         part = self.to_place
         error = part.error
         if self.problems or self.placed or error is None:
@@ -164,11 +164,11 @@ class Look:
 
     @property
     def decimals(self) -> int:
-        """Digits of a millimetre that are worth showing: to a twentieth of the tolerance."""
+        """Decimals of a millimetre that resolve a twentieth of the tolerance."""
         return max(2, math.ceil(-math.log10(1e3 * self.tolerance.distance / 20.0)))
 
     def words(self, part: PartLook) -> tuple[str, str, str]:
-        """Error of a part that is seen, in words: x [mm], y [mm], angle [deg]."""
+        """Return the error of a visible part as text: x [mm], y [mm], angle [deg]."""
         assert part.error is not None
         x, y, turn = part.error.tolist()
         return (
@@ -178,7 +178,7 @@ class Look:
         )
 
     def summary(self) -> dict[str, Any]:
-        """Plain values, for JSON and for the page."""
+        """Return plain values, for JSON and for the page."""
         return {
             "state": self.state,
             "placed": self.placed,
@@ -216,7 +216,7 @@ class Look:
         }
 
     def _push_on_screen(self, part: PartLook) -> float | None:
-        """Which way to push, in the picture: 0 to the right, 90 down [deg]."""
+        """Direction of the push in the picture: 0 to the right, 90 down [deg]."""
         if part.measured is None:
             return None
         ends = np.array([part.measured[:2], part.thing.pose[:2]])
@@ -225,11 +225,11 @@ class Look:
 
 
 def _rounded(value: float) -> float:
-    """To a ten thousandth of a mm or a degree; zero without a sign."""
+    """Round to a ten thousandth of a mm or a degree; zero has no sign."""
     return round(float(value), 4) + 0.0
 
 
 def _signed(value: float, decimals: int) -> str:
-    """With its sign, unless it is nothing."""
+    """Format a number with its sign, or zero without one."""
     text = f"{value:+.{decimals}f}"
     return text.lstrip("+-") if float(text) == 0.0 else text

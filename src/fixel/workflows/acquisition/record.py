@@ -1,4 +1,4 @@
-"""Recording an experiment: a camera, the fixels, one folder."""
+"""Record an experiment from a camera and the fixels into one folder."""
 
 from __future__ import annotations
 
@@ -28,40 +28,40 @@ from fixel.vision.marks import Rig
 
 ENDS: Final = ("key", "limit", "seated")
 CHOICES: Final = ("auto", *CODECS)
-FILM: Final = "film"  # in place of a port: the readings of the recording that is played
+FILM: Final = "film"  # instead of a port: the readings of the recording that is played
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordPlan:
-    """What to record, and until when.
+    """Source, destination and end of a recording.
 
     Parameters
     ----------
     camera : str
         See `source_of`.
     folder : Path
-        To be made.
+        Folder to create.
     tactile : str, optional
         Port of the tactile board; `film`, or `film:FOLDER`, for the readings of a recording.
     rig : str, optional
-        A rig by name or file: pictures of another size than its camera's are refused.
+        Name or file of a rig; pictures must have the size of its camera.
     scene : Path, optional
-        Scene file of what lies on the plate; kept with the recording.
+        Scene file of what lies on the plate; copied into the recording.
     size : (int, int), optional
-        Asked of a camera where there is no rig [px].
+        Picture size requested from the camera if there is no rig [px].
     rate : float
-        Likewise [frames/s].
+        Frame rate requested from the camera [frames/s].
     codec : str
-        One of `CHOICES`; `auto` keeps JPEG as it comes, and is `near` where pixels come.
+        One of `CHOICES`; `auto` stores JPEG unchanged and pixels as `near`.
     until : str
-        One of `ENDS`. A key ends it in any case.
+        One of `ENDS`; a key ends the recording in any case.
     mode : str, optional
-        Digits of fixels 1, 2, 3 that mean seated: `"010"`.
+        Digits of fixels 1, 2, 3 that count as seated: `"010"`.
     limit : float, optional
-        [s].
+        Maximum duration [s].
     fast : bool
-        Whether a file is played as fast as it is read.
+        Whether a file is played as fast as it can be read.
     """
 
     camera: str
@@ -106,14 +106,14 @@ def record(
     ----------
     plan : RecordPlan
     stop : callable, optional
-        Asked often; a reason in words, once somebody wants to end it.
+        Called often; returns a reason in words if the recording shall end.
     watch : callable, optional
-        Told of pictures and status.
+        Called with pictures and status.
 
     Raises
     ------
     InvalidInput
-        Before anything is recorded: no camera, another size, no fixels, no folder, no space.
+        No camera, wrong picture size, no fixels, folder or space; raised before recording starts.
     """
     rig = None if plan.rig is None else rig_of(plan.rig)
     scene = None if plan.scene is None else _scene_text(plan.scene)
@@ -128,7 +128,7 @@ def record(
 
     warm_up()
     source = source_of(plan.camera, size=size, rate=plan.rate, as_fast_as_possible=plan.fast)
-    # The camera last: pictures that nobody takes wait somewhere, and get the time of their taking.
+    # Open the camera last: pictures that wait in a buffer get the time at which they are taken out.
     with _tactile(plan) as tactile, source:
         stream = source.open()
         if size is not None:
@@ -149,7 +149,7 @@ def record(
 
 
 def codec_for(choice: str, stream: Stream) -> str:
-    """The codec that was chosen, or suits the camera.
+    """Return the chosen codec; for `auto`, the one that suits the camera.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def codec_for(choice: str, stream: Stream) -> str:
 
 
 def summary(done: RecordingSummary) -> dict[str, Any]:
-    """What came of it, as plain values."""
+    """Return the summary of a recording as plain values."""
     return {
         "folder": str(done.folder),
         "frames": done.frames,
@@ -182,12 +182,12 @@ def summary(done: RecordingSummary) -> dict[str, Any]:
 
 
 def check(folder: Path, *, repair: bool = False) -> Recording:
-    """Read a recording and check every row against its picture; repair its end where asked."""
+    """Load a recording and check every row against its picture; repair its end if requested."""
     return repair_recording(folder) if repair else open_recording(folder)
 
 
 def check_summary(recording: Recording) -> dict[str, Any]:
-    """What was found in a recording, as plain values."""
+    """Return the findings about a recording as plain values."""
     header, end = recording.header, recording.end
     return {
         "folder": str(recording.folder),
@@ -206,13 +206,13 @@ def check_summary(recording: Recording) -> dict[str, Any]:
 
 
 def _scene_text(path: Path) -> bytes:
-    """A scene file as it is, once it has been read."""
+    """Return the bytes of a scene file after checking that it can be loaded."""
     load_scene(path)
     return path.read_bytes()
 
 
 def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
-    """Digits of the fixels, in order of their names, become the byte the board sends then."""
+    """Return the seating condition; digits in order of the fixels' names become a tactile byte."""
     if plan.mode is None:
         return Seating()
     n = 3 if rig is None else len(rig.tactile)
@@ -226,7 +226,7 @@ def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
 
 @contextmanager
 def _tactile(plan: RecordPlan) -> Iterator[TouchReader | None]:
-    """Whoever asks the fixels."""
+    """Open the reader of the fixels; None without a tactile port."""
     if plan.tactile is None:
         yield None
         return

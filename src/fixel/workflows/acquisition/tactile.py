@@ -1,4 +1,4 @@
-"""The tactile board from the command line: which port, is it in order, what does it feel?"""
+"""List serial ports, and check and watch the tactile board."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ READINGS: Final = 300
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TactileCheck:
-    """How a board answered.
+    """Result of checking a tactile board.
 
     Attributes
     ----------
     port : str
     protocol : int
     thresholds : (int, int, int), optional
-        Of bits 0, 1, 2 [-].
+        Thresholds of bits 0, 1, 2 [-].
     statistics : dict
         As `Statistics.summary` gives them.
     drift : float
-        Rate of the host's clock over the board's, less 1 [-]; 0 where it tells no time.
+        Rate of the host's clock over the board's, minus 1 [-]; 0 if the board reports no time.
     seconds : float
-        What it took [s].
+        Duration of the check [s].
     deadline : float
-        [s].
+        Longest time allowed for an answer [s].
     trouble : str
-        Why the board could be asked no longer; empty where it could.
+        Why the board stopped answering; empty if it did not.
     """
 
     port: str
@@ -54,7 +54,7 @@ class TactileCheck:
         return bool(self.statistics["answered"] == self.statistics["asked"])
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "port": self.port,
             "passed": self.passed,
@@ -69,7 +69,7 @@ class TactileCheck:
 
 
 def serial_ports() -> list[PortSeen]:
-    """The serial ports of this computer."""
+    """List the serial ports of this computer."""
     return found_ports()
 
 
@@ -80,7 +80,7 @@ def check_tactile(
     deadline: float = DEADLINE,
     progress: Progress | None = None,
 ) -> TactileCheck:
-    """Ask as often as told, as fast as it goes, and count what came back."""
+    """Request a number of readings as fast as possible and count the answers."""
     start = time.perf_counter()
     with TactileReader(port, deadline=deadline) as reader:
         protocol = reader.protocol
@@ -108,8 +108,8 @@ def watch_tactile(
     duration: float | None = None,
     thresholds: tuple[int, int, int] | None = None,
 ) -> Iterator[tuple[TactileReader, TactileReading]]:
-    """A reading every interval, until the time is over or the caller has seen enough; a pulled
-    plug is waited for."""
+    """Yield one reading per interval until the duration is over or the caller stops; reconnect
+    after a pulled plug."""
     with TactileReader(port, thresholds=thresholds) as reader:
         start = due = time.monotonic()
         while duration is None or due - start < duration:

@@ -1,4 +1,4 @@
-"""A film or a recording, tracked, drawn and stored as an experiment."""
+"""Track a film or recording, draw the tracks and store them as an experiment."""
 
 from __future__ import annotations
 
@@ -36,21 +36,19 @@ DATASET: Final = "bench"
 @final
 @dataclass(slots=True, kw_only=True)
 class Film:
-    """A video file or a recording, with what is known of it.
+    """Video file or recording, with its metadata.
 
     Attributes
     ----------
     path : Path
     video : Path
-        The file with the pictures.
+        File with the pictures.
     frames : callable
-        Gives an iterator over all frames, each time anew.
+        Returns a new iterator over all frames at every call.
     n_frames : int or None
-    rate : float
-        About how many a second, for an overlay.
     readings : Readings or None
     remarks : callable
-        Sentences about the file, complete once its frames were read.
+        Returns sentences about the file; complete after its frames have been read.
     simulated_by : str
     """
 
@@ -66,7 +64,7 @@ class Film:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackAnswer:
-    """What `fixel track` found.
+    """Result of tracking a film.
 
     Attributes
     ----------
@@ -74,14 +72,14 @@ class TrackAnswer:
     rig : Rig
     tracked : FilmTracks
     motion : ActuatorMotion or None
-        Of the actuator.
+        Motion of the actuator.
     experiment : Experiment
     number : int or None
-        In the project; None where it was not stored.
+        Experiment id in the project; None if it was not stored.
     new : bool
-        Whether the project did not have it.
+        Whether the experiment was not yet in the project.
     files : dict from kind to Path
-        `overlay`, `sheet`, `plot`.
+        Files written, under `overlay`, `sheet` and `plot`.
     """
 
     film: Film
@@ -94,7 +92,7 @@ class TrackAnswer:
     files: dict[str, Path]
 
     def summary(self) -> dict[str, Any]:
-        """Everything one may want to know, as plain values."""
+        """Return the results as plain values, ready for JSON."""
         experiment, motion = self.experiment, self.motion
         return {
             "source": str(self.film.path),
@@ -145,32 +143,32 @@ def track_film(
     Parameters
     ----------
     source : Path
-        A video file, or the folder of a recording.
+        Video file, or folder of a recording.
     rig : str
-        A rig file or the name of an example; empty: the `rig.yaml` beside the film.
+        Rig file or name of an example; empty for the `rig.yaml` next to the film.
     scene : Path, optional
-        As planned; left out: the `scene.yaml` beside the film.
+        File of the planned scene; by default the `scene.yaml` next to the film.
     method : str
         `auto`, `tags`, `stickers` or `silhouette`.
     register : bool
-        Find the camera's place anew, from the tags on the plate.
+        Whether to determine the camera's place again, from the tags on the plate.
     project : Path, optional
-        To store it in; left out, nothing is stored.
+        Project in which to store the experiment; by default it is not stored.
     dataset, name : str
-        Of the experiment; the name is that of the film, if it is empty.
+        Dataset and name of the experiment; an empty name means that of the film.
     overlay : Path, optional
-        A video of the measured outlines on the film.
+        Video to write: the film with the measured outlines.
     sheet : Path, optional
-        A few frames of that: `.png`.
+        Picture to write: a few frames of the overlay (`.png`).
     plot : Path, optional
-        Poses, residuals and gaps against time.
+        Figure to write: poses, residuals and gaps against time.
     progress : callable, optional
         Called as `progress(done, total)`.
 
     Raises
     ------
     InvalidInput
-        What `fixel.vision.tracking.track` refuses, and files that cannot be read or written.
+        Input that `fixel.vision.tracking.track` rejects, or files that cannot be read or written.
     """
     files = {
         kind: path
@@ -221,7 +219,7 @@ def track_film(
 
 
 def open_film(source: Path) -> Film:
-    """A video file, or the folder of a recording."""
+    """Open a video file, or the folder of a recording."""
     if is_recording(source):
         recording = open_recording(source)
         when = np.where(np.isfinite(recording.reading_time), recording.reading_time, recording.time)

@@ -1,4 +1,4 @@
-"""Measured outlines on the pictures they were measured in, to check by eye."""
+"""Draw measured outlines on the frames of a film, to check a track by eye."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from fixel.vision.tracking import FilmTracks
 from fixel.vision.tracking.follow import things_of
 
 SHOWN: Final = 6  # frames on a sheet
-ACROSS: Final = 2  # side by side
-WIDTH: Final = 960  # [px] of each on a sheet, at most
+ACROSS: Final = 2  # frames side by side
+WIDTH: Final = 960  # [px] largest width of a frame on a sheet
 
 
 def write_overlay(
     frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path: Path, note: str = ""
 ) -> None:
-    """The film again, with outlines of object, pusher and fixels at their heights."""
+    """Write the film with outlines of object, pusher and fixels at their heights."""
     step = float(np.median(np.diff(tracked.time))) if len(tracked.time) > 1 else 1.0 / 30.0
     zero = float(tracked.time[0])
     size = tuple(2 * (side // 2) for side in tracked.rig.camera.lens.image_size)
@@ -37,7 +37,7 @@ def write_overlay(
 
 
 def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path: Path) -> None:
-    """A few frames of it on one picture."""
+    """Write a few frames of the overlay as one picture."""
     from fixel.vision.opencv import opencv
 
     cv2 = opencv()
@@ -60,14 +60,14 @@ def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path
 
 
 def drawn(frame: Frame, index: int, scene: Scene, tracked: FilmTracks) -> Picture:
-    """A frame with what was measured in it."""
+    """Return a frame with the measured outlines drawn on it."""
     picture = np.array(frame.picture)
     rig, camera = tracked.rig, tracked.rig.camera
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
     for fixel in scene.fixels:
         pose = np.append(places.get(fixel.name, fixel.pose[:2]), fixel.pose[2])
         line = outline_pixels(camera, fixel.shape, pose, rig.fixel_height)
-        # What is only planned is dashed.
+        # Fixels that are only planned are dashed.
         dash = None if fixel.name in places else 4.0
         draw_outline(picture, line, bgr(palette.TOUCHED), dash=dash)
     things = things_of(scene)

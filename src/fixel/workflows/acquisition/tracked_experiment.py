@@ -1,4 +1,4 @@
-"""From a track to an experiment: what was on the plate, as the camera measured it."""
+"""Convert tracks to an experiment with the scene as the camera measured it."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from fixel.vision.tracking.actuator import ActuatorMotion, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
 from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
-MAX_APART: Final = 1.5e-3  # [m] that a start may be moved out of what it overlaps
-MAX_GAPS: Final = 0.5  # of all frames, beyond which an object counts as lost
-REST_DISTANCE: Final = 0.1e-3  # [m] that a resting object may seem to move
-STARTS: Final = 5  # frames that tell whether an object rests
-LAST: Final = 0.5  # [s] of readings that tell the contact mode
-CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig has it
-RESTLESS: Final = 0.2e-3  # [m] that places of a fixel may scatter by; 0.03 mm are usual
-MISPLACED: Final = 0.02  # [m] of a start from where the scene plans it
+MAX_APART: Final = 1.5e-3  # [m] largest displacement of a start out of an overlap
+MAX_GAPS: Final = 0.5  # fraction of the frames, beyond which an object counts as lost
+STILL: Final = 0.1e-3  # [m] largest apparent motion of a resting object
+STARTS: Final = 5  # frames that decide whether an object rests
+LAST: Final = 0.5  # [s] of readings that decide the contact mode
+CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig places it
+RESTLESS: Final = 0.2e-3  # [m] largest scatter of a fixel's places; 0.03 mm are usual
+MISPLACED: Final = 0.02  # [m] largest distance of a start from its planned place
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Readings:
-    """Tactile bytes, frame by frame.
+    """Tactile bytes of each frame.
 
     Attributes
     ----------
     time : (n,) float64
-        [s].
+        Times of the readings [s].
     value : (n,) int64
-        -1 for none.
+        Tactile bytes; -1 for none.
     """
 
     time: FloatArray
@@ -57,13 +57,13 @@ class Readings:
 
 
 def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMotion] | None:
-    """Name of the tracked pusher, and how it moved; none where none was tracked."""
+    """Return the name of the tracked pusher and its motion; None if none was tracked."""
     for pusher in scene.pushers:
         track = tracked.parts.get(pusher.name)
         if track is not None and track.good.sum() > 1:
             time, place = track.time[track.good], track.pose[track.good, :2]
             noise = float(np.median(np.hypot(track.sd[track.good, 0], track.sd[track.good, 1])))
-            # A place is off along its way by as much as its time stamp is uncertain.
+            # The uncertainty of a time stamp displaces a place along its path.
             fastest = np.hypot(*(place[-1] - place[0])) / (time[-1] - time[0])
             late = float(fastest) * float(np.median(stamp_scatter(track.time)))
             return pusher.name, motion_of(time, place, max(noise, late, 1e-9))
@@ -82,26 +82,26 @@ def experiment_of(
     simulated_by: str = "",
     remarks: tuple[str, ...] = (),
 ) -> Experiment:
-    """An experiment whose clock begins with the first frame.
+    """Build an experiment whose clock begins with the first frame.
 
     Parameters
     ----------
     tracked : FilmTracks
     rig : Rig
     scene : Scene
-        As planned: shapes, masses, nominal friction.
+        Planned scene: shapes, masses, nominal friction.
     readings : Readings, optional
     dataset, name : str
     provenance : Provenance
     simulated_by : str
-        What made the film, where no camera did.
+        Program that rendered the film; empty for a camera.
     remarks : tuple of str
-        About the video or recording.
+        Remarks about the video or recording.
 
     Raises
     ------
     InvalidInput
-        The object was seen in no frame.
+        No tracked part has the name of the object.
     """
     zero = float(tracked.time[0])
     body = scene.bodies[0]
@@ -153,7 +153,7 @@ def experiment_of(
 
 
 def contact_mode(tactile: Channel, effective: tuple[float, float] | None) -> str:
-    """A digit a fixel: what most readings say at the end of the motion, and after it."""
+    """Majority of the readings at the end of the motion and after it, one digit per fixel."""
     end = tactile.time[-1] if len(tactile.time) else 0.0
     begin = max(end - LAST, effective[0] if effective else 0.0)
     last = tactile.values[tactile.time >= begin]
@@ -172,7 +172,7 @@ def _scene(
     begins: float,
     moved: list[float],
 ) -> Scene:
-    """The scene with what was measured in place of what was planned."""
+    """Return the scene with measured instead of planned poses."""
     _refuse_two_pushes(found)
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
     fixels = tuple(
@@ -201,7 +201,7 @@ def _scene(
 
 
 def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
-    """A pusher on its measured path; its head does not turn, so that its angle is one number."""
+    """Return a pusher on its measured path; its head does not turn, so its angle is constant."""
     angle = np.full(len(measured.time), float(np.median(np.unwrap(measured.pose[:, 2]))))
     path = np.column_stack((measured.time, measured.pose[:, :2], angle))
     return replace(
@@ -224,7 +224,7 @@ def _refuse_two_pushes(found: tuple[str, ActuatorMotion] | None) -> None:
 
 
 def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
-    """Refuse an object whose start nobody saw: after the push has begun, and moving already."""
+    """Reject an object that is first seen after the push has begun and is already moving."""
     first = float(trajectory.time[0])
     early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
     if first > begins and np.hypot(*early.T).max() > REST_DISTANCE:
@@ -236,7 +236,7 @@ def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
 
 
 def _start(trajectory: Trajectory, begins: float) -> FloatArray:
-    """(3,) the pose before anything moved: a mean, where it rested."""
+    """(3,) pose before anything moved: the mean, if the object rested."""
     early = trajectory.pose[trajectory.time < begins]
     still = np.hypot(*(early[:, :2] - trajectory.pose[0, :2]).T) < REST_DISTANCE
     n = int(np.argmin(still)) if not still.all() else len(still)

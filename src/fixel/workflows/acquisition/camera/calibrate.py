@@ -1,4 +1,4 @@
-"""A camera from pictures of a board, from another program's file, at its place above the plate."""
+"""Calibrate, import, export and place cameras."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ CAMERA_ENDINGS = (".yaml", ".yml")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraAnswer:
-    """What became of a camera.
+    """Result of calibrating, importing, exporting or placing a camera.
 
     Attributes
     ----------
     camera : MeasuredCamera
     file : Path, optional
-        Where it was written.
+        Camera file that was written.
     calibration : LensCalibration, optional
     placement : Placement, optional
     verdicts : tuple of PlaceAccuracy
-        At each height that was asked for.
+        Accuracy at each requested height.
     remarks : tuple of str
     plot : Path, optional
     """
@@ -57,7 +57,7 @@ class CameraAnswer:
     plot: Path | None = None
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         lens, found = self.camera.lens, self.calibration
         answer: dict[str, Any] = {
             "image_size_px": list(lens.image_size),
@@ -109,7 +109,7 @@ def calibrate(
     fisheye: bool = False,
     tell: NotedProgress | None = None,
 ) -> CameraAnswer:
-    """Calibrate a lens from pictures of a board, and write the camera.
+    """Calibrate a lens from pictures of a board, and save the camera.
 
     Parameters
     ----------
@@ -118,11 +118,11 @@ def calibrate(
     board : str
         See `board_of`.
     output : Path
-        The camera file.
+        Camera file to write.
     coefficients, fisheye
         See `calibrate_lens`.
     tell : callable, optional
-        Told of how many pictures and of which.
+        Called with the number of pictures done, their total, and the picture's name.
     """
     wanted = board_of(board)
     _refuse_output(output)
@@ -150,7 +150,7 @@ def bring_in(
     which: str = "",
     unit: float = 1e-3,
 ) -> CameraAnswer:
-    """Read another program's camera, and write it as one of fixel; see `import_camera`."""
+    """Import a camera of another program and save it as fixel's own; see `import_camera`."""
     _refuse_output(output)
     if output.resolve() == path.resolve():
         raise InvalidInput(
@@ -162,7 +162,7 @@ def bring_in(
 
 
 def export(path: Path, output: Path, format: str) -> CameraAnswer:
-    """Write a camera's lens as OpenCV or ROS has it."""
+    """Export the lens of a camera to the format of OpenCV or ROS."""
     camera = load_camera(path)
     refuse_unwritable(output)
     writers = {"opencv": save_opencv, "ros": save_ros}
@@ -184,24 +184,24 @@ def place(
     heights: Sequence[float] = (0.0,),
     plot: Path | None = None,
 ) -> CameraAnswer:
-    """Find where a camera is above the plate, and write it with its place.
+    """Find the pose of a camera above the plate, and save the camera with its pose.
 
     Parameters
     ----------
     path : Path
         The camera file.
     picture : Path
-        Of the plate, or a video whose first frame is taken.
+        Picture of the plate, or a video whose first frame is used.
     board : str, optional
-        That lies on the plate, its lower left corner `at` a pose of the world [m, m, rad], its
-        upper face `thickness` above the plate [m].
+        Board that lies on the plate, its lower left corner `at` a pose of the world [m, m, rad],
+        its upper face `thickness` above the plate [m].
     rig : str, optional
-        Whose tags are on the plate. They are used where two or more of them are seen, else the
-        board; left out, `rig.yaml` beside the camera file or the picture, where there is one.
+        Rig with tags on the plate. They are used if two or more of them are seen, otherwise the
+        board. Defaults to `rig.yaml` next to the camera file or the picture, if there is one.
     heights : sequence of float
-        Above the plate, for which to say how right places are [m].
+        Heights above the plate at which to report the accuracy [m].
     plot : Path, optional
-        A picture of that: `.png`, `.svg` or `.pdf`.
+        File for a chart of the accuracy: `.png`, `.svg` or `.pdf`.
     """
     if rig is None:
         beside = [folder / RIG_FILE for folder in (path.parent, picture.parent)]
@@ -233,7 +233,7 @@ def _place(
     thickness: float,
     rig: str | None,
 ) -> tuple[Placement, tuple[str, ...]]:
-    """The place by the plate's tags where they are seen, else by the board; and by which."""
+    """Place a camera by the plate's tags if they are seen, else by the board; add a remark."""
     why_not = "no rig with tags on the plate was named (--rig)"
     if rig is not None:
         try:
@@ -256,7 +256,7 @@ def _place(
 
 
 def _has_plate(file: Path) -> bool:
-    """Whether a rig file is there and has tags on its plate, whatever its camera file is."""
+    """Whether a rig file exists and has tags on its plate; its camera file is not read."""
     if not file.is_file():
         return False
     raw = read_document(file)
@@ -266,7 +266,7 @@ def _has_plate(file: Path) -> bool:
 def draw_errors(
     measured: MeasuredCamera, verdicts: Sequence[PlaceAccuracy], plot: Path | None
 ) -> Path | None:
-    """The map of errors at the first height, where one is asked for."""
+    """Draw the map of errors at the first height, if a file is given."""
     from fixel.drawing.camera import CameraErrorChart
 
     if plot is None or not verdicts:
@@ -278,7 +278,7 @@ def draw_errors(
 
 
 def board_text(board: Board) -> str:
-    """A board as one types it."""
+    """Format a board as it is typed on the command line."""
     mm = f"{1e3 * board.square:g}mm"
     if board.marker is None:
         return f"checkerboard:{board.columns - 1}x{board.rows - 1}:{mm}"
@@ -291,7 +291,7 @@ def _refuse_output(output: Path) -> None:
 
 
 def refuse_plot(plot: Path | None) -> None:
-    """Refuse a picture that cannot be written, before any work."""
+    """Reject a figure file that cannot be written, before any work."""
     if plot is not None:
         refuse_ending(plot, PICTURE_ENDINGS, "picture")
         refuse_unwritable(plot)

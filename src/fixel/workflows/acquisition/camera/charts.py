@@ -1,4 +1,4 @@
-"""Pictures of boards and plates: files, folders of them, or frames of a video."""
+"""Load pictures of boards and plates from files, folders and videos."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from fixel.vision.boards import Picture
 from fixel.vision.opencv import opencv
 
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-FROM_VIDEO: Final = 40  # frames of a video that are looked at
+FROM_VIDEO: Final = 40  # frames used of a video
 MOST_BYTES: Final = 200_000_000
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Files, and those of folders in the order of their names.
+    """Return files, and those of folders sorted by name.
 
     Raises
     ------
     InvalidInput
-        Nothing there, or nothing that is a picture.
+        A folder without pictures, or a file that is neither picture nor video.
     """
     known = (*PICTURE_ENDINGS, *VIDEO_ENDINGS)
     files: list[Path] = []
@@ -47,7 +47,7 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
 
 
 def pictures_of(files: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
-    """Every picture with its name; of videos, some frames spread over their length."""
+    """Yield every picture with its name; of a video, frames spread over its length."""
     for file in files:
         if file.suffix.lower() in VIDEO_ENDINGS:
             yield from _frames_of(file)
@@ -56,7 +56,7 @@ def pictures_of(files: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
 
 
 def first_picture(path: Path) -> Picture:
-    """A picture, or the first frame of a video."""
+    """Load a picture, or the first frame of a video."""
     (file,) = files_of([path])[:1]
     if file.suffix.lower() in VIDEO_ENDINGS:
         for frame in open_video(file).frames():
@@ -66,7 +66,7 @@ def first_picture(path: Path) -> Picture:
 
 
 def read_picture(path: Path) -> Picture:
-    """A picture as the sensor gave it, whatever its file says of being turned."""
+    """Load a picture as the sensor recorded it, without the rotation noted in its file."""
     cv2 = opencv()
     try:
         if path.stat().st_size > MOST_BYTES:

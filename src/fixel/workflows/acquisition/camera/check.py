@@ -1,4 +1,4 @@
-"""Is this the camera, and is it where it was?"""
+"""Check the lens of a camera, and whether the camera was moved."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from fixel.workflows.acquisition.camera.calibrate import CameraAnswer, draw_erro
 from fixel.workflows.acquisition.camera.charts import first_picture
 from fixel.workflows.acquisition.camera.report import mm, verdict
 
-MOVED: Final = 5e-4  # [m] that a tag of the plate may lie off its place beside the camera's errors
+MOVED: Final = 5e-4  # [m] allowed offset of a plate tag, in addition to the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class CameraCheck:
-    """What was found out about a camera.
+    """Result of checking a camera.
 
     Attributes
     ----------
     answer : CameraAnswer
     round_trip : float
-        Largest way from pixels to directions and back, over the whole picture [px].
+        Largest error from pixels to directions and back, over the whole picture [px].
     tags : dict of int to float
-        How far each tag of the plate is seen from its place [m]; empty where none was looked for.
+        Distance of each plate tag from its place [m]; empty if none was searched for.
     problems : tuple of str
-        What stands against using it.
+        Reasons not to use the camera.
     """
 
     answer: CameraAnswer
@@ -49,7 +49,7 @@ class CameraCheck:
     problems: tuple[str, ...]
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         return {
             **self.answer.summary(),
             "round_trip_px": self.round_trip,
@@ -72,12 +72,12 @@ def check(
     name : str
         A camera file, a rig file or the name of an example rig.
     video : Path, optional
-        Its size is compared; and its first frame shows whether the tags of a rig's plate are where
-        they belong.
+        Video or picture whose size is compared; its first frame shows whether the tags of a rig's
+        plate are where they belong.
     heights : sequence of float
-        Above the plate [m].
+        Heights above the plate at which to report the accuracy [m].
     plot : Path, optional
-        Map of errors at the first height.
+        File for a map of errors at the first height.
     """
     refuse_plot(plot)
     measured, rig = _camera_of(name)
@@ -105,7 +105,7 @@ def check(
 
 
 def round_trip(lens: Lens, columns: int = 65, rows: int = 37) -> float:
-    """Largest way from pixels to directions and back, on a grid over the whole picture [px]."""
+    """Largest error from pixels to directions and back, on a grid over the picture [px]."""
     width, height = lens.image_size
     u, v = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
     pixels = np.stack(np.meshgrid(u, v), axis=-1)

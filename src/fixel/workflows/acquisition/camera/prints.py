@@ -1,4 +1,4 @@
-"""Boards and tags to print, true to scale."""
+"""Print boards and tags, true to scale."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_TAGS = 500
 @final
 @dataclass(frozen=True, slots=True)
 class PrintAnswer:
-    """What was printed into a file.
+    """Result of printing boards or tags into a file.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class PrintAnswer:
     sheets : int
     what : str
     tags : int
-        How many, 0 for a board.
+        Number of tags, 0 for a board.
     """
 
     file: Path
@@ -44,7 +44,7 @@ class PrintAnswer:
     tags: int = 0
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "file": str(self.file),
             "sheets": self.sheets,
@@ -54,7 +54,7 @@ class PrintAnswer:
 
 
 def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
-    """A board as a PDF or PNG."""
+    """Save a board as a PDF or PNG."""
     board = board_of(text)
     name = board_text(board)
     _save((board_sheet(board, name, paper),), output)
@@ -62,7 +62,7 @@ def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
 
 
 def print_rig_tags(rig: str, output: Path, paper: str) -> PrintAnswer:
-    """All tags of a rig, each with the part it belongs to."""
+    """Print all tags of a rig, each with the part it belongs to."""
     found = rig_of(rig)
     tags = [
         (mark, name)
@@ -79,7 +79,7 @@ def print_rig_tags(rig: str, output: Path, paper: str) -> PrintAnswer:
 def print_tags(
     first: int, last: int, size: float, family: str, output: Path, paper: str
 ) -> PrintAnswer:
-    """Tags with numbers from `first` to `last`, all of one size [m]."""
+    """Print tags with numbers from `first` to `last`, all of one size [m]."""
     if not 0 <= first <= last or last - first >= MAX_TAGS:
         raise InvalidInput(
             "ids", found=f"{first}-{last}", expected=f"a range of at most {MAX_TAGS}: 0-9"

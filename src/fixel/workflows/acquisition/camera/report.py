@@ -1,4 +1,4 @@
-"""How right places on the plate are, in words and numbers."""
+"""Accuracy of places on the plate, in words and numbers."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.plane_errors import PlaneErrors, plane_errors
 
 CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
-FINE: Final = 3e-4  # [m] a bench with more than this is worth another calibration
+FINE: Final = 3e-4  # [m] a bench with larger errors should be calibrated again
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class PlaceAccuracy:
-    """What is to be expected of places at one height.
+    """Expected accuracy of places at one height.
 
     Attributes
     ----------
     errors : PlaneErrors
     typical, worst : float
-        Radius that holds 95 % of errors: the median over the picture, and the largest [m].
+        Radius that contains 95 % of the errors: median over the picture, and maximum [m].
     worst_at : str
-        Where in the picture: `upper left corner`.
+        Part of the picture with the largest error: `upper left corner`.
     empty_corners : tuple of str
-        Corners of the picture that no board was near; all four where it is not known.
+        Corners of the picture without a board nearby; all four if this is unknown.
     seen_known : bool
-        Whether it is known where boards were.
+        Whether the places of the boards are known.
     """
 
     errors: PlaneErrors
@@ -42,7 +42,7 @@ class PlaceAccuracy:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """Accuracy in one sentence, for the user."""
         height = f"{1e3 * self.errors.height:g} mm above the plate"
         if not self.errors.known:
             return (
@@ -63,7 +63,7 @@ class PlaceAccuracy:
         return "; ".join(parts)
 
     def summary(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "height_m": self.errors.height,
             "known": self.errors.known,
@@ -76,7 +76,7 @@ class PlaceAccuracy:
 
 
 def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
-    """What is to be expected of places at a height above the plate [m]."""
+    """Compute the expected accuracy of places at a height above the plate [m]."""
     errors = plane_errors(measured, height)
     worst = np.unravel_index(int(np.argmax(errors.whole)), errors.whole.shape)
     return PlaceAccuracy(
@@ -90,7 +90,7 @@ def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
 
 
 def empty_corners(seen: FloatArray) -> tuple[str, ...]:
-    """Corners of the picture, a quarter of its sides wide, without a corner of a board in them."""
+    """Return the corners of the picture, a quarter of its sides wide, that no board reached."""
     if not seen.size:
         return CORNERS
     rows, columns = max(1, seen.shape[0] // 4), max(1, seen.shape[1] // 4)
@@ -100,7 +100,7 @@ def empty_corners(seen: FloatArray) -> tuple[str, ...]:
 
 
 def mm(metres: float) -> str:
-    """A length as one reads it: microns below a tenth of a millimetre."""
+    """Format a length for reading: microns below a tenth of a millimetre."""
     return f"{1e3 * metres:.2g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} um"
 
 
