@@ -1,4 +1,4 @@
-"""The pictures of a calibration, each as PNG, as PDF, and as the numbers behind it."""
+"""Draw the charts of a calibration, each as PNG, PDF, and CSV with its numbers."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from fixel.workflows.calibration.result import DIRECT, Curve, ParameterSet
 from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
-SAMPLES: Final = 200  # of a simulation, at least
+SAMPLES: Final = 200  # minimum number of samples of a simulation
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
 GROUPED_BY: Final = ("shape", "layout")
 MAX_OTHERS: Final = 3
-VISIBLE: Final = 0.005  # share of a range that shows on paper
+VISIBLE: Final = 0.005  # share of a range that is visible on paper
 
 
 Pictures = Iterator[Picture]
 
 
 def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
-    """Draw what there is to see of a calibration.
+    """Draw all charts of a calibration.
 
     Parameters
     ----------
     calibration : Calibration
     folder : Path
-        Made where there is none; files of the same names are replaced.
+        Created if missing; files of the same names are replaced.
 
     Returns
     -------
     list of Path
-        PNG, PDF and CSV of each picture.
+        PNG, PDF and CSV of each chart.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
 
 # --- which pictures -----------------------------------------------------------------------------
 
-# What to see in them, by how their names begin.
+# Captions, by the beginning of the charts' names.
 CAPTIONS: Final = {
     "search_alone": "Error against evaluation in three single calibrations: the best of the"
     " experiments, the one in the middle, the worst.",
@@ -82,7 +82,7 @@ CAPTIONS: Final = {
 
 
 def pictures_of(desk: CalibrationReportData) -> Pictures:
-    """The pictures of a calibration, with captions."""
+    """Yield the charts of a calibration, with captions."""
     for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
         for picture in parts(desk):
             yield picture._replace(caption=_caption(picture.name))
@@ -95,7 +95,7 @@ def _caption(name: str) -> str:
 
 
 def _of_searches(desk: CalibrationReportData) -> Pictures:
-    """Of the search for all experiments; of three single ones; how long each took."""
+    """Charts of the search for all experiments, of three single searches, and of all durations."""
     together, searched = desk.together, desk.searched
     if together is not None and together.trace is not None:
         yield Picture("search", _search_chart(desk, [("", together)]), desk.banner)
@@ -111,7 +111,7 @@ def _of_searches(desk: CalibrationReportData) -> Pictures:
 
 
 def _of_parameters(desk: CalibrationReportData) -> Pictures:
-    """Of the set for all experiments; of single ones only where there is no such set."""
+    """Charts of the set for all experiments, or of single ones if there is no such set."""
     together = desk.together
     sets = [("", together)] if together is not None else _picks(desk.searched)
     for word, one in sets:
@@ -136,8 +136,8 @@ def _of_parameters(desk: CalibrationReportData) -> Pictures:
 
 
 def _of_experiments(desk: CalibrationReportData) -> Pictures:
-    """Errors of the experiments, before and after."""
-    if len(desk.keys) == 1:  # the overlay says it all
+    """Charts of the errors of all experiments, before and after."""
+    if len(desk.keys) == 1:  # the overlay shows it
         return
     series = {name: desk.lengths(errors) for name, errors in _series(desk).items()}
     yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit="mm"), desk.banner)
@@ -149,7 +149,7 @@ def _of_experiments(desk: CalibrationReportData) -> Pictures:
 
 
 def _overlays(desk: CalibrationReportData) -> Pictures:
-    """The best, the median and the worst experiment, before and after."""
+    """Overlays of the best, the median and the worst experiment, before and after."""
     together, alone = desk.together, {one.members[0]: one for one in desk.alone}
     after = list(_series(desk).values())[-1]
     for word, member in _three(after):
@@ -162,12 +162,12 @@ def _overlays(desk: CalibrationReportData) -> Pictures:
 
 
 def _named(stem: str, word: str, desk: CalibrationReportData) -> str:
-    """Of the only experiment there is, nothing is the best."""
+    """Add a word such as "best" to a name, unless there is only one experiment."""
     return f"{stem}_{word}" if word and len(desk.keys) > 1 else stem
 
 
 def _three(errors: FloatArray) -> list[tuple[str, int]]:
-    """Places of the best, the median and the worst; as many as there are."""
+    """Indices of the best, the median and the worst error; fewer if there are fewer."""
     order = np.argsort(errors, kind="stable").tolist()
     if len(order) == 1:
         return [("", order[0])]
@@ -176,7 +176,7 @@ def _three(errors: FloatArray) -> list[tuple[str, int]]:
 
 
 def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
-    """Single calibrations to look at closely."""
+    """Select the best, the median and the worst single calibration."""
     if not found:
         return []
     errors = np.array([one.errors[0] for one in found])
@@ -184,7 +184,7 @@ def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
 
 
 def _series(desk: CalibrationReportData) -> dict[str, FloatArray]:
-    """Errors of all experiments by what they are with; the last is what was wanted."""
+    """Errors of all experiments by the set used; the last is the requested result."""
     series = {BEFORE: desk.outcome.nominal}
     if desk.alone:
         name = "after" if desk.together is None else "each alone"
@@ -195,7 +195,7 @@ def _series(desk: CalibrationReportData) -> dict[str, FloatArray]:
 
 
 def _column(desk: CalibrationReportData, values: list[float]) -> FloatArray:
-    """Values of the single calibrations, by experiment; nan where one has none."""
+    """Arrange values of the single calibrations by experiment; nan where one has none."""
     column = np.full(len(desk.keys), np.nan)
     for one, value in zip(desk.alone, values, strict=True):
         column[one.members[0]] = value if math.isfinite(one.errors[0]) else np.nan
@@ -220,14 +220,14 @@ def _search_chart(
 
 
 def _what(desk: CalibrationReportData, one: ParameterSet) -> str:
-    """The number that a search made small."""
+    """Name of the number that a search minimised."""
     if len(one.members) == 1:
         return "RMS error"
     return "largest RMS error" if desk.request.combine == "largest" else "RMS error"
 
 
 def _starts(desk: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
-    """Where there were several."""
+    """Chart of the ends of all starts, if there were several."""
     if desk.request.starts == 1:
         return
     traced = desk.retraced(one)
@@ -288,12 +288,12 @@ def _parameters_chart(desk: CalibrationReportData, word: str, one: ParameterSet)
 
 
 def _elsewhere(best: float, value: float, unknown: Unknown) -> float | None:
-    """The best fit, where it lies visibly elsewhere than the value to quote."""
+    """Return the best fit if it differs visibly from the value to quote."""
     return best if abs(best - value) > VISIBLE * (unknown.high - unknown.low) else None
 
 
 def _other_sets(desk: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
-    """Other sets for the same experiments; other ends that are nearly as good."""
+    """Other sets for the same experiments, and distinct solutions that are nearly as good."""
     found = {o.how: o.point for o in desk.outcome.together if o is not one and one.how == DIRECT}
     for k, point in enumerate(one.solutions[1:], 2):
         found[f"solution {k}, nearly as good"] = point
@@ -375,14 +375,14 @@ def _simulated(desk: CalibrationReportData, target: Target, point: FloatArray) -
 
 
 def _track(simulation: Simulation, error: float) -> Track:
-    """As far as it came."""
+    """Simulated track until the simulation ended."""
     pose = simulation.pose[simulation.scene.bodies[0].name]
     known = np.isfinite(pose).all(axis=1)
     return Track(simulation.time[known], pose[known], error if math.isfinite(error) else None)
 
 
 def _pusher(simulation: Simulation) -> list[FloatArray]:
-    """Outlines at the start and at the end."""
+    """Outlines of the pusher at the start and at the end."""
     outlines = []
     for pusher in simulation.scene.pushers[:1]:
         pose = simulation.pose[pusher.name]

@@ -1,4 +1,4 @@
-"""What to type and what to write for a calibration."""
+"""Commands and scripts that reproduce or load a calibration."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fixel.workflows.calibration.request import CalibrationRequest
 
 
 def command_of(folder: Path, request: CalibrationRequest, keys: Sequence[str]) -> str:
-    """What to type for the same calibration.
+    """Return the command that repeats a calibration.
 
     Parameters
     ----------
     folder : Path
-        Of the project.
+        Folder of the project.
     request : CalibrationRequest
-        Without unknowns that are restricted to some conditions: those take a file.
+        Request; its parameters must not be restricted to conditions, which needs a file.
     keys : sequence of str
         Ids or names of the experiments.
     """
@@ -48,21 +48,21 @@ def command_of(folder: Path, request: CalibrationRequest, keys: Sequence[str]) -
     return shlex.join(words if request.verdicts else [*words, "--no-verdicts"])
 
 
-# Unknowns that let a model fit better where it is wrong: pressure is hardly ever centred...
+# Parameters that let a wrong model fit better: pressure is hardly ever centred...
 CENTRE: Final = ("friction_centre_x", "friction_centre_y")
 PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
-IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # that it stands in for
-# Options that say which unknowns there are; others cannot be added beside them.
+IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # replaced by PRESSURE
+# Options that define the parameters completely, so that --fit cannot add any.
 _ELSEWHERE: Final = ("--space", "--dakota")
 
 
 def enlarged_command(command: str, request: CalibrationRequest) -> str:
-    """What to type for the same calibration of a larger model; empty where there is none to offer.
+    """Return the command that calibrates a larger model; empty if there is no larger model.
 
     Parameters
     ----------
     command : str
-        What was typed for the calibration.
+        Command of the calibration.
     request : CalibrationRequest
     """
     words = _separated(shlex.split(command))
@@ -79,13 +79,13 @@ def enlarged_command(command: str, request: CalibrationRequest) -> str:
 
 
 def _separated(words: Sequence[str]) -> list[str]:
-    """Words with `--fit` and `--set` apart from what they set."""
+    """Split `--fit=...` and `--set=...` into option and value."""
     joined = ("--fit=", "--set=")
     return [part for w in words for part in (w.split("=", 1) if w.startswith(joined) else (w,))]
 
 
 def _without(words: Sequence[str], names: Collection[str]) -> list[str]:
-    """Words without the `--fit` and `--set` of some parameters."""
+    """Remove the `--fit` and `--set` of some parameters."""
     left: list[str] = []
     for word in words:
         setting = left and left[-1] in ("--fit", "--set")
@@ -97,7 +97,7 @@ def _without(words: Sequence[str], names: Collection[str]) -> list[str]:
 
 
 def python_of(folder: Path, number: int) -> str:
-    """What to write to have a stored calibration in a script."""
+    """Return a script that loads a stored calibration."""
     return (
         "from pathlib import Path\n\n"
         "from fixel.database.project import Project\n\n"

@@ -1,4 +1,4 @@
-"""Search and parameters out of an input file of Dakota."""
+"""Read search and parameters from an input file of Dakota."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fixel.workflows.calibration.request import NamedOptions
 
 
 def from_dakota(path: Path) -> tuple[NamedOptions, list[Unknown]]:
-    """The pattern search and the unknowns the file asks for."""
+    """Return the pattern search and the parameters that the file defines."""
     found = load_dakota(path)
     options = {
         field.name: getattr(found.optimiser, field.name)

@@ -1,4 +1,4 @@
-"""The experiments of a calibration as files that travel with its job."""
+"""Files with the experiments of a calibration, stored with its job."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ POSES: Final = "poses.npz"
 
 
 def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
-    """Files that hold targets, by name."""
+    """Return the files that contain targets, by name."""
     content = [
         {
             "key": target.key,
@@ -40,7 +40,7 @@ def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
 
 
 def read_targets(folder: Path) -> list[Target]:
-    """The other way round, bit by bit."""
+    """Load the targets from a folder; bit-exact inverse of `target_files`."""
     with readable(folder):
         return _read_targets(folder)
 

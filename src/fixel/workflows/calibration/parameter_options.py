@@ -1,4 +1,4 @@
-"""Which parameters to search, where: from the scenes, from `--fit`, or from a file."""
+"""Parameters to search and their bounds, from scenes, from `--fit` or from a file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.uneven_table import TABLE_NAMES
 
 MAX_FRICTION: Final = 1.0
-MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero the loads would stand on one point
-MIN_FRICTION: Final = 0.01  # of the plane: without any nothing holds the body
+MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero all loads would act at one point
+MIN_FRICTION: Final = 0.01  # of the plane: without friction nothing stops the body
 
-# Bounds of parameters that say how far something is from where it was thought to be.
+# Half width of the bounds of parameters that are offsets from an assumed value.
 _AROUND_ZERO: Final = {
     "friction_centre_x": 5e-3,
     "friction_centre_y": 5e-3,
@@ -40,13 +40,13 @@ _AROUND_ZERO: Final = {
     "outline_theta": 0.05,
     "contact_offset": 1e-3,
 }
-# The same, where loads could be spread otherwise. Real boards reached 1.8.
+# The same for parameters that redistribute the loads. Real boards reached 1.8.
 _TABLE: Final = dict(zip(TABLE_NAMES, (1.5, 2.0, 2.0, 1.0, 1.0), strict=True))
 _UNITS: Final = {"_mm": 1e-3, "_deg": math.pi / 180.0, "_mrad": 1e-3}
 
 
 def default_unknowns(scenes: Sequence[Scene]) -> list[Unknown]:
-    """The parameters of the thesis, or of the ASME paper where bodies rest on three points."""
+    """Return the parameters of the thesis, or of the ASME paper for bodies on three points."""
     scene = scenes[0]
     names = ["mu_pusher"] if scene.pushers else []
     if any(s.fixels for s in scenes):
@@ -64,7 +64,7 @@ def default_unknowns(scenes: Sequence[Scene]) -> list[Unknown]:
 
 
 def usual(name: str, scene: Scene) -> Unknown:
-    """A parameter with the bounds one would give it, starting at the scene's own value."""
+    """Return a parameter with its usual bounds, starting at the value of the scene."""
     info_of(name)
     if name in _AROUND_ZERO:
         width = _AROUND_ZERO[name]
@@ -118,7 +118,7 @@ def _corner(name: str, scene: Scene, support: SupportPoints) -> Unknown:
 
 
 def _reach(scene: Scene) -> float:
-    """From the centre of mass to the farthest point of the body [m]."""
+    """Distance from the centre of mass to the farthest point of the body [m]."""
     body = scene.bodies[0]
     shape = body.shape
     if isinstance(shape, Disk):
@@ -127,15 +127,15 @@ def _reach(scene: Scene) -> float:
 
 
 def fitted(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
-    """Of `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or with
-    the unit in the name: `tripod_radius_mm=10:60`."""
+    """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
+    with the unit in the name: `tripod_radius_mm=10:60`."""
     return [_fit(setting, scenes) for setting in settings]
 
 
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     written, _, limits = setting.partition("=")
     name, factor = in_si(written.strip())
-    # An experiment that can inform it, if there is one: fixels may stand in some only.
+    # An experiment that informs the parameter, if any: only some may have fixels.
     scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
     unknown = usual(name, scene)
     if not limits:
@@ -154,7 +154,7 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
 
 
 def held(settings: Sequence[str]) -> list[Unknown]:
-    """Of `--set NAME=VALUE`: parameters that stay at a value."""
+    """Parse `--set NAME=VALUE` into parameters that are fixed at a value."""
     found = []
     for setting in settings:
         written, _, text = setting.partition("=")
@@ -174,7 +174,7 @@ def _frozen(name: str, value: float) -> Unknown:
 
 
 def read_space(path: Path) -> ParameterSpace:
-    """A space file: YAML or JSON, a mapping from names to low, high and start.
+    """Load a space file: YAML or JSON, a mapping from names to low, high and start.
 
     Names may end in `_mm`, `_deg` or `_mrad`; otherwise values are SI.
     """
@@ -224,7 +224,7 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
 
 
 def in_si(written: str) -> tuple[str, float]:
-    """Name of a parameter and the factor from the unit in its written name to SI."""
+    """Return the name of a parameter and the factor from the unit in its written name to SI."""
     for ending, factor in _UNITS.items():
         name = written.removesuffix(ending)
         if name != written and (name in KNOWN_PARAMETERS or re.fullmatch(r"load_\d+", name)):

@@ -1,4 +1,4 @@
-"""A finished calibration, and what its pictures want to know of it."""
+"""Data of a finished calibration, computed once for its charts and report."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
 
 
 class CalibrationReportData:
-    """Looks things up once.
+    """Cached data of a calibration.
 
     Parameters
     ----------
@@ -49,43 +49,43 @@ class CalibrationReportData:
         self.unit: str = calibration.request.made_error.unit
 
     def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
-        """Errors as lengths [mm], the unit of all pictures and tables.
+        """Convert errors to lengths [mm], the unit of all charts and tables.
 
         Parameters
         ----------
         errors : array
-            In the unit of the calibration.
+            Errors in the unit of the calibration.
         members : int
-            Experiments whose combined errors these are; a sum is shared out among them.
+            Number of experiments in each error; a sum is divided by it.
         """
         shared = errors / members if self.request.combine == "sum" else errors
         return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
 
     @cached_property
     def targets(self) -> list[Target]:
-        """The experiments."""
+        """Experiments of the calibration."""
         return self.calibration.targets
 
     @cached_property
     def alone(self) -> list[ParameterSet]:
-        """The best set of each experiment by itself: its own, or a neighbour's."""
-        # Neighbours' sets come after the experiments' own, and only where they are better.
+        """Best set of each single experiment: its own, or a neighbour's."""
+        # Neighbours' sets follow the experiments' own, and only where they are better.
         best = {one.members[0]: one for one in self.outcome.alone}
         return [best[member] for member in sorted(best)]
 
     @cached_property
     def searched(self) -> list[ParameterSet]:
-        """Single experiments with a search of their own."""
+        """Sets for single experiments that were searched for."""
         return [one for one in self.outcome.alone if one.trace is not None]
 
     @cached_property
     def together(self) -> ParameterSet | None:
-        """The best set for all experiments."""
+        """Best set for all experiments."""
         return next((one for one in self.outcome.together if one.how in (DIRECT, STORED)), None)
 
     @cached_property
     def banners(self) -> list[str]:
-        """What stands over a picture of each experiment; nothing where it is real."""
+        """Banner over charts of each experiment; empty for real ones."""
         folder = self.calibration.folder
         ids = experiments_of(folder)
         with Project.open(folder.parents[1]).store() as store:
@@ -96,12 +96,12 @@ class CalibrationReportData:
 
     @cached_property
     def banner(self) -> str:
-        """What stands over pictures of all experiments."""
+        """Banner over charts of all experiments."""
         return banner_of(self.banners)
 
     @cached_property
     def groups(self) -> list[str]:
-        """What each experiment was offset from."""
+        """Shape and layout of each experiment."""
         return [
             " ".join(str(own[name]) for name in ("shape", "layout") if name in own)
             for own in (target.conditions for target in self.targets)
@@ -109,7 +109,7 @@ class CalibrationReportData:
 
     @cached_property
     def offset_axes(self) -> list[OffsetSeries]:
-        """Axes along which experiments were offset; the nominal ones are on all of them."""
+        """Axes along which experiments were offset; each contains the nominal ones."""
         found = []
         conditions = [target.conditions for target in self.targets]
         for name, unit in OFFSETS.items():
@@ -125,12 +125,12 @@ class CalibrationReportData:
 
     @cached_property
     def comparer(self) -> Comparer:
-        """As in the calibration."""
+        """Comparison of simulation and experiment, as in the calibration."""
         request = self.request
         return Comparer(self.targets, self.space, request.made_error, request.made_motion)
 
     def retraced(self, one: ParameterSet) -> SearchHistory:
-        """How the search of a set went."""
+        """Replay the search of a set."""
         if one.trace is None:
             raise ValueError("a set without a search")
         space = self.space
@@ -143,7 +143,7 @@ class CalibrationReportData:
 
 
 def title_of(desk: CalibrationReportData, one: ParameterSet, word: str = "") -> str:
-    """Whose parameters a set is, and how it came to be picked."""
+    """Title of a set: its experiments, and why it was selected."""
     if len(one.members) > 1:
         return f"{len(one.members)} experiments, {one.how}"
     name = desk.keys[one.members[0]]

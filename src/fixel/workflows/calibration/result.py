@@ -1,4 +1,4 @@
-"""What a calibration found, and its bytes."""
+"""Result of a calibration, and its conversion to bytes."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.model.records import Estimate
 from fixel.typing import FloatArray
 
-ALONE: Final = "alone"  # how a set of one experiment was found
+ALONE: Final = "alone"  # method of a set for a single experiment
 NEIGHBOUR: Final = "a neighbour's"
 WEIGHTED: Final = "weighted mean"
 SUBSET: Final = "weighted mean of a subset"
 DIRECT: Final = "direct minimisation"
 STORED: Final = "best of those stored"
-SEARCHED: Final = "unknowns"  # in the method of a record: what was searched, as JSON
-GROWTH: Final = "domain growth"  # a weighted mean that `workflows/growth` made on its way
+SEARCHED: Final = "unknowns"  # in the method of a record: the searched parameters, as JSON
+GROWTH: Final = "domain growth"  # a weighted mean computed by `workflows/growth`
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curve:
-    """Profile likelihood of one unknown, to be drawn.
+    """Profile likelihood of one parameter, for a chart.
 
     Attributes
     ----------
     label : str
     values : (n,) float64
-        Ascending.
+        Values of the parameter, ascending.
     deviances : (n,) float64
-        Rise above the least, the others fitted; inf where nothing could be evaluated.
+        Rise above the minimum, with the others fitted; inf where nothing could be evaluated.
     slice_values, slice_deviances : (m,) float64
-        The same with the others held at the best.
+        The same with the others fixed at the best fit.
     low, high : float, optional
         Ends of the interval.
     threshold : float
-        Rise at these.
+        Rise at the ends of the interval.
     """
 
     label: str
@@ -58,37 +58,37 @@ class Curve:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSet:
-    """One set of parameters, for one experiment or for several.
+    """Set of parameters for one experiment or for several.
 
     Attributes
     ----------
     how : str
         `ALONE`, `NEIGHBOUR`, `WEIGHTED`, `SUBSET` or `DIRECT`.
     members : tuple of int
-        Places of the experiments.
+        Indices of the experiments.
     point : (n_free,) float64
-        Best fit: what predicts best. `values` are those to quote.
+        Best fit, for prediction. `values` are those to quote.
     errors : (n_member,) float64
-        Of each experiment with it; inf where it has none.
+        Error of each experiment with this set; inf where it has none.
     trace : Trace, optional
-        What the search evaluated; none where there was no search.
+        Evaluations of the search; None without a search.
     estimates : tuple of Estimate
-        One an unknown.
+        One estimate per parameter.
     profiles : tuple of Curve
-        One a free unknown; none where nobody asked.
+        One profile per free parameter; empty if not requested.
     noise : str
-        What the intervals take the scatter of the measurements to be.
+        Source of the measurement noise assumed by the intervals.
     misfit : tuple of str
-        Warning that the model is wrong by more than the noise explains, the size first; empty where
-        it is not, or where nobody asked.
+        Warning that the model is wrong by more than the noise explains, its size first; empty if
+        it is not, or if not requested.
     misfit_ratio : float
-        Residuals over noise; nan where the noise is not known.
+        Residuals over noise; nan if the noise is unknown.
     solutions : (n_solution, n_free) float64
-        Where several starts ended nearly as well as the best, in places apart; the best first.
+        Distinct ends of several starts that are nearly as good as the best; the best first.
     seconds : float
-        It took [s].
+        Duration of the computation [s].
     note : str
-        Why there is no error, where there is none.
+        Why the error is missing, if it is.
     """
 
     how: str
@@ -106,8 +106,8 @@ class ParameterSet:
     note: str = ""
 
     def values(self, labels: Sequence[str]) -> FloatArray:
-        """(n_free,) values to quote of the free unknowns, each inside its interval; `point` where
-        nobody asked what the data determine."""
+        """Return the values (n_free,) to quote of the free parameters, each inside its interval;
+        those of `point` for parameters without an estimate."""
         known = {estimate.label: estimate.value for estimate in self.estimates}
         pairs = zip(labels, self.point.tolist(), strict=True)
         return np.array([known.get(label, value) for label, value in pairs])
@@ -116,14 +116,14 @@ class ParameterSet:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationResult:
-    """All a calibration found.
+    """Complete result of a calibration.
 
     Attributes
     ----------
     keys : tuple of str
-        Of the experiments.
+        Keys of the experiments.
     labels : tuple of str
-        Of the free unknowns.
+        Labels of the free parameters.
     nominal : (n_key,) float64
         Errors before calibration.
     found : tuple of ParameterSet
@@ -136,34 +136,34 @@ class CalibrationResult:
 
     @property
     def alone(self) -> list[ParameterSet]:
-        """Of the single experiments."""
+        """Sets for single experiments."""
         return [one for one in self.found if len(one.members) == 1 and one.how in SINGLE]
 
     @property
     def together(self) -> list[ParameterSet]:
-        """Of all experiments together."""
+        """Sets for all experiments together."""
         return [one for one in self.found if one.how not in SINGLE]
 
 
 SINGLE: Final = (ALONE, NEIGHBOUR)
 
-# Experiments that stand out: their error, as a length, is larger than the usual one by this many
-# standard deviations of its logarithm, and by this factor; both robust, of this many at least.
+# Outliers: their error, as a length, exceeds the median by this many standard deviations of its
+# logarithm, and by this factor; both robust, computed from this many experiments at least.
 STANDS_OUT: Final = 3.5
 TIMES: Final = 2.0
 MIN_COUNT: Final = 8
-# Or it alone makes this share of the summed square, and this many times an equal share.
+# Or a single one contributes this share of the summed square, and this many times an equal share.
 RULES: Final = 0.05
 TIMES_ITS_SHARE: Final = 20.0
 
 
 def length_of(error: float, unit: str) -> float:
-    """An error as a length [mm]: the root of one in mm^2."""
+    """Convert an error to a length [mm]: the root of one in mm^2."""
     return math.sqrt(error) if unit == "mm^2" else error
 
 
 def outliers(errors: FloatArray, unit: str) -> list[int]:
-    """Places of the errors (n,) that stand out from the others, the largest first.
+    """Return the indices of the errors (n,) that are outliers, the largest first.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def outliers(errors: FloatArray, unit: str) -> list[int]:
 
 
 def outcome_bytes(outcome: CalibrationResult) -> bytes:
-    """All of it."""
+    """Serialise the result of a calibration."""
     return bytes_of(
         keys=_text(list(outcome.keys)),
         labels=_text(list(outcome.labels)),
@@ -199,7 +199,7 @@ def outcome_bytes(outcome: CalibrationResult) -> bytes:
 
 
 def outcome_of(data: bytes) -> CalibrationResult:
-    """The other way round."""
+    """Load a result; inverse of `outcome_bytes`."""
     arrays = arrays_of(data)
     return CalibrationResult(
         keys=tuple(_plain(arrays["keys"])),
@@ -213,7 +213,7 @@ CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
 
 
 def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
-    """Sets of parameters as named arrays."""
+    """Convert sets of parameters to named arrays."""
     plain, arrays = [], {}
     for k, one in enumerate(found):
         arrays[f"point_{k}"], arrays[f"errors_{k}"] = one.point, one.errors
@@ -247,7 +247,7 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
 
 
 def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
-    """The other way round."""
+    """Load sets of parameters; inverse of `found_arrays`."""
     return [
         ParameterSet(
             how=entry["how"],
@@ -279,7 +279,7 @@ def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
 
 
 def _text(content: Any) -> FloatArray:
-    """Plain content as an array of bytes."""
+    """Encode plain content as JSON in an array of bytes."""
     data: Any = np.frombuffer(json.dumps(content).encode(), np.uint8)
     return data  # type: ignore[no-any-return]
 

@@ -1,7 +1,7 @@
-"""How a finished search went: its iterations and its starts, from what it evaluated.
+"""Reconstruct the iterations and starts of a finished search from its evaluations.
 
-A search told the same errors asks for the same points. So points and errors are all that is kept
-of it: told them again, it says where its iterations began and where each start ended.
+A search that receives the same errors proposes the same points. Only points and errors are
+therefore stored; replayed, they show where iterations began and where each start ended.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from fixel.workflows.calibration.request import CalibrationRequest
 
 
 class SearchHistory(NamedTuple):
-    """A search that was gone through again."""
+    """Iterations and starts of a search that was replayed."""
 
-    begins: IntArray  # (n_iteration,) first evaluation of each; none where they are not known
-    ends: list[Best]  # of each start, where there were several
-    evaluations: list[int]  # of each start
+    begins: IntArray  # (n_iteration,) first evaluation of each; empty if unknown
+    ends: list[Best]  # best point of each start, if there were several
+    evaluations: list[int]  # number of evaluations of each start
 
 
 UNKNOWN: Final = SearchHistory(np.zeros(0, np.int64), [], [])
 
-# Mads asks for one point at a time, in another process; least squares wants residuals, not errors.
+# Mads proposes one point at a time, in another process; least squares needs residuals, not errors.
 RETRACED: Final = {optimiser.name for optimiser in OPTIMISERS} - {Mads.name}
 
 
 def retraced(
     request: CalibrationRequest, trace: Trace, box: SearchBox, feasible: Feasible
 ) -> SearchHistory:
-    """Go through a search again, without evaluating anything.
+    """Replay a search from its evaluations, without a simulation.
 
     Parameters
     ----------
     request : CalibrationRequest
-        That the search was made with.
+        Request of the calibration.
     trace : Trace
     box : SearchBox
-        With the start it had.
+        Bounds and start of the search.
     feasible : callable
-        As it had.
+        Constraint of the search: which points are feasible.
     """
     if request.optimiser.name not in RETRACED:
         return UNKNOWN
@@ -63,7 +63,7 @@ def retraced(
 
 
 def _told(search: Search, trace: Trace) -> list[int] | None:
-    """Where each question begins; None where the search asks for anything else."""
+    """First evaluation of each iteration; None if the search proposes other points."""
     begins, at = [], 0
     while not search.done and at < len(trace.errors):
         points = search.ask()

@@ -1,4 +1,4 @@
-"""A stored calibration as a model to simulate with."""
+"""Use a stored calibration as a model to simulate with."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 @final
 @dataclass(frozen=True)
 class CalibratedValues:
-    """Values of parameters with the method they were found by.
+    """Calibrated parameters with the method that found them.
 
     Parameters
     ----------
@@ -44,33 +44,33 @@ class CalibratedValues:
 
     @property
     def members(self) -> frozenset[int]:
-        """Ids of the experiments it was found from."""
+        """Ids of the experiments of the calibration."""
         return frozenset(member.experiment_id for member in self.record.members)
 
     @property
     def is_for_several(self) -> bool:
-        """Whether its one set of parameters was found for several experiments."""
+        """Whether a single set of parameters was calibrated to several experiments."""
         how = self.record.method.get("how")
         return len(self.record.members) > 1 and how not in (ALONE, NEIGHBOUR)
 
     @cached_property
     def motion(self) -> AbstractMotionModel:
-        """As it was calibrated with."""
+        """Motion model of the calibration."""
         name = self.record.method.get("motion")
         return next((model() for model in MOTION_MODELS if model.name == name), Dynamic())
 
     @cached_property
     def error(self) -> AbstractError:
-        """As was minimised."""
+        """Error that the calibration minimised."""
         name = self.record.method.get("error")
         scale = float(self.record.method.get("error.angle_scale", ANGLE_SCALE))
         kind = next((kind for kind in ERRORS if kind.name == name), MeanSquare)
         return kind(angle_scale=scale)
 
     def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
-        """Parameters of an experiment under these conditions, by name [SI].
+        """Return the parameters for an experiment under these conditions, by name [SI].
 
-        Conditions have the experiment's key as `"experiment"`.
+        Conditions include the experiment's key as `"experiment"`.
         """
         found = dict(self.record.parameters)
         for estimate in self.record.estimates:
@@ -81,7 +81,7 @@ class CalibratedValues:
 
 
 def parted(label: str) -> tuple[str, dict[str, str]]:
-    """Name and conditions of an unknown's label: `"mu_pusher[surface=abs]"`."""
+    """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
     match = _LABEL.fullmatch(label)
     if match is None:
         raise InvalidInput("label", found=repr(label), expected="NAME or NAME[CONDITION=VALUE]")
@@ -97,16 +97,16 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 def calibrated(
     store: Store, number: int | None = None, experiment: int | None = None
 ) -> CalibratedValues:
-    """A stored calibration.
+    """Load a stored calibration.
 
     Parameters
     ----------
     store : Store
     number : int, optional
-        Its id; where left out, the newest for several experiments, else the newest of all. Means
-        that the growth of a domain made on its way count only by their id.
+        Id of the calibration; by default the newest for several experiments, else the newest of
+        all. Means computed by the growth of a domain are selected only by their id.
     experiment : int, optional
-        Id of one that has to be among its members, where no number is given.
+        Id of an experiment that must be a member, if no id of a calibration is given.
     """
     own = newest(store, experiment) if number is None else number
     if own is None:
@@ -135,9 +135,9 @@ def parameters_of(
         Id of the calibration.
     experiment : Experiment
     changed : Parameters
-        Instead of the calibration's.
+        Values that replace the calibration's.
     motion : AbstractMotionModel, optional
-        Instead of the calibration's.
+        Model that replaces the calibration's.
     """
     one = calibrated(store, number)
     values = one.values({**experiment.conditions, "experiment": experiment.key})
@@ -146,7 +146,7 @@ def parameters_of(
 
 
 def newest(store: Store, experiment: int | None = None) -> int | None:
-    """Id of the calibration that `calibrated` takes where none is named; none without any."""
+    """Id of the calibration that `calibrated` loads by default; None without any."""
     known = [
         CalibratedValues(number, record)
         for number, record in reversed(store.calibration_summaries().items())
@@ -160,10 +160,10 @@ def newest(store: Store, experiment: int | None = None) -> int | None:
 def searched_space(
     project: Project, one: CalibratedValues, scenes: Sequence[Scene]
 ) -> ParameterSpace:
-    """Return the box that a calibration searched, started at its result.
+    """Return the bounds that a calibration searched, with its result as the start.
 
-    Calibrations stored by earlier versions have it in their job folder only. Where that is gone, it
-    is the usual box of the parameters they found.
+    Calibrations stored by earlier versions have the bounds in their job folder only. If it is
+    gone, the usual bounds of their parameters are returned.
     """
     searched = one.record.method.get(SEARCHED)
     folder = project.folder / JOBS / str(one.record.method.get("job", ""))
@@ -182,7 +182,7 @@ def searched_space(
 def _usual_space(
     one: CalibratedValues, found: Mapping[str, float], scenes: Sequence[Scene]
 ) -> ParameterSpace:
-    """Usual bounds, widened to the result; a refusal where a parameter has none."""
+    """Return the usual bounds, widened to the result; raise if a parameter has none."""
     held = {e.label for e in one.record.estimates if e.verdict == "frozen"}
     unknowns = []
     for label, value in found.items():

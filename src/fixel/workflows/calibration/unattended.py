@@ -1,7 +1,7 @@
-"""A calibration nobody waits for: `python -m fixel.workflows.calibration.unattended FOLDER`.
+"""Run a calibration in the background: `python -m fixel.workflows.calibration.unattended FOLDER`.
 
-What the coordinator does for any job; in the end, what was found is stored in the project. It may
-die at any moment: whoever goes on with the job, or looks at it, does the rest.
+The job runs as any other; at its end the result is stored in the project. The process may be
+killed at any moment: the next process that resumes or inspects the job does the rest.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ MODULE: Final = "fixel.workflows.calibration.unattended"
 
 
 def collected(project: Project, folder: Path) -> list[int]:
-    """Ids of the stored calibrations of a job that is done; they are stored where they are not.
+    """Return the ids of the stored calibrations of a finished job; store them if necessary.
 
     Raises
     ------
     JobRefused
-        Another process is about to store them.
+        Another process is storing them.
     """
     request, ids = request_of(folder), experiments_of(folder)
     command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
@@ -34,7 +34,7 @@ def collected(project: Project, folder: Path) -> list[int]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the job, then store what it found."""
+    """Run the job, then store its result."""
     given = sys.argv[1:] if arguments is None else arguments
     folder = Path(given[0])
     status = coordinator.main(given)

@@ -1,4 +1,4 @@
-"""The whole way from a film to calibrated parameters, where the truth is known at every step."""
+"""Tour from a film to calibrated parameters, with the truth known at every step."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ from fixel.workflows.demo.emulated_bench import record_film
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report, write_report
 
-# Of the plan of the thesis: straight on, beside the middle, turned; pushes from several sides say
-# more about friction than one does.
+# From the plan of the thesis: straight on, off the middle, turned; pushes from several sides
+# inform friction better than a single one.
 PUSHES: Final = (0, 12, 18)
 SEED: Final = 1
 LEAD: Final = 0.5  # [s] at rest before the drive starts
 TRACKED, TRUE = "tracked", "true-poses"
-MARK: Final = "tour.json"  # in the folder: what was asked for, so that the same can go on
-RUNS: Final = "runs.json"  # in the folder: what was measured while a run was recorded
+MARK: Final = "tour.json"  # in the folder: the request, so that the same tour can continue
+RUNS: Final = "runs.json"  # in the folder: drive positions at the end of each recording
 ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
 
 
 class TrackingErrors(NamedTuple):
-    """Root mean square distances of tracked from true poses."""
+    """Root mean square errors of tracked poses."""
 
     position: float  # [m]
     angle: float  # [rad]
@@ -62,22 +62,22 @@ class TrackingErrors(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraTour:
-    """What the tour found.
+    """Result of the camera tour.
 
     Attributes
     ----------
     project : Path
     runs : tuple of TrackedRun
     estimates : tuple of (Estimate, Estimate)
-        Of each unknown: from tracked poses, and from true ones.
+        Estimate of each parameter from tracked poses, and from true ones.
     lost : int
-        Frames that the recorder was too slow for.
+        Frames that the recorder lost because it was too slow.
     frames : int
     drive : dict of str to float
-        Where the drive said it stood at the end of each run [m].
+        Position of the drive at the end of each run, as it reported it [m].
     report : Report
     overlays : tuple of Path
-        Films with the measured outlines drawn in, and sheets of a few of their frames.
+        Films with the measured outlines, and sheets with a few of their frames.
     """
 
     project: Path
@@ -91,7 +91,7 @@ class CameraTour:
 
     @property
     def errors(self) -> TrackingErrors:
-        """Over all frames of all runs."""
+        """Errors over all frames of all runs."""
         return errors_of(self.runs)
 
 
@@ -103,7 +103,7 @@ def run_camera_tour(
     say: Notify | None = None,
     progress: Progress | None = None,
 ) -> CameraTour:
-    """Film simulated pushes, record the films off a camera, track, calibrate, compare.
+    """Film simulated pushes, record the films with a camera, track, calibrate and compare.
 
     A tour that was interrupted, or whose recordings could not be tracked, continues in its folder.
 
@@ -114,20 +114,20 @@ def run_camera_tour(
     Parameters
     ----------
     folder : Path
-        To be made: films, recordings, the project, the report.
+        Folder to create, for films, recordings, the project and the report.
     pushes : tuple of int
-        Of the plan of the thesis.
+        Indices of experiments in the plan of the thesis.
     frames : int, optional
-        No more than so many of each film.
+        Maximum number of frames of each film.
     say : callable, optional
-        Told what is being done.
+        Called with a sentence before each part of the tour.
     progress : callable, optional
         Called as `progress(done, total)` while a film is rendered.
 
     Raises
     ------
     InvalidInput
-        A folder with something else in it, or a run that could not be tracked from its start.
+        The folder contains something else, or a run could not be tracked from its start.
     """
     tell = say or (lambda _: None)
     project = _begun(folder, {"pushes": list(pushes), "frames": frames})
@@ -176,7 +176,7 @@ def run_camera_tour(
 
 
 def _begun(folder: Path, asked: dict[str, object]) -> Project:
-    """Make the folder of a tour, or open that of one that was begun with the same requests."""
+    """Create the folder of a tour, or open that of an interrupted one with the same request."""
     mark, lab = folder / MARK, folder / "lab"
     if not folder.exists():
         folder.mkdir(parents=True)
@@ -193,12 +193,12 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
 
 
 def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Notify) -> TrackAnswer:
-    """Record a film where that has not been done, and track it.
+    """Record a film if that has not been done, and track it.
 
     Raises
     ------
     InvalidInput
-        The object was not tracked from its start, in none of the recordings.
+        The object was not tracked from its start in any of the recordings.
     """
     name, out = made.name, folder / "recordings" / made.name
     why_not = ""
@@ -232,19 +232,19 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Notify) -> T
 
 
 def _noted(folder: Path) -> dict[str, float | None]:
-    """Where the drive stood at the end of each run [m], by its name."""
+    """Load the drive's position at the end of each run [m], by the run's name."""
     path = folder / RUNS
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
 def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
-    """The same experiment with true poses at the frames, and both beside each other.
+    """Return the experiment with true poses at the frames, and a comparison of both.
 
     Parameters
     ----------
     tracked : Experiment
     film : Path
-        The film it was tracked in, with its truth.
+        Folder of the tracked film, with its ground truth.
     """
     scene = tracked.scene
     if scene is None:
@@ -269,7 +269,7 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
         ),
         flags=(),
     )
-    # A frame that was lost or not believed is left out; the others came a little late, or early.
+    # A lost or rejected frame is left out; the others may be a little late or early.
     at = tracked.trajectory.time
     nearest = np.abs(time[:, None] - at).argmin(axis=0)
     run = TrackedRun(
@@ -284,15 +284,15 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
 
 
 def errors_of(runs: tuple[TrackedRun, ...]) -> TrackingErrors:
-    """Root mean squares over all frames."""
+    """Compute root mean square errors over all frames."""
     position = np.concatenate([run.position_error for run in runs])
     angle = np.concatenate([run.angle_error for run in runs])
     return TrackingErrors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
 
 
 def within_interval(tracked: Estimate, true: Estimate) -> bool:
-    """Whether the value from true poses lies in the interval from tracked ones, as far as that has
-    ends."""
+    """Whether the value from true poses lies in the interval from tracked ones; an interval may be
+    open."""
     low = -math.inf if tracked.low is None else tracked.low
     high = math.inf if tracked.high is None else tracked.high
     return low <= true.value <= high
@@ -326,12 +326,12 @@ def _filmed(
 
 
 def _is_film(folder: Path) -> bool:
-    """Whether a film is there as a whole, with its truth."""
+    """Whether a folder has a complete film with its ground truth."""
     return is_recording(folder) and open_recording(folder).complete and (folder / ARRAYS).is_file()
 
 
 def _firmware(folder: Path, tell: Notify) -> Path | None:
-    """The firmware of the fixels, built for its emulator; none where that cannot be."""
+    """Build the firmware of the fixels and its emulator; None if that is not possible."""
     missing = emulated_mega.why_not()
     if missing:
         tell(f"fixels are read from the film, not from an emulated board: {missing}")
@@ -418,7 +418,7 @@ def _run_table(runs: tuple[TrackedRun, ...]) -> TextTable:
 
 
 def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTable:
-    """Values from the film beside those from true poses."""
+    """Table of the values from the film and from true poses."""
     rows = tuple(
         (
             f"{tracked.label} [{tracked.unit or '-'}]",
@@ -433,7 +433,7 @@ def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTabl
 
 
 def written_estimate(estimate: Estimate) -> str:
-    """Value, interval and verdict: `0.41 (0.38 to 0.44), identified`."""
+    """Format value, interval and verdict: `0.41 (0.38 to 0.44), identified`."""
     ends = (estimate.low, estimate.high)
     low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
     return f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"

@@ -1,4 +1,4 @@
-"""A bench without hardware: a film as camera, firmware in an emulator, a controller to move."""
+"""Emulated bench: a film as camera, firmware in an emulator, and a controller to move."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 @final
 class EmulatedBench:
-    """Everything a recorder talks to.
+    """Camera, fixels and drive for a recorder, without hardware.
 
     Attributes
     ----------
     camera : str
         Address of the network camera that plays the film.
     tactile : str
-        Port of the board, or `film` for its readings where the board cannot be emulated.
+        Port of the board; `film` to use the film's readings if the board cannot be emulated.
     actuator : AbstractActuator or None
-        A GRBL driver with an emulated controller behind it.
+        GRBL driver of an emulated controller.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class EmulatedBench:
         self._failure: FixelError | None = None
 
     def begin(self, status: RecordingStatus, scene: Scene, lead: float) -> None:
-        """The film plays: close and open contacts as it goes on, and start the drive in time."""
+        """Schedule the contacts of the film, which has started to play, and start the drive."""
         if self._board is not None:
             self._schedule_contacts(self._board, status.seconds)
         drive = scene.pushers[0].drive
@@ -65,12 +65,12 @@ class EmulatedBench:
             self._move.start()
 
     def end(self) -> float | None:
-        """Wait for the drive; where it says it stands [m].
+        """Wait for the drive and return its position [m].
 
         Raises
         ------
         FixelError
-            It did not move as it should.
+            The drive did not move as it should.
         """
         if self.actuator is None:
             return None
@@ -96,14 +96,14 @@ class EmulatedBench:
 
 @contextmanager
 def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]:
-    """A bench that plays a film.
+    """Create a bench that plays a film.
 
     Parameters
     ----------
     film : Path
         Folder of the film.
     firmware : Path, optional
-        The built firmware and its emulator (`emulated_mega.built`).
+        Firmware with its emulator, as built by `emulated_mega.built`.
     """
     from fixel.testing.emulated_grbl import EmulatedGrbl
     from fixel.testing.emulated_mega import EmulatedMega
@@ -123,16 +123,16 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
 def record_film(
     film: Path, out: Path, scene: Scene, lead: float, firmware: Path | None
 ) -> tuple[RecordingSummary, float | None]:
-    """Record a film as if it happened on a bench.
+    """Record a film as if it took place on a bench.
 
     Parameters
     ----------
     film, out : Path
         Folders of the film and of the recording.
     scene : Scene
-        As planned, for what the drive is told.
+        Planned scene, from which the drive gets its motion.
     lead : float
-        For how long everything rests at first [s].
+        Duration of the rest before the motion [s].
     firmware : Path, optional
         See `emulated_bench`.
 
@@ -140,7 +140,7 @@ def record_film(
     -------
     recorded : RecordingSummary
     position : float or None
-        Where the drive says it stands in the end [m].
+        Position of the drive at the end [m].
     """
     with emulated_bench(film, firmware) as bench:
         begun = False

@@ -1,4 +1,4 @@
-"""What happened in a simulation, told from its contact table: when, what, how hard."""
+"""Describe the events of a simulation from its contact table: time, kind, size."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ STICKING = 1e-3
 
 
 class MotionEvent(NamedTuple):
-    """Something that happened."""
+    """Event of a motion, as text."""
 
     time: float  # [s]
     text: str
 
 
 class Slip(NamedTuple):
-    """How a contact slid while it lasted."""
+    """Sliding of a contact while it lasted."""
 
-    way: float  # [m]
-    until: float  # [s] of the last sample at which it slid
+    way: float  # [m] distance slid
+    until: float  # [s] time of the last sample at which it slid
 
 
 def story(simulation: Simulation) -> list[MotionEvent]:
-    """What happened to the first body of a scene, in order.
+    """Return the events of the first body of a scene, in order.
 
     Parameters
     ----------
     simulation : Simulation
-        With a sample at every step, so that events have the time of their step.
+        Simulation with a sample at every step, so that events have the time of their step.
     """
     body = simulation.scene.bodies[0].name
     events = [
@@ -117,7 +117,7 @@ def _slip(simulation: Simulation, body: str, rows: NDArray[np.void]) -> Slip:
 
 
 def _slip_speed(simulation: Simulation, body: str, row: np.void) -> float:
-    """Of the body's material along a fixed surface [m/s]."""
+    """Speed of the body's material along a fixed surface [m/s]."""
     sample = _sample(simulation, float(row["time"]))
     member = next(b for b in simulation.scene.bodies if b.name == body)
     centre = placed(member.com, simulation.pose[body][sample])

@@ -1,4 +1,4 @@
-"""A tour of a simulated laboratory: perform, calibrate, ask how far to believe it, hand it over."""
+"""Tour of a simulated laboratory: experiments, calibration, domain, uncertainty, report."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 # One shape in one layout: the nominal pose, and steps along x, y and theta.
 EXPERIMENTS: Final = 21
 SEED: Final = 1
-# Pushes whose start is asked about: straight on, beside the middle, turned.
+# Pushes whose sensitivity to the start is analysed: straight on, off the middle, turned.
 ABOUT: Final = (1, 8, 19)
-# The push whose posterior is sampled, and one that is predicted with it.
+# The push whose posterior is sampled, and a push that is predicted from it.
 FROM, PREDICTED = 19, 20
 START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
 
@@ -50,14 +50,14 @@ START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tour:
-    """What the tour left behind.
+    """Result of the tour.
 
     Attributes
     ----------
     project : Path
     report : Report
     truth : TextTable
-        What was found beside what was true of the laboratory.
+        Estimates with the true values of the laboratory.
     """
 
     project: Path
@@ -66,16 +66,16 @@ class Tour:
 
 
 def run_tour(folder: Path, say: Notify | None = None) -> Tour:
-    """Make a project of simulated experiments, calibrate it, and report how far to believe it.
+    """Create a project of simulated experiments, calibrate it, and report how reliable it is.
 
-    What is there already from an earlier tour is not done again.
+    Experiments that an earlier tour stored are not simulated again.
 
     Parameters
     ----------
     folder : Path
-        Of the project; made where there is none.
+        Folder of the project; created if missing.
     say : callable, optional
-        Told what is being done.
+        Called with a sentence before each part of the tour.
     """
     tell = say or (lambda _: None)
     project = Project.open(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
@@ -104,7 +104,7 @@ def run_tour(folder: Path, say: Notify | None = None) -> Tour:
 
 
 def _perform(store: Store) -> None:
-    """Experiments that are there already are not stored twice."""
+    """Store the experiments, unless there are some already."""
     if store.experiments(limit=1).total == 0:
         planned = thesis_plan().experiments[:EXPERIMENTS]
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
@@ -125,7 +125,7 @@ def _calibrate(project: Project, command: str) -> int:
 
 
 def _beside_truth(project: Project, number: int) -> TextTable:
-    """Estimates beside the mean friction that the simulated laboratory really had."""
+    """Table of the estimates with the true mean friction of the simulated laboratory."""
     with project.store() as store:
         record = store.calibration(number)
         experiments = [store.experiment(member.experiment_id) for member in record.members]
@@ -144,7 +144,7 @@ def _beside_truth(project: Project, number: int) -> TextTable:
 
 
 def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
-    """Mean true friction; None where the laboratory has no such property."""
+    """Mean true friction; None if the laboratory has no such property."""
     kind = label.removeprefix("mu_")
     if kind not in ("pusher", "fixel", "support"):
         return None

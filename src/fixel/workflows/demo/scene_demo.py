@@ -1,4 +1,4 @@
-"""A short tour: one grasp, simulated, told, drawn and filmed."""
+"""Short tour: one grasp is simulated, described, drawn and filmed."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ EXAMPLE = "grasp"
 @final
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """What the tour left behind.
+    """Result of the tour.
 
     Attributes
     ----------
     simulation : Simulation
     events : list of MotionEvent
-        What happened, in order.
+        Events of the motion, in order.
     files : dict from kind to Path
         ``scene``, ``plot``, ``animate``, ``trajectory``.
     """
@@ -37,31 +37,31 @@ class Demo:
 
 
 def example_names() -> list[str]:
-    """Names of the scenes that come with fixel."""
+    """Return the names of the scenes that come with fixel."""
     folder = files("fixel.testing") / "examples"
     return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".yaml"))
 
 
 def example_text(name: str) -> str:
-    """The scene file of an example, comments and all."""
+    """Return the scene file of an example, with its comments."""
     with as_file(files("fixel.testing") / "examples" / f"{name}.yaml") as path:
         return path.read_text(encoding="utf-8")
 
 
 def run_demo(folder: Path, *, say: Notify | None = None, progress: Progress | None = None) -> Demo:
-    """Simulate the grasp of the examples and leave scene, picture, film and trajectory behind.
+    """Simulate the example grasp; write its scene, picture, film and trajectory.
 
     Parameters
     ----------
     folder : Path
-        Made when missing; files of the same names are replaced.
+        Created if missing; files of the same names are replaced.
     say, progress : callable, optional
-        As for `simulate_file`.
+        See `simulate_file`.
 
     Raises
     ------
     InvalidInput
-        A folder that cannot be made.
+        The folder cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

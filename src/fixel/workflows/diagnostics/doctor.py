@@ -1,4 +1,4 @@
-"""Is this installation in order?"""
+"""Check an installation of fixel."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av",
 @final
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What the doctor found.
+    """Result of checking the installation.
 
     Attributes
     ----------
     versions : dict from name to str
     machine : dict
-        Platform, cores that this process may use, threads that a batch takes.
+        Platform, cores that this process may use, threads of a batch.
     cache : dict
-        Folder of compiled kernels, its size [bytes], whether they were there already.
+        Folder of compiled kernels, its size [bytes], and whether they were compiled before.
     checks : list of SelfCheck
     seconds : float
-        What it all took [s].
+        Duration of all checks [s].
     """
 
     versions: dict[str, str]
@@ -52,18 +52,18 @@ class Diagnosis:
         return all(check.passed for check in self.checks)
 
     def summary(self) -> dict[str, Any]:
-        """The answer of `fixel doctor --json`."""
+        """Return the answer of `fixel doctor --json`."""
         worst = worst_residual(self.checks)
         return {"passed": self.passed, "max_residual": worst, **asdict(self)}
 
 
 def examine(say: Notify | None = None) -> Diagnosis:
-    """Look at versions, cores, the cache of compiled kernels, and run the self-test.
+    """Collect versions, cores and the cache of compiled kernels, and run the self-test.
 
     Parameters
     ----------
     say : callable, optional
-        Called with a sentence when something takes its time.
+        Called with a sentence before long operations.
     """
     start = time.perf_counter()
     warm = not engine_is_cold()
@@ -75,7 +75,7 @@ def examine(say: Notify | None = None) -> Diagnosis:
 
 
 def versions() -> dict[str, str]:
-    """Of fixel, Python and the packages it stands on."""
+    """Versions of fixel, Python and the packages that fixel uses."""
     found = {"fixel": _version("fixel"), "python": platform.python_version()}
     return found | {name: _version(name) for name in PACKAGES}
 
@@ -89,7 +89,7 @@ def _version(name: str) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Platform, cores that this process may use, threads that a batch takes."""
+    """Platform, cores that this process may use, threads of a batch."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
     return {"platform": platform.platform(terse=True), "cores": usable, "threads": threads}
@@ -126,7 +126,7 @@ def _film_check() -> SelfCheck:
 
 
 def _bench_check() -> SelfCheck:
-    """What could be a bench; having none is in order."""
+    """Report cameras and serial ports; having none is no failure."""
     name = "cameras and serial ports"
     found = _cameras() + _serial_ports()
     return SelfCheck(name, True, ", ".join(found) if found else "none, fine")

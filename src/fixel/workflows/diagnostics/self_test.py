@@ -1,4 +1,4 @@
-"""Problems with known answers, through every solver: does this machine compute what it should?"""
+"""Solve problems with known answers by every solver, to test an installation."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from fixel.simulation import (
 )
 from fixel.testing import scenes
 
-# Bar for the natural-map residual of any step, as published collections of problems ask for.
+# Largest natural-map residual of any step, as published collections of problems require.
 RESIDUAL = 1e-8
-# How far solvers may lie apart after the same steps [m]: rounding.
+# Largest distance of the solvers' results after the same steps [m]: rounding.
 AGREEMENT = 1e-7
-# Share of a closed-form answer that the adaptive stepper may be off.
+# Largest relative error of the adaptive stepper against a closed-form answer.
 CLOSED_FORM = 2e-3
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class SelfCheck:
-    """One line of the self-test.
+    """Result of one check of the self-test.
 
     Attributes
     ----------
     name : str
-        What should hold.
+        Property that was checked.
     passed : bool
     detail : str
-        What was found.
+        Result in words.
     residual : float or None
-        Worst residual of any step, where steps were solved.
+        Largest residual of any step, if steps were solved.
     """
 
     name: str
@@ -51,19 +51,19 @@ class SelfCheck:
 
 
 def self_test() -> list[SelfCheck]:
-    """Run all checks; one that breaks has failed."""
+    """Run all checks; one that raises has failed."""
     return [_guarded(name, check) for name, check in _CHECKS.items()]
 
 
 def worst_residual(checks: list[SelfCheck]) -> float:
-    """Of all checks that solved steps."""
+    """Largest residual of all checks that solved steps."""
     return max((c.residual for c in checks if c.residual is not None), default=float("nan"))
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool, str, float | None]]) -> SelfCheck:
     try:
         passed, detail, residual = check()
-    except Exception as problem:  # whatever it is, the report goes on and says so
+    except Exception as problem:  # whatever it is, the other checks run and this one reports it
         return SelfCheck(name, False, f"{type(problem).__name__}: {problem}")
     fine = residual is None or residual <= RESIDUAL
     return SelfCheck(name, passed and fine, detail, residual)
@@ -93,7 +93,7 @@ def _slides() -> Found:
 
 def _spins() -> Found:
     run = simulate(scenes.spinning_disk(spin=10.0, friction=0.25))
-    # At constant deceleration it turns by half of what it would have at full speed.
+    # At constant deceleration it turns by half of what it would turn at full speed.
     stop = 3.0 * 0.05 * 10.0 / (4.0 * 0.25 * 9.81)
     return _compared(run, float(run.final["disk"][2]), 0.5 * 10.0 * stop, "rad")
 

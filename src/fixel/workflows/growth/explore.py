@@ -1,4 +1,4 @@
-"""Grow the domains of a project, study its axes, and keep the sets of parameters made for it."""
+"""Grow the domains of a project, study its axes, and store the averaged calibrations."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from fixel.workflows.compilation import get_ready
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 from fixel.workflows.growth.singles import StoredSets, best_singles
 
-# The thesis's, read off figure 6.5 (section 6.3.1) [mm^2].
+# Threshold of the thesis, read off figure 6.5 (section 6.3.1) [mm^2].
 THRESHOLD: Final = 5.0
 
-# A stored error that simulating again misses by more than this share tells of other data or of
-# another simulator.
-SAME_ERROR: Final = 0.01
+# A stored error that differs from a repeated simulation by more than this share comes from other
+# data or from another simulator.
+SAME: Final = 0.01
 
-# Of an experiment's own best error: what another set does better than this, its search missed.
+# Share of an experiment's own best error: if another set does better, its search failed.
 STUCK: Final = 0.5
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exploration:
-    """A finished exploration.
+    """Result of an exploration.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Exploration:
     growth : Growth
     studies : list of AxisStudy
     threshold : float
-        In the unit of the error.
+        Threshold in the unit of the error.
     rollouts : int
     added : list of int
         Ids of the calibrations that were stored.
@@ -66,7 +66,7 @@ class Exploration:
 
     @property
     def unit(self) -> str:
-        """Of the errors."""
+        """Unit of the errors."""
         return self.stored.method.unit
 
 
@@ -85,27 +85,27 @@ def explore(
     threads: int | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Exploration:
-    """The thesis's exploration of the domain of applicability.
+    """Explore the domain of applicability as in the thesis.
 
     Parameters
     ----------
     store : Store
-        With single calibrations. Means that are new are added.
+        Store with single calibrations. New means are added to it.
     shape, dataset : str, optional
-        Only these.
+        Use only these experiments.
     index : str
         `"printed"` for the rows of the thesis's code as printed.
     sizes : mapping from axis to sizes
-        GrowthSamples of the intervals along each axis.
+        Numbers of samples of the intervals along each axis.
     threshold : str, optional
-        As for `threshold_in`.
+        See `threshold_in`.
     motion, error : str, optional
-        Only calibrations made with these.
+        Use only calibrations made with these.
     command, project : str
-        What was typed; ` --project FOLDER` for hints.
+        Command as typed; ` --project FOLDER` for hints.
     threads : int, optional
     say : callable, optional
-        Told what takes a while.
+        Called with a sentence before long operations.
     """
     tell = say or _silent
     tell("Reading the experiments and their calibrations.")
@@ -154,13 +154,13 @@ def _silent(_: str) -> None:
 
 
 def threshold_in(text: str | None, unit: str) -> float:
-    """A threshold in the unit of the error.
+    """Convert a threshold to the unit of the error.
 
     Parameters
     ----------
     text : str, optional
-        A number in that unit, or a root mean square distance with `mm` behind it: `"2.2mm"` is 4.84
-        of an error in mm^2. The thesis's 5 mm^2 where left out.
+        A number in that unit, or a root mean square distance with the suffix `mm`: `"2.2mm"` is
+        4.84 for an error in mm^2. Defaults to 5 mm^2, as in the thesis.
     unit : str
         `"mm^2"` or `"mm"`.
     """
@@ -182,7 +182,7 @@ def threshold_in(text: str | None, unit: str) -> float:
 
 
 def _space(stored: StoredSets) -> ParameterSpace:
-    """Columns for the comparer; nothing is searched, so its bounds only have to hold the points."""
+    """Parameters for the comparer; nothing is searched, so bounds need only contain the points."""
     points = [stored.singles.points, *(j.point[None] for j in stored.singles.joint.values())]
     every = np.concatenate(points)
     low, high = every.min(axis=0).tolist(), every.max(axis=0).tolist()
@@ -205,7 +205,7 @@ def _keep(
     stored: StoredSets,
     command: str,
 ) -> list[int]:
-    """Add a calibration for every set newly averaged, unless it is there already."""
+    """Store a calibration for every averaged set, unless it is stored already."""
     known = {_content(record) for record in summaries.values()}
     added = []
     for row in growth.steps:
@@ -219,7 +219,7 @@ def _keep(
 
 
 def _content(record: CalibrationRecord) -> tuple[object, ...]:
-    """What makes two averaged sets the same."""
+    """Content by which two averaged sets are the same."""
     method = {k: v for k, v in record.method.items() if k not in ("step", "index")}
     return (
         record.members,
@@ -260,7 +260,7 @@ def _record(
 
 
 def _changed(growth: Growth, singles: Singles) -> list[str]:
-    """Where the nominal experiment's own error is not the stored one any more."""
+    """Warn if errors of nominal experiments differ from the stored ones."""
     changed = []
     for row in growth.steps:
         first, errors = row[0], row[0].errors
@@ -281,7 +281,7 @@ def _changed(growth: Growth, singles: Singles) -> list[str]:
 def _beaten(
     wanted: RolloutQueue, answer: Evaluation, singles: Singles, samples: GrowthSamples
 ) -> list[str]:
-    """Experiments that a domain's set meets far better than their own: their searches got stuck."""
+    """Warn of experiments with a far smaller error under a domain's set than under their own."""
     least = singles.errors.copy()
     np.minimum.at(least, wanted.which, answer.error)
     stuck = np.flatnonzero(least < STUCK * singles.errors)

@@ -1,4 +1,4 @@
-"""What an exploration says: sentences, tables, pictures and plain numbers."""
+"""Report of a domain exploration: sentences, tables, charts and plain numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fixel.workflows.growth.explore import Exploration
 
 
 def matrix_of(found: Exploration) -> FloatArray:
-    """(n_group, n_step) largest errors; nan where there is none."""
+    """Return the largest errors (n_group, n_step); nan where there is none."""
     rows = found.growth.matrix
     return np.array([[math.nan if x is None else x for x in row] for row in rows])
 
@@ -28,7 +28,7 @@ def matrix_of(found: Exploration) -> FloatArray:
 
 
 def headline(found: Exploration) -> list[str]:
-    """What was found, the most important first."""
+    """Return the main results as sentences, the most important first."""
     return [*_growth_sentences(found), *(_edge_sentence(found, study) for study in found.studies)]
 
 
@@ -71,7 +71,7 @@ def _edge_sentence(found: Exploration, study: AxisStudy) -> str:
 
 
 def _without_worst(study: AxisStudy, k: int) -> str:
-    """The thesis looks at its averages without an outlier too (6.2.2, 6.4.1)."""
+    """Average error without the largest one, as in the thesis (6.2.2, 6.4.1)."""
     errors = study.error[:, k]
     known = np.flatnonzero(np.isfinite(errors))
     if len(known) < 3:
@@ -82,7 +82,7 @@ def _without_worst(study: AxisStudy, k: int) -> str:
 
 
 def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
-    """`-2.0 to +2.5 steps`; `beyond +5.0` where the last experiment tried is still within."""
+    """`-2.0 to +2.5 steps`; `beyond +5.0` if the last experiment tried is still within."""
     if edges.low is None or edges.high is None:
         return None
     return f"{_ends(edges, study, 1.0, '+.1f')} steps"
@@ -90,7 +90,7 @@ def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
 
 def _ends(edges: AxisEdges, study: AxisStudy, factor: float, form: str) -> str:
     ends = []
-    # Where nothing was tried below the nominal pose, the domain begins there.
+    # If nothing was tried below the nominal pose, the domain begins there.
     opens = (edges.low_open and study.steps[0] < 0, edges.high_open)
     for end, is_open in zip((edges.low, edges.high), opens, strict=True):
         value = format(factor * end, form) if end else "0"
@@ -107,7 +107,7 @@ def _in_units(study: AxisStudy, length: float | None, threshold: float) -> str:
 
 
 def methods(found: Exploration) -> list[str]:
-    """Sentences for the methods paragraph of a paper."""
+    """Return sentences for the methods section of a paper."""
     method, growth = found.stored.method, found.growth
     sets = [step.used for row in growth.steps for step in row[1:] if step.used.point is not None]
     averaged = sum(one.source == AVERAGED for one in sets)
@@ -136,7 +136,7 @@ def methods(found: Exploration) -> list[str]:
 
 
 def matrix_table(found: Exploration) -> TextTable:
-    """Largest errors, a row a group."""
+    """Table of the largest errors, one row per group."""
     unit = written(found.unit)
     n = found.growth.steps[0][-1].step
     rows = [
@@ -151,7 +151,7 @@ def matrix_table(found: Exploration) -> TextTable:
 
 
 def edges_table(found: Exploration) -> TextTable:
-    """How far the domain reaches along each axis, absolute and relative."""
+    """Table of the domain's ends along each axis, absolute and relative."""
     unit = written(found.unit)
     rows = []
     for study in found.studies:
@@ -180,7 +180,7 @@ def edges_table(found: Exploration) -> TextTable:
 
 
 def pictures(found: Exploration) -> Iterator[Picture]:
-    """The matrix, the growth step by step, and each axis of each shape."""
+    """Yield charts of the matrix, of the growth step by step, and of each axis of each shape."""
     matrix, unit, banner = matrix_of(found), found.unit, found.samples.banner
     groups = found.growth.groups
     yield Picture(
@@ -225,7 +225,7 @@ def pictures(found: Exploration) -> Iterator[Picture]:
 
 
 def numbers(found: Exploration) -> dict[str, Any]:
-    """All of it as plain values; offsets in SI units, errors in the unit said."""
+    """Return all results as plain values; offsets in SI units, errors in `error_unit`."""
     ids = found.samples.ids
     return {
         "error": found.stored.method.error,

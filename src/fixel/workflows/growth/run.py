@@ -1,4 +1,4 @@
-"""The exploration of a project, kept as an analysis."""
+"""Explore the domain of a project and store the result as an analysis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ THESIS: Final = "rpi2011"  # key of the bibliography
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthRequest:
-    """What an exploration is about; the fields as for `explore`."""
+    """Options of an exploration; the fields are those of `explore`."""
 
     shape: str | None = None
     dataset: str | None = None
@@ -40,21 +40,21 @@ def run_growth(
     threads: int | None = None,
     say: Callable[[str], None] | None = None,
 ) -> tuple[Exploration, StoredAnalysis]:
-    """Explore, and keep what comes out.
+    """Explore the domain of applicability and store the result.
 
     Parameters
     ----------
     project : Project
-        With experiments of a plan and calibrations of each by itself.
+        Project with experiments of a plan and single calibrations of each.
     asked : GrowthRequest, optional
     command : str
-        What was typed.
+        Command as typed.
     where : str
         ` --project FOLDER`, for commands in hints.
     threads : int, optional
-        Of the simulations; all cores where left out.
+        Threads of the simulations; by default all cores.
     say : callable, optional
-        Told what takes a while.
+        Called with a sentence before long operations.
     """
     asked, begun = asked or GrowthRequest(), time.perf_counter()
     sizes = {**SIZES, **(asked.sizes or {})}

@@ -1,4 +1,4 @@
-"""Which stored experiments stand where about the nominal ones."""
+"""Stored experiments at steps along axes from the nominal ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_r
 
 
 class _Seat(NamedTuple):
-    """Where an experiment stands."""
+    """Shape, layout and place of an experiment."""
 
     shape: str
     layout: str
@@ -41,9 +41,9 @@ class GrowthSamples:
     groups : list of ExperimentGroup
         Their numbers count within `ids`.
     lengths : dict from axis to float
-        Of a step [m or rad], where all groups agree.
+        Length of a step [m or rad], for axes on which all groups agree.
     makers : list of str
-        What simulated each experiment; empty for real ones.
+        Program that simulated each experiment; empty for real ones.
     warnings : list of str
     """
 
@@ -56,27 +56,27 @@ class GrowthSamples:
 
     @property
     def keys(self) -> list[str]:
-        """Dataset and name of each."""
+        """Dataset and name of each experiment."""
         return [target.key for target in self.targets]
 
     @property
     def banner(self) -> str:
-        """What stands over pictures of them; nothing where all are real."""
+        """Banner over charts of the experiments; empty if all are real."""
         return banner_of([f"SIMULATED by {maker}" if maker else "" for maker in self.makers])
 
 
 def read_samples(
     store: Store, shape: str | None = None, dataset: str | None = None
 ) -> GrowthSamples:
-    """Experiments of a plan with steps along axes, such as the thesis's, one a place.
+    """Load experiments of a plan with steps along axes, such as the thesis's: one per place.
 
-    Of repetitions the first is taken, as the thesis had one experiment a place: a mean of two would
-    hide a set of parameters that meets neither.
+    Of repetitions the first is used, as the thesis had one experiment per place: the mean of two
+    would hide a set of parameters that fits neither.
 
     Raises
     ------
     InvalidInput
-        No such experiments, a group without its nominal one, or two data sets at one place.
+        No such experiments, a group without its nominal one, or two datasets at one place.
     """
     conditions: dict[str, str | float] = {} if shape is None else {"shape": shape}
     listing = store.experiments(Query(dataset=dataset, conditions=conditions))
@@ -98,7 +98,7 @@ def read_samples(
 
 
 def _seat_of(summary: Summary) -> _Seat | None:
-    """None for an experiment that stands on no axis."""
+    """Return shape, layout and place of an experiment; None if it is on no axis."""
     own = summary.conditions
     axis, step = own.get("axis"), own.get("step", 0.0)
     if not all(isinstance(own.get(name), str) for name in ("shape", "layout", "axis")):
@@ -172,7 +172,7 @@ def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> Gro
 
 
 def _lengths(first: dict[_Seat, Summary]) -> dict[str, float]:
-    """Length of a step on each axis, where all experiments agree to a thousandth."""
+    """Length of a step on each axis, if all experiments agree to a thousandth."""
     found: dict[str, list[float]] = {}
     for seat, summary in first.items():
         offset = summary.conditions.get(OFFSETS.get(seat.place.axis, ""))

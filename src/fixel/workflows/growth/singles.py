@@ -1,4 +1,4 @@
-"""Stored calibrations of single experiments as what a domain grows from."""
+"""Stored calibrations of single experiments, from which a domain grows."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ ANGLE_SCALE = "error.angle_scale"
 
 
 class SingleMethod(NamedTuple):
-    """What sets of parameters must have in common for their errors to be comparable."""
+    """Properties that sets of parameters must share for their errors to be comparable."""
 
     motion: str
     error: str
     unit: str
-    options: tuple[tuple[str, str | float], ...]  # of the error
-    names: tuple[str, ...]  # of the parameters
+    options: tuple[tuple[str, str | float], ...]  # options of the error
+    names: tuple[str, ...]  # names of the parameters
 
     def __str__(self) -> str:
         scale = dict(self.options).get(ANGLE_SCALE)
@@ -35,7 +35,7 @@ class SingleMethod(NamedTuple):
 
 
 class One(NamedTuple):
-    """A stored set of parameters."""
+    """Stored set of parameters."""
 
     id: int
     record: CalibrationRecord
@@ -43,7 +43,7 @@ class One(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Of its only member."""
+        """Error of its only member."""
         return self.record.errors[0]
 
 
@@ -56,11 +56,11 @@ class StoredSets:
     ----------
     method : SingleMethod
     best : list of One
-        The best of each experiment.
+        Best set of each experiment.
     singles : Singles
-        The same for the growth; parameters in the order of `method.names`.
+        The same sets for the growth; parameters in the order of `method.names`.
     calibrated : CalibratedValues
-        One of them, for motion model and error.
+        One of the sets, for motion model and error.
     warnings : list of str
     """
 
@@ -78,22 +78,22 @@ def best_singles(
     error: str | None = None,
     project: str = "",
 ) -> StoredSets:
-    """The best stored calibration of every experiment by itself, all of one method.
+    """Select the best stored calibration of every single experiment, all of one method.
 
     Parameters
     ----------
     summaries : mapping from int to CalibrationRecord
-        As of `Store.calibration_summaries`.
+        Result of `Store.calibration_summaries`.
     samples : GrowthSamples
     motion, error : str, optional
-        Only calibrations made with these.
+        Use only calibrations made with these.
     project : str
-        For commands in hints: ` --project FOLDER`.
+        Option for commands in hints: ` --project FOLDER`.
 
     Raises
     ------
     InvalidInput
-        Experiments without one, or of several methods.
+        Experiments without a calibration, or calibrations of several methods.
     """
     place = {number: k for k, number in enumerate(samples.ids)}
     by_method: dict[SingleMethod, dict[int, One]] = {}
@@ -141,7 +141,7 @@ def _method(one: One) -> SingleMethod:
 def _chosen(
     by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, project: str
 ) -> tuple[SingleMethod, list[str]]:
-    """The method under which every experiment has a set; of several the one last used."""
+    """Select the method under which every experiment has a set; of several the last one used."""
     n = len(samples.ids)
     whole = [method for method, best in by_method.items() if len(best) == n]
     if not whole:
@@ -189,8 +189,8 @@ def _joint(
     place: Mapping[int, int],
     samples: GrowthSamples,
 ) -> dict[tuple[int, ...], Joint]:
-    """Stored sets for several experiments by these; of equals the one with the least largest error,
-    then the newest. Means that an exploration made are made anew: members may do better by now."""
+    """Stored joint sets of these experiments; of several, that with the least largest error, then
+    the newest. Means of an exploration are recomputed: members may have better sets by now."""
     least: dict[tuple[int, ...], float] = {}
     found: dict[tuple[int, ...], Joint] = {}
     for number, record in summaries.items():
