@@ -1,1 +1,1 @@
-"""The order of a day's work: simulate a file, replay a dataset, demo, doctor."""
+"""Complete tasks of a user: simulate a file, calibrate, map, report, demonstrate, check."""

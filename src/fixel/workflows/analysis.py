@@ -1,7 +1,7 @@
-"""What an analysis of a project says: kept with its pictures, for reports and for other tools.
+"""Analyses of a project, stored with their charts for reports and other tools.
 
-An analysis is a folder in the project's `analyses`: `analysis.json`, the pictures as PNG, PDF and
-CSV, and long numbers in `arrays.npz`. The same question asked again takes its place.
+An analysis is a folder in the project's `analyses`: `analysis.json`, the charts as PNG, PDF and
+CSV, and long arrays in `arrays.npz`. Repeating the same request replaces the analysis.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
-NOTHING: Final = 1e-7  # [mm or deg]
+NOTHING: Final = 1e-7  # [mm or deg] smaller values are shown as zero
 
 
 class _StoredFigure(BaseModel):
@@ -39,7 +39,7 @@ class _StoredFigure(BaseModel):
 
 
 class TextTable(_StoredFigure):
-    """A table as people read it: units in the head."""
+    """Table for people to read: units in the head."""
 
     title: str
     head: tuple[str, ...]
@@ -47,48 +47,48 @@ class TextTable(_StoredFigure):
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """A length [mm], an angle [deg] or a share as people read it; what is below any measurement,
-    and the rounding of simulations, is none."""
+    """Format a length [mm], an angle [deg] or a share for people to read; values below any
+    measurement, such as rounding errors of simulations, are zero."""
     return f"{value if abs(value) >= NOTHING else 0.0:.{digits}g}"
 
 
 class AnalysisFigure(_StoredFigure):
-    """A picture of an analysis."""
+    """Figure of an analysis."""
 
-    name: str  # of its files, without ending
+    name: str  # name of its files, without ending
     caption: str
 
 
 class Analysis(_StoredFigure):
-    """The answer to one question about a project.
+    """Result of one analysis of a project.
 
     Attributes
     ----------
     kind : str
     title : str
     question : dict
-        Everything that was asked, as plain content; the same question has the same folder.
+        The complete request as plain content; the same request has the same folder.
     headline : tuple of str
-        What was found, in sentences with units; the most important first.
+        Main results in sentences with units, the most important first.
     warnings : tuple of str
-        What a reader must know before believing it, in plain words.
+        Warnings that a reader must know before relying on the results, in plain words.
     tables : tuple of TextTable
     pictures : tuple of AnalysisFigure
     methods : tuple of str
-        Sentences for the methods paragraph of a paper.
+        Sentences for the methods section of a paper.
     references : tuple of str
         Keys of the bibliography (`workflows/report`).
     numbers : dict
-        The same as plain values in SI units, for `--json`; None where there is none.
+        Results as plain values in SI units, for `--json`; None for missing ones.
     calibrations, experiments : tuple of int
-        Ids of what it used.
+        Ids of the calibrations and experiments used.
     command : str
-        That makes it again.
+        Command that repeats the analysis.
     version, created : str
-        Of fixel; when, as ISO 8601 in UTC.
+        Version of fixel; time of creation, as ISO 8601 in UTC.
     seed : int, optional
     seconds : float
-        It took [s].
+        Duration of the computation [s].
     """
 
     kind: Kind
@@ -111,14 +111,14 @@ class Analysis(_StoredFigure):
 
 
 class StoredAnalysis(NamedTuple):
-    """An analysis in its folder."""
+    """Analysis with the folder in which it is stored."""
 
     folder: Path
     analysis: Analysis
 
     @property
     def arrays(self) -> dict[str, FloatArray]:
-        """Its long numbers."""
+        """Long arrays of the analysis, by name."""
         path = self.folder / ARRAYS
         if not path.is_file():
             return {}
@@ -126,11 +126,11 @@ class StoredAnalysis(NamedTuple):
             return arrays_of(path.read_bytes())
 
     def picture(self, name: str, ending: str = "png") -> Path:
-        """A file of one of its pictures."""
+        """Return the path of a file of one of its charts."""
         return self.folder / f"{name}.{ending}"
 
     def copy_pictures(self, folder: Path) -> list[Path]:
-        """All files of its pictures once more, in another folder; made where there is none."""
+        """Copy all files of its charts to another folder, which is created if missing."""
         make_folder(folder)
         sources = [self.picture(p.name, end) for p in self.analysis.pictures for end in ENDINGS]
         return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
@@ -142,7 +142,7 @@ def keep(
     pictures: Sequence[Picture] = (),
     arrays: Mapping[str, Any] | None = None,
 ) -> StoredAnalysis:
-    """Write an analysis into its project; its own file comes last, so it is there whole or not.
+    """Write an analysis into its project; its main file comes last, so it is complete or absent.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def keep(
     analysis : Analysis
         `pictures`, `version` and `created` are filled in here.
     pictures : sequence of Picture
-        With captions.
+        Charts with captions.
     arrays : mapping of name to array, optional
     """
     folder = project.folder / ANALYSES / _name_of(analysis)
@@ -174,7 +174,7 @@ def keep(
 
 
 def kept(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
-    """Analyses of a project, the newest first.
+    """Load the analyses of a project, newest first.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def kept(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
 def kept_and_not(
     project: Project, kind: Kind | None = None
 ) -> tuple[list[StoredAnalysis], list[FixelError]]:
-    """Analyses of a project, the newest first, and why others cannot be read."""
+    """Load the analyses of a project, newest first, and the errors of unreadable ones."""
     paths = sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}"))
     every, unreadable = each_readable(_kept, paths)
     found = [one for one in every if kind in (None, one.analysis.kind)]

@@ -1,4 +1,4 @@
-"""The compiled engine: whether it is there yet, and getting it ready."""
+"""Compile the engine before it is used, and report whether it is compiled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fixel.typing import Notify
 
 COMPILING = "Compiling the engine, once; this takes about a minute."
 COMPILING_PARTS = "Compiling its parts for the plain loop, once; this takes about half a minute."
-# Of the start-up scene [s]: one step of any stepper.
+# Duration of the start-up simulation [s]: one step of any stepper.
 INSTANT = 1e-6
 
 
@@ -23,7 +23,7 @@ def engine_is_cold(plain: bool = False) -> bool:
 
 
 def cache_size() -> int:
-    """Of the compiled kernels of these very sources [bytes]."""
+    """Size of the compiled kernels of this version of the sources [bytes]."""
     return sum(f.stat().st_size for f in Path(cache_folder()).rglob("*") if f.is_file())
 
 
@@ -33,7 +33,7 @@ def get_ready(
     solver: AbstractSolver | None = None,
     plain: bool = False,
 ) -> None:
-    """Compile or load what a simulation needs, so that its wall time is that of the simulation."""
+    """Compile or load what a simulation needs, so that its wall time excludes compilation."""
     solver = solver or Newton()
     plain = plain or not is_compiled(solver)
     if say and engine_is_cold(plain):

@@ -1,4 +1,4 @@
-"""Pictures of results as files: each as PNG, as PDF, and as the numbers behind it."""
+"""Write charts of results as PNG, as PDF, and as CSV with their numbers."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
-MAX_BANNER: Final = 80  # characters of a banner that fit across the picture of one column
+LONGEST: Final = 80  # characters of a banner that fit across a chart one column wide
 
 
 class Picture(NamedTuple):
-    """A chart, and where it goes."""
+    """Chart with the name, banner and caption of its files."""
 
-    name: str  # of its files, without ending
+    name: str  # name of the files, without ending
     chart: AbstractChart
-    banner: str = ""  # across the top, for experiments that no camera has seen
-    caption: str = ""  # a sentence that says what to see
+    banner: str = ""  # text across the top, for experiments that no camera has seen
+    caption: str = ""  # a sentence on what the chart shows
 
 
 def banner_of(banners: Sequence[str]) -> str:
-    """One banner for several experiments, from that of each; those of real ones are empty."""
+    """Combine the banners of several experiments into one; those of real ones are empty."""
     some = [banner for banner in banners if banner]
     if len(some) in (0, len(banners)):
         joined = " and ".join(dict.fromkeys(some))
@@ -34,7 +34,7 @@ def banner_of(banners: Sequence[str]) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for pictures; what takes hours does so before it starts."""
+    """Create a folder for pictures; long computations call this before they start."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
@@ -43,7 +43,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_picture(folder: Path, picture: Picture) -> list[Path]:
-    """The files of a picture; those of the same names are replaced."""
+    """Write the files of a picture, replacing those of the same names; return their paths."""
     paths = [folder / f"{picture.name}.{ending}" for ending in ENDINGS]
     with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
         draw_chart(picture.chart, png, pdf, banner=picture.banner)

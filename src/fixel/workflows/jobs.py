@@ -1,7 +1,7 @@
-"""Jobs: prepare, submit, look, resume, cancel, copy; here or on a cluster.
+"""Prepare, submit, inspect, resume, cancel and copy jobs, here or on a cluster.
 
-A job is a folder (`fixel.jobs.folder`). Whatever ends it early, running it again goes on from what
-is in its journal.
+A job is a folder (`fixel.jobs.folder`). However it was interrupted, running it again continues
+from its journal.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from fixel.typing import Notify
 
 Show = Callable[[JobProgress], None]
 
-START_S: Final = 30.0  # [s] for a detached coordinator to begin
-END_S: Final = 60.0  # [s] for a coordinator to end when asked to
-LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` goes on
-JOBS: Final = "jobs"  # folder of a project
+START_S: Final = 30.0  # [s] within which a detached coordinator begins
+END_S: Final = 60.0  # [s] within which a coordinator ends when requested to
+LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` continues it
+JOBS: Final = "jobs"  # folder of the jobs in a project
 COORDINATOR: Final = "fixel.jobs.coordinator"
-# What travels with a packed job: nothing that is of one machine or secret.
+# Contents of a packed job: nothing that is secret or specific to one machine.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MAX_BYTES: Final = 50_000_000_000
 
@@ -48,7 +48,7 @@ _MAX_BYTES: Final = 50_000_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class JobStatus:
-    """How far a job is.
+    """Status of a job: its state, and the number of finished chunks.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class JobStatus:
     state : str
         One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone.
     kept : int
-        Answers in the journal, this session's and those before.
+        Number of answers in the journal, from this session and earlier ones.
     status : JobState
-        The coordinator's own word.
+        Status that the coordinator wrote.
     """
 
     folder: str
@@ -68,11 +68,11 @@ class JobStatus:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing runs."""
+        """Whether the job has ended, so that nothing runs."""
         return self.state in (*files.ENDED, LOST)
 
     def summary(self) -> dict[str, Any]:
-        """For `--json`."""
+        """Return plain values, for `--json`."""
         content = asdict(self)
         content.pop("status")
         return self.status.model_dump() | content
@@ -85,18 +85,18 @@ def prepare_job(
     inputs: Mapping[str, bytes | Path] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Job:
-    """Make a job folder.
+    """Create a job folder.
 
     Parameters
     ----------
     folder : Path
-        New; by custom `<project>/jobs/<name>`.
+        New folder; by convention `<project>/jobs/<name>`.
     maker : str
         `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
     inputs : dict from name to bytes or Path
         Files for the work and its chunks.
     options : dict
-        For the maker; what JSON can hold.
+        Options for the maker; JSON content.
     """
     return files.prepare(folder, maker, inputs or {}, options or {})
 
@@ -109,12 +109,12 @@ def arrange(
     lease_s: float | None = None,
     accept_version: bool = False,
 ) -> RunSettings:
-    """Say how a job is to be run; what is None stays as it was.
+    """Set how a job is to be run; arguments that are None leave it unchanged.
 
     Raises
     ------
     JobRefused
-        It is running, or what it needs is missing here.
+        The job is running, or something that it needs is missing here.
     """
     files.read_job(folder)
     _refuse_running(folder)
@@ -138,13 +138,13 @@ def run_here(folder: Path, progress: Show | None = None, say: Notify | None = No
 
 
 def run_detached(folder: Path, module: str = COORDINATOR) -> JobStatus:
-    """Run or continue a job in a process of its own, which outlives this one.
+    """Run or continue a job in its own process, which outlives this one.
 
     Parameters
     ----------
     folder : Path
     module : str
-        Run with the folder as its argument, in place of the coordinator that it has to call.
+        Module that is run with the folder as its argument and has to call the coordinator.
     """
     with (folder / files.LOG).open("ab") as log:
         process = subprocess.Popen(
@@ -157,7 +157,7 @@ def run_detached(folder: Path, module: str = COORDINATOR) -> JobStatus:
         if owner is not None and owner.pid == process.pid:
             break
         time.sleep(0.05)
-    # The process goes on without us; should it end before us, the system wants somebody to ask.
+    # The process outlives this one; if it ends first, it must be waited for.
     threading.Thread(target=_see_off, args=(process.pid,), daemon=True).start()
     process.returncode = process.returncode or 0
     return status_of(folder)
@@ -169,7 +169,7 @@ def _see_off(pid: int) -> None:
 
 
 def run_on_slurm(folder: Path) -> str:
-    """Run or continue a job by a coordinator that is a SLURM job itself; its number."""
+    """Run or continue a job with a coordinator that is a SLURM job itself; return its number."""
     from fixel.jobs.link import refuse_without_dask
     from fixel.jobs.slurm import SlurmTrouble, job_script, submit
 
@@ -193,31 +193,31 @@ def run_on_slurm(folder: Path) -> str:
 
 
 def status_of(folder: Path) -> JobStatus:
-    """How far a job is, and whether anybody is at it."""
+    """Return the status of a job; `lost` if it should run but has no coordinator."""
     files.read_job(folder)
     owner = files.coordinator_of(folder)
     status = files.read_status(folder)
     state: str = status.state
     if owner is not None and owner.pid != status.pid:
-        state = "preparing"  # what stands there is of the one before
+        state = "preparing"  # the file has the state of the previous coordinator
     elif owner is None and state not in (*files.ENDED, "queued"):
         state = LOST
     elif state == "done" and not (folder / files.RESULT).is_file():
-        state = LOST  # of the result: the journal has all of it
+        state = LOST  # only the result is lost: the journal has all of it
     journal = folder / files.JOURNAL
     kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0
     return JobStatus(str(folder), state, kept, status)
 
 
 def jobs_in(project: Path) -> list[JobStatus]:
-    """The jobs of a project, the newest first."""
+    """Return the jobs of a project, newest first."""
     folders = [path.parent for path in (project / JOBS).glob("*/job.json")]
     made = {folder: files.read_job(folder).made_utc for folder in folders}
     return [status_of(folder) for folder in sorted(folders, key=made.__getitem__, reverse=True)]
 
 
 def cancel(folder: Path) -> JobStatus:
-    """End a job and its workers; what was finished stays, and `resume` would go on."""
+    """Cancel a job and its workers; finished chunks are saved, and `resume` continues."""
     job, run = files.read_job(folder), files.read_run(folder)
     before = status_of(folder)
     if before.ended and before.state != LOST:
@@ -226,7 +226,7 @@ def cancel(folder: Path) -> JobStatus:
     if owner is not None:
         (folder / files.CANCEL).touch()
         if owner.host == socket.gethostname():
-            # Of another user's, or gone: the file asks too.
+            # It may be another user's, or gone: the file requests the end, too.
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(owner.pid, signal.SIGTERM)
         _await_end(folder)
@@ -239,13 +239,13 @@ def cancel(folder: Path) -> JobStatus:
 
 
 def log_lines(folder: Path, follow: bool = False) -> Iterator[str]:
-    """Lines of a job's log; with `follow`, those to come until the job ends."""
+    """Yield the lines of a job's log; with `follow`, also those to come until the job ends."""
     files.read_job(folder)
     path = folder / files.LOG
     path.touch()
     with path.open(encoding="utf-8", errors="replace") as stream:
         while True:
-            # Asked before reading, so that the last words are not missed.
+            # Checked before reading, so that the last lines are not missed.
             ended = not follow or files.coordinator_of(folder) is None
             for line in stream:
                 yield line.rstrip("\n")
@@ -255,7 +255,7 @@ def log_lines(folder: Path, follow: bool = False) -> Iterator[str]:
 
 
 def pack(folder: Path, file: Path) -> int:
-    """Write a job into one file, to be copied by hand; how many bytes."""
+    """Write a job into one file, to be copied by hand; return its size in bytes."""
     files.read_job(folder)
     _refuse_running(folder)
     names = [folder / name for name in _PACKED] + sorted((folder / "inputs").iterdir())
@@ -270,7 +270,7 @@ def pack(folder: Path, file: Path) -> int:
 
 
 def unpack(file: Path, folder: Path) -> JobStatus:
-    """The job of a file, in a new folder."""
+    """Unpack the job of a file into a new folder."""
     if folder.exists() and any(folder.iterdir()):
         raise InvalidInput(str(folder), found="something there", expected="a new folder")
     try:

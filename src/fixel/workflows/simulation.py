@@ -1,4 +1,4 @@
-"""A scene file, simulated; with whatever files were asked for."""
+"""Simulate a scene file and write the requested files."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ Part = TypeVar("Part", AbstractMotionModel, AbstractSolver)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationMethod:
-    """How to simulate, in place of what the file says; None leaves it to the file.
+    """Method of a simulation; None uses the setting of the scene file.
 
     Parameters
     ----------
     motion, solver : str, optional
-        By name.
+        Names of the motion model and of the solver.
     step : float, optional
-        Of the Stewart-Trinkle stepper [s].
+        Step of the Stewart-Trinkle stepper [s].
     tolerance : float, optional
-        Of the adaptive stepper [m].
+        Tolerance of the adaptive stepper [m].
     plain : bool
-        Walk the steps in Python.
+        Whether to run the loop over steps in Python.
     """
 
     motion: str | None = None
@@ -58,14 +58,14 @@ class SimulationMethod:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outputs:
-    """Files to write; None: not this one."""
+    """Files to write; None for files that are not requested."""
 
     trajectory: Path | None = None
     plot: Path | None = None
     animate: Path | None = None
 
     def check(self) -> None:
-        """Refuse endings and folders that cannot be, before anything is simulated."""
+        """Reject invalid endings and folders before anything is simulated."""
         if self.trajectory:
             refuse_trajectory_ending(self.trajectory)
         if self.plot:
@@ -77,7 +77,7 @@ class Outputs:
 
     @property
     def files(self) -> dict[str, Path]:
-        """What will be written, by its option."""
+        """Files that will be written, by their option."""
         asked = {"trajectory": self.trajectory, "plot": self.plot, "animate": self.animate}
         return {name: path for name, path in asked.items() if path is not None}
 
@@ -91,30 +91,30 @@ def simulate_file(
     say: Notify | None = None,
     progress: Progress | None = None,
 ) -> Simulation:
-    """Simulate a scene file and write the files asked for.
+    """Simulate a scene file and write the requested files.
 
     Parameters
     ----------
     path : str or Path
         Scene file.
     overrides : sequence of str
-        Changes to it, as `path.to.key=value`.
+        Changes to the scene file, as `path.to.key=value`.
     method : SimulationMethod, optional
     outputs : Outputs, optional
     say : callable, optional
-        Called with a sentence when something takes its time.
+        Called with a sentence before long operations.
     progress : callable, optional
         Called as `progress(done, total)` while a film is made.
 
     Returns
     -------
     Simulation
-        With a status; a failed one was written and drawn, too.
+        Result with a status; a failed simulation is written and drawn, too.
 
     Raises
     ------
     InvalidInput
-        A scene, method or file name that cannot be.
+        Invalid scene, method or file name.
     """
     method, outputs = method or SimulationMethod(), outputs or Outputs()
     scene_file = load_scene(path, overrides)
@@ -137,7 +137,7 @@ def simulate_file(
 def parts(
     scene_file: SceneFile, method: SimulationMethod
 ) -> tuple[AbstractMotionModel, AbstractStepper, AbstractSolver]:
-    """Motion model, stepper and solver of a scene file, as changed by `method`."""
+    """Return motion model, stepper and solver of a scene file, as changed by `method`."""
     return (
         _named(method.motion or scene_file.motion, MOTION_MODELS, "motion"),
         _stepper(scene_file, method),
@@ -148,7 +148,7 @@ def parts(
 def write_outputs(
     simulation: Simulation, outputs: Outputs, progress: Progress | None = None
 ) -> None:
-    """Write the files asked for, each complete or not at all."""
+    """Write the requested files, each completely or not at all."""
     if outputs.trajectory:
         save_trajectory(simulation, outputs.trajectory)
     if outputs.plot:

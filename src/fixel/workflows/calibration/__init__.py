@@ -1,1 +1,1 @@
-"""Calibrations of stored experiments: what is asked, the work, what was found."""
+"""Calibrate stored experiments: request, job, result."""

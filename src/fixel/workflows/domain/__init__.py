@@ -1,1 +1,1 @@
-"""Where one parameter set can be trusted: held-out errors, a map of them, pictures, the answer."""
+"""Domain of applicability: held-out errors, a map of them, its charts, the stored result."""

@@ -1,4 +1,4 @@
-"""Pictures of a map."""
+"""Draw the charts of a domain map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Verdicts = list[list[CellVerdict]]
 def pictures_of(
     domain: DomainMap, claim: Claim, verdicts: Verdicts, banner: str = ""
 ) -> list[Picture]:
-    """The map, a picture an axis where experiments differ along one at a time; D(tau) by tau."""
+    """Charts of the map, one per axis if only one differs at a time, and of D(tau) by tau."""
     inside = domain.domains(claim)
     found = []
     if domain.cells.arms or len(domain.cells.axes) == 1:
@@ -85,7 +85,7 @@ def _chart(
 
 
 def _table(domain: DomainMap, which: tuple[int, int | None]) -> list[list[int]]:
-    """Cells in rows from below; along one axis, those through the nominal."""
+    """Arrange cells in rows from below; along one axis, those through the nominal."""
     number = {index: c for c, index in enumerate(domain.cells.index)}
     centre = list(domain.cells.index[domain.cells.nominal])
     a, b = which

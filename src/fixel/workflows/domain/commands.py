@@ -1,4 +1,4 @@
-"""What to type for a map."""
+"""Command that repeats a domain map."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from fixel.workflows.domain.request import DomainRequest
 
 
 def command_of(folder: Path, asked: DomainRequest, claim: Claim) -> str:
-    """What to type for the same map.
+    """Return the command that repeats a map.
 
     Parameters
     ----------
     folder : Path
-        Of the project; left out where it is the one a shell is in.
+        Folder of the project; left out of the command if it is the current folder.
     asked : DomainRequest
     claim : Claim
-        In place of what was asked for.
+        Claim that replaces the requested one.
     """
     words = ["fixel", "domain"]
     words += [] if folder == Path() else ["--project", str(folder)]

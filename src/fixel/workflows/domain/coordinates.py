@@ -1,4 +1,4 @@
-"""What a map's axes may be: conditions that were written down, and geometry of the push."""
+"""Coordinates for the axes of a map: stored conditions, and the geometry of a push."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _TRUTH: Final = "truth_"
 
 
 def coordinates_of(target: Target) -> dict[str, Value]:
-    """Everything an axis can be named for.
+    """Return all coordinates that an axis can use.
 
-    Besides the conditions: where the pusher stands at the start, as its bearing from the centre of
-    mass in the body's frame [rad]; its direction of travel from the line to the centre of mass
-    [rad]; how far it travels [m]. What no real laboratory could know is left out.
+    In addition to the conditions: the bearing of the pusher at the start from the centre of mass,
+    in the body's frame [rad]; its direction of travel relative to the line to the centre of mass
+    [rad]; its distance of travel [m]. Truths that no real laboratory could know are left out.
     """
     found: dict[str, Value] = {
         name: value

@@ -1,4 +1,4 @@
-"""Held-out evidence of a project's experiments, computed once."""
+"""Held-out errors of a project's experiments, computed once and stored."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
-VERSION: Final = 2  # raise it when the same question no longer means the same numbers
+VERSION: Final = 2  # increase it when the same request no longer means the same numbers
 
 
 class DomainEvidence(NamedTuple):
-    """Evidence, and how it came to be."""
+    """Held-out errors, with the settings that produced them."""
 
     evidence: HeldOutErrors
     calibration: int | None
-    started: str  # what fits started from
-    floor_mm: float | None  # what the measurement alone makes of a perfect simulator
+    started: str  # start of the fits, in words
+    floor_mm: float | None  # error of a perfect simulator, from measurement noise alone
     floor_from: str
     fits: int
     folds: int
@@ -58,18 +58,18 @@ class DomainEvidence(NamedTuple):
     labels: tuple[str, ...]
     motion: str
     stepper: str
-    scale_mm: float  # what a radian counts as
+    scale_mm: float  # length that a radian counts as
     left_out: dict[str, str]
     is_real: bool
-    mark: str = ""  # of the file it is kept in
+    mark: str = ""  # name of the folder in which it is stored
 
 
 def gather(
     project: Project, asked: DomainRequest, progress: Progress | None = None
 ) -> DomainEvidence:
-    """Held-out errors of the experiments asked for; from a file where they were computed before.
+    """Compute the held-out errors of the requested experiments, or load them if stored.
 
-    Maps of the same experiments with other axes, thresholds and nominals share them.
+    They are shared by maps of the same experiments with other axes, thresholds and nominals.
     """
     with project.store() as store:
         summaries = store.experiments(asked.query).summaries
@@ -95,7 +95,7 @@ def gather(
 def gathered_before(
     project: Project, store: Store, asked: DomainRequest, mark: str
 ) -> DomainEvidence | None:
-    """Evidence out of a file that `gather` has kept; nothing is computed, none where it is gone."""
+    """Load evidence that `gather` has stored, without computation; None if it is gone."""
     path = project.folder / ANALYSES / FOLDER / mark / WHOLE
     content = _read(path) if mark else None
     if content is None:
@@ -109,7 +109,7 @@ def gathered_before(
 
 
 def mark_of(store: Store, asked: DomainRequest, calibration: int | None) -> str:
-    """Of the file in which the evidence was kept when a calibration was the newest."""
+    """Name of the folder in which evidence was stored when a calibration was the newest."""
     ids = [one.id for one in store.experiments(asked.query).summaries]
     return _mark(asked, ids, calibration)
 
@@ -119,7 +119,7 @@ def _newest(store: Store, asked: DomainRequest) -> int | None:
 
 
 def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
-    """Of everything the numbers depend on; stored records never change."""
+    """Hash of everything the numbers depend on; stored records never change."""
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
     if asked.calibration is None and not asked.fit:
@@ -137,7 +137,7 @@ def _computed(
 ) -> dict[str, Any]:
     chosen = choose(store, (), asked.query)
     started = model_of(project, store, asked, chosen.targets)
-    if asked.measure == "relative":  # what refuses, refuses before hours of fits
+    if asked.measure == "relative":  # raises before hours of fits if there is no own best
         own_best(store, chosen.ids, started.model)
     folds = asked.folds or _usual(chosen.targets, asked)
     apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
@@ -225,31 +225,31 @@ def _gathered(content: dict[str, Any], asked: DomainRequest) -> DomainEvidence:
 def _with_own(
     project: Project, store: Store, asked: DomainRequest, one: DomainEvidence
 ) -> DomainEvidence:
-    """Own bests beside; experiments without one keep a note, and are no evidence."""
+    """Add own best errors; experiments without one get a note and are no evidence."""
     targets = choose(store, one.evidence.keys[:1], asked.query).targets
     model = model_of(project, store, asked, targets).model
     own, notes = own_best(store, one.evidence.ids, model)
     return one._replace(evidence=replace(one.evidence, own_mm2=own, notes=tuple(notes)))
 
 
-# --- what the measurement alone makes ----------------------------------------------------------
+# --- noise of the measurement -------------------------------------------------------------------
 
 
 def noise_floor(
     targets: Sequence[Target], scale: float, *, ends: bool = False
 ) -> tuple[float | None, str]:
-    """Root mean square error of a perfect simulator [mm], and where that is known from.
+    """Return the root mean square error of a perfect simulator [mm], and its source.
 
-    From repetitions; else from how measured poses scatter about smooth motion, frame by frame;
-    None where there are too few frames.
+    It is computed from repetitions, else from the scatter of measured poses about smooth motion;
+    None if there are too few frames.
 
     Parameters
     ----------
     targets : sequence of Target
     scale : float
-        What an angle counts as [m/rad].
+        Length that an angle counts as [m/rad].
     ends : bool
-        Of last poses alone, where a map counts these.
+        Whether only last poses count, as in a map of them.
     """
     groups = repetitions(targets, ends=ends)
     if groups:
@@ -260,12 +260,12 @@ def noise_floor(
     bends = [_bends(target.pose * weights) for target in targets if len(target.pose) > 8]
     if not bends:
         return None, ""
-    # The median of runs: in a few, contacts bend the path itself.
+    # The median over runs: in a few, contacts bend the path itself.
     return float(np.median(bends)), "scatter from frame to frame"
 
 
 def _bends(pose: FloatArray) -> float:
-    """Noise [mm] out of second differences, whose variance is six times as large (white noise)."""
+    """Noise [mm] from second differences, whose variance is six times as large (white noise)."""
     second = np.diff(pose, n=2, axis=0)
     middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
     return float(np.sqrt(middle.sum() / 6.0))

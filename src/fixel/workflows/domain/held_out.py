@@ -1,7 +1,7 @@
-"""Errors of experiments under parameters that were found without them: cross-validation.
+"""Cross-validation: errors of experiments under parameters that were calibrated without them.
 
-Every fold of every group is one fit by least squares on the other folds, started at the values of a
-stored calibration. Each is kept when it is done, so an interrupted command goes on.
+Every fold of every group is one fit by least squares on the other folds, started at the values of
+a stored calibration. Finished fits are stored, so that an interrupted command continues.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
 from fixel.typing import FloatArray, IntArray, Progress
 
-# Of experiments that differ in two poses only, steps along a push: on a twelfth of the pushes of a
-# public data set, half as many seconds as adaptive steps, and within 0.06 mm of them for 19 in 20.
+# Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
+# dataset they took half the time of adaptive steps; 19 in 20 errors agreed within 0.06 mm.
 STEPS: Final = 50
-THOUSANDS: Final = 1000  # experiments from which on a fixed step is taken
-# Experiments that one fit learns from: a handful of values needs no more, and time grows with them.
+THOUSANDS: Final = 1000  # number of experiments from which a fixed step is used
+# Experiments used by one fit: a handful of values needs no more, and time grows with them.
 MAX_TRAINING: Final = 120
-# A fit starts near its end: each fold leaves out a part of what a calibration knew. Distances
-# count linearly beyond 2 mm: a push that goes the other way is tens of millimetres off, and which
-# fold has it would decide the parameters.
+# A fit starts near its end: each fold omits a part of a calibration's data. Distances count
+# linearly beyond 2 mm: a push that goes the other way is tens of millimetres off, and the fold
+# that contains it would decide the parameters.
 SQUARES: Final = LeastSquares(
     loss="soft_l1", width=2.0, tolerance=1e-4, most_iterations=12, trials=3
 )
 
 
 class Apart(NamedTuple):
-    """What is fitted by itself, and what is held out together."""
+    """Conditions with separate fits, and experiments that are held out together."""
 
-    by: tuple[str, ...] = ()  # conditions: parameters for each of their values
-    out: str = ""  # condition whose values are held out whole
+    by: tuple[str, ...] = ()  # conditions: separate parameters for each of their values
+    out: str = ""  # condition whose values are held out as a whole
     folds: int = 5
     seed: int = 0
 
@@ -55,12 +55,12 @@ class Apart(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationModel:
-    """What is calibrated, and how experiments are simulated.
+    """Parameters to calibrate, and the method of simulation.
 
     Attributes
     ----------
     space : ParameterSpace
-        Its nominal point is where fits start.
+        Parameters to search; fits start at the nominal point.
     motion : AbstractMotionModel
     error : AbstractError
         Mean square or end pose.
@@ -83,17 +83,17 @@ class CalibrationModel:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOut:
-    """Errors by cross-validation.
+    """Held-out errors by cross-validation.
 
     Attributes
     ----------
     error : (n,) float64
-        E of every experiment, held out [mm^2]; inf where its simulation failed.
+        E of every experiment, held out [mm^2]; inf if its simulation failed, nan if nothing fits.
     fold : (n,) int
     points : dict of label to (n_free,) list
         Parameters of every fit.
     stepper : str
-        In words.
+        Name of the stepper and its step.
     """
 
     error: FloatArray
@@ -103,7 +103,7 @@ class HeldOut:
 
 
 def stepper_for(targets: Sequence[Target]) -> AbstractStepper:
-    """Adaptive steps; fixed ones for thousands of pushes of which only the end is compared."""
+    """Return adaptive steps; fixed ones for thousands of pushes with only two poses."""
     two_poses = all(len(target.pose) <= 2 for target in targets)
     if len(targets) < THOUSANDS or not two_poses or any(t.case.scene.fixels for t in targets):
         return Adaptive()
@@ -119,12 +119,12 @@ def held_out(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> HeldOut:
-    """Cross-validate.
+    """Compute held-out errors by cross-validation.
 
     Raises
     ------
     InvalidInput
-        Too few configurations for the folds, or nothing that can be simulated at the start.
+        Too few configurations for the folds, or a start at which nothing can be simulated.
     """
     stepper = stepper_for(targets)
     groups = [label_of(target.conditions, apart.by) for target in targets]
@@ -151,9 +151,9 @@ def held_out(
 
 
 def _refuse_start(comparer: Comparer, groups: Sequence[str]) -> None:
-    """Refuse a start at which some group has no simulation at all, before any group is fitted.
+    """Raise if some group has no simulation at the start, before any group is fitted.
 
-    One experiment of a group that can be simulated is enough; most often the first can.
+    One experiment of a group that can be simulated is enough; usually the first can.
     """
     start = comparer.space.nominal[None]
     for group in dict.fromkeys(groups):
@@ -178,7 +178,7 @@ def _no_start(reason: str) -> InvalidInput:
 
 
 class _FoldFit:
-    """One fold of one group: parameters from some experiments, errors of others."""
+    """Fit of one fold of one group: parameters from some experiments, errors of others."""
 
     def __init__(self, comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> None:
         self.comparer, self.train, self.test, self.seed = comparer, train, test, seed
@@ -202,8 +202,8 @@ class _FoldFit:
         return np.asarray(fit(search, lambda points: residuals(points) / weight).point)
 
     def _learnt_from(self) -> IntArray:
-        """Some of them, at random, without those that cannot be simulated at the start: one that
-        fails would stop the fit of all."""
+        """Select training experiments at random, without those that cannot be simulated at the
+        start: a single failure would stop the whole fit."""
         rng = np.random.default_rng(self.seed)
         chosen = self.train
         if len(chosen) > MAX_TRAINING:
@@ -217,7 +217,7 @@ class _FoldFit:
 
 
 def calibrated_on(targets: Sequence[Target], model: CalibrationModel, seed: int = 0) -> FloatArray:
-    """(n_free,) the parameters that a fold would have which learns from all of these."""
+    """(n_free,) parameters of a fold that is trained on all of these experiments."""
     stepper = stepper_for(targets)
     comparer = Comparer(targets, model.space, model.error, model.motion, stepper)
     every = np.arange(len(targets))
@@ -233,7 +233,7 @@ def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> In
 
 
 def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
-    """Values of some conditions, as a name of those who share them."""
+    """Label of the experiments that share the values of some conditions."""
     missing = [name for name in names if name not in conditions]
     if missing:
         raise InvalidInput(
@@ -256,7 +256,7 @@ def _asked(
     train: IntArray,
     test: IntArray,
 ) -> list[Any]:
-    """All that an answer depends on; what is stored under a name never changes."""
+    """Everything that an answer depends on; an answer stored under a name never changes."""
     return [
         [targets[k].key for k in train.tolist()],
         [targets[k].key for k in test.tolist()],

@@ -1,4 +1,4 @@
-"""A map as a job: in a process of its own, to be looked at, stopped and gone on with."""
+"""Run a domain map as a job in its own process, to be inspected, stopped and resumed."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from fixel.workflows.domain.request import DomainRequest, asked_again
 from fixel.workflows.domain.run import map_domain
 
 MAKER: Final = "domain:domain_work"
-PROGRESS: Final = "fits.json"  # how many fits of how many are done
+PROGRESS: Final = "fits.json"  # number of finished fits and their total
 
 
 @callable_by_jobs
 def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
-    """Everything `fixel domain` does.
+    """Compute a map as `fixel domain` does.
 
-    Its fits are kept in the project as they are made, which is what an interrupted one goes on
-    from; so there is nothing to hand out in chunks.
+    Its fits are stored in the project as they are made, and an interrupted job continues from
+    them; so there are no chunks to distribute.
     """
-    yield from ()  # a generator all the same, as all work is
+    yield from ()  # makes this a generator, as all work is
 
     def show(done: int, total: int) -> None:
         with written_whole(inputs.parent / PROGRESS) as path:
             path.write_text(json.dumps([done, total]))
 
-    # Of a job that lies where it was made: in the folder `jobs` of its project.
+    # The job is in the folder `jobs` of its project.
     project = Project.open(inputs.resolve().parents[2])
     question, command = options["question"], str(options["command"])
     done = map_domain(project, asked_again(question), progress=show, command=command)
@@ -44,7 +44,7 @@ def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
 
 
 def begin(project: Project, asked: DomainRequest, command: str) -> Path:
-    """Run it in a process of its own, which outlives this one; the folder of its job."""
+    """Start a map in its own process, which outlives this one; return the folder of its job."""
     question = asked.question()
     digest = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:10]
     folder = project.folder / jobs.JOBS / f"domain-{digest}"
@@ -56,7 +56,7 @@ def begin(project: Project, asked: DomainRequest, command: str) -> Path:
 
 
 def jobs_of(project: Project) -> tuple[list[jobs.JobStatus], list[FixelError]]:
-    """Those of a project, the newest first, and why others cannot be read."""
+    """Return the domain jobs of a project, newest first, and the errors of unreadable ones."""
     every = (path.parent for path in (project.folder / jobs.JOBS).glob("domain-*/job.json"))
     own = [one for one in every if files.made_by(one, MAKER)]
     own.sort(key=lambda one: files.read_job(one).made_utc, reverse=True)
@@ -64,7 +64,7 @@ def jobs_of(project: Project) -> tuple[list[jobs.JobStatus], list[FixelError]]:
 
 
 def fits_done(folder: Path) -> tuple[int, int]:
-    """How many fits of how many a job has made; zeros where it has not begun."""
+    """Return the number of finished fits and their total; zeros if the job has not begun."""
     try:
         done, total = json.loads((folder / PROGRESS).read_text())
         return int(done), int(total)

@@ -1,4 +1,4 @@
-"""What a map says: sentences, tables, plain values."""
+"""Report of a domain map: sentences, tables and plain values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fixel.workflows.domain.evidence import DomainEvidence
 def headline(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[str, ...]:
-    """What was found, in sentences."""
+    """Return the main results as sentences."""
     count = colour_counts(verdicts)
     total = sum(count.values()) - count[NO_DATA] - count["predicted"]
     sizes = [len(own) for own in domain.domains(claim)]
@@ -43,7 +43,7 @@ def headline(
 
 
 def _begins(domain: DomainMap, claim: Claim) -> str:
-    """Where an empty domain would begin."""
+    """Sentence on the threshold at which an empty domain would begin."""
     thresholds = domain.usual_thresholds
     filled = np.flatnonzero(domain.curve(claim, thresholds.tolist()).sum(axis=0))
     if not len(filled):
@@ -57,7 +57,7 @@ def _spread(sizes: list[int]) -> str:
 
 
 def colour_counts(verdicts: list[list[CellVerdict]]) -> dict[str, int]:
-    """Cells of each colour, over all maps."""
+    """Number of cells of each colour, over all maps."""
     every = [verdict.colour for own in verdicts for verdict in own]
     return {colour: every.count(colour) for colour in COLOURS}
 
@@ -109,7 +109,7 @@ def warnings_of(
 def tables(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[TextTable, ...]:
-    """Extents of D(tau) by map, and the experiments that would teach most."""
+    """Tables of the extents of D(tau) by map, of bounds, and of the most useful experiments."""
     axes = domain.cells.axes
     rows = []
     extents, domains = domain.extents(claim), domain.domains(claim)
@@ -145,7 +145,7 @@ def _reach_text(reach: tuple[str, str] | None) -> str:
 def numbers(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> dict[str, Any]:
-    """Plain values in SI units; None where there is none."""
+    """Return plain values in SI units; None for missing ones."""
     inside = [set(own) for own in domain.domains(claim)]
     seen = domain.statistic(claim.level)
     values = dict(zip(("reach", "shared", "own", "offset", "cell", "scatter"),
@@ -184,7 +184,7 @@ def _promise_at(domain: DomainMap, g: int, c: int) -> float | None:
 
 
 def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
-    """What new experiments stay within, by map; nothing where that cannot be promised."""
+    """Table of the error bounds of new experiments, by map; empty if there are no bounds."""
     if domain.predicted_mm is None:
         return []
     errors = np.sqrt(domain.evidence.error_mm2)

@@ -1,4 +1,4 @@
-"""What is asked of a map."""
+"""Request for a domain map, and the model that its fits start from."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainRequest:
-    """A map to be.
+    """Options of a domain map.
 
     Attributes
     ----------
     query : Query
-        Which experiments.
+        Selection of experiments.
     calibration : int, optional
-        Where fits start; the newest for several experiments where left out.
+        Calibration at which fits start; by default the newest for several experiments.
     fit : sequence of str
-        Parameters in place of the calibration's: `NAME=LOW:HIGH:START`.
+        Parameters that replace the calibration's: `NAME=LOW:HIGH:START`.
     axes, by, apart : sequence of str
-        Coordinates of the map; conditions with a map of their own each, and those with parameters
-        of their own.
+        Coordinates of the map; conditions that get a map for each value; conditions that get
+        parameters for each value.
     leave_out : str
-        Condition whose values are held out whole.
+        Condition whose values are held out as a whole.
     nominal : mapping of name to value
     steps : mapping of name to float
         Widths of ranges [SI].
     threshold : float, optional
-        [mm], or a share.
+        Largest allowed error [mm], or a share.
     measure : str
     level, confidence : float
     folds : int, optional
@@ -72,7 +72,7 @@ class DomainRequest:
     seed: int = 0
 
     def question(self) -> dict[str, Any]:
-        """All of it as plain content."""
+        """Return the request as plain content."""
         return {
             "dataset": self.query.dataset,
             "where": dict(self.query.conditions),
@@ -95,7 +95,7 @@ class DomainRequest:
 
 
 def asked_again(question: Mapping[str, Any]) -> DomainRequest:
-    """The other way round: what a kept answer was asked for."""
+    """Rebuild a request from stored content; inverse of `DomainRequest.question`."""
     known = dict(question)
     query = Query(
         dataset=known.pop("dataset"), conditions=known.pop("where"), flagged=known.pop("flagged")
@@ -104,7 +104,7 @@ def asked_again(question: Mapping[str, Any]) -> DomainRequest:
 
 
 class FitStarts(NamedTuple):
-    """What fits start from."""
+    """Model at which fits start."""
 
     model: CalibrationModel
     calibration: int | None
@@ -114,7 +114,7 @@ class FitStarts(NamedTuple):
 def model_of(
     project: Project, store: Store, asked: DomainRequest, targets: Sequence[Target]
 ) -> FitStarts:
-    """Unknowns, motion and error: those of a stored calibration, else the usual ones."""
+    """Return the parameters, motion and error of a stored calibration, else the usual ones."""
     scenes = [target.case.scene for target in targets]
     one = _calibration(store, asked)
     if one is None or asked.fit:
@@ -139,9 +139,9 @@ def _calibration(store: Store, asked: DomainRequest) -> CalibratedValues | None:
 def own_best(
     store: Store, ids: Sequence[int], model: CalibrationModel
 ) -> tuple[FloatArray, list[str]]:
-    """(n,) least E of single calibrations of experiments [mm^2], and why there is none.
+    """(n,) least E of single calibrations of experiments [mm^2], and why some have none.
 
-    Calibrations under another motion model, error or angle scale say nothing here.
+    Calibrations with another motion model, error or angle scale are ignored.
     """
     place = {number: k for k, number in enumerate(ids)}
     best = np.full(len(ids), np.nan)

@@ -1,4 +1,4 @@
-"""The whole of `fixel domain`: evidence, map, pictures, the answer that is kept."""
+"""Compute a domain map with its evidence and charts, and store it."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from fixel.workflows.domain.request import OFFSETS, DomainRequest
 from fixel.workflows.figures import make_folder
 
 MAX_EXAMPLES: Final = 3
-SURFACE: Final = "surface_"  # of the arrays that are kept with a map
+SURFACE: Final = "surface_"  # prefix of the arrays stored with a map
 PROMISED: Final = "promised"
-MOST_BYTES: Final = 64_000_000  # of a surface that is kept
-USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes where nothing was offset
+MOST_BYTES: Final = 64_000_000  # largest size of a stored surface
+USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes if nothing was offset
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainResult:
-    """A map, and all that is said of it.
+    """Domain map with its verdicts, proposals and stored analysis.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class DomainResult:
     domain : DomainMap
     claim : Claim
     verdicts : list of list of CellVerdict
-        Of every cell of every map.
+        Verdict on every cell of every map.
     next : list of Proposal
     warnings : tuple of str
     kept : StoredAnalysis
-        In the project.
+        Analysis stored in the project.
     files : tuple of Path
-        Pictures where they were asked for.
+        Charts, if requested.
     """
 
     gathered: DomainEvidence
@@ -71,18 +71,18 @@ def map_domain(
     progress: Progress | None = None,
     command: str = "",
 ) -> DomainResult:
-    """Say where one parameter set can be trusted.
+    """Map the experiments for which one parameter set can be trusted.
 
     Parameters
     ----------
     project : Project
     asked : DomainRequest
     plot : Path, optional
-        Folder for pictures, besides those in the project.
+        Folder for charts, in addition to those in the project.
     progress : callable, optional
-        Told how many fits of how many are done.
+        Called with the number of finished fits and their total.
     command : str
-        That was typed.
+        Command as typed.
 
     Raises
     ------
@@ -136,14 +136,14 @@ def map_domain(
 def spread_out(
     gathered: DomainEvidence, asked: DomainRequest, fitted: Mapping[str, FloatArray] | None = None
 ) -> tuple[DomainMap, int]:
-    """The map for every threshold at once, and how many experiments are left out of it.
+    """Return the map for every threshold at once, and the number of experiments left out of it.
 
     Parameters
     ----------
     gathered : DomainEvidence
     asked : DomainRequest
     fitted : mapping of name to array, optional
-        What was kept with the same map: then nothing is fitted.
+        Arrays stored with the same map; with them nothing is fitted.
     """
     evidence, cells, aside = _cut(gathered, asked)
     known = fitted or {}
@@ -155,17 +155,17 @@ def spread_out(
 
 
 def is_fitted(known: Mapping[str, FloatArray]) -> bool:
-    """Whether among the numbers kept with a map is what takes long to find."""
+    """Whether the arrays stored with a map include its fitted surface."""
     return f"{SURFACE}mean" in known
 
 
 def refuse_axes(gathered: DomainEvidence, asked: DomainRequest) -> None:
-    """Refuse what no map can be made of, before anything is fitted."""
+    """Raise if no map can be made with these axes, before anything is fitted."""
     _cut(gathered, asked)
 
 
 def _fitted(domain: DomainMap) -> dict[str, Any]:
-    """What takes seconds to find, so that pages can show the map at once."""
+    """Arrays of the fitted surface, stored so that pages can show the map at once."""
     surface = domain.surface
     if surface.covariance.nbytes > MOST_BYTES:
         return {}
@@ -187,14 +187,14 @@ def _spread(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> Doma
 
 
 def _promised(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> FloatArray | None:
-    """Bounds are of the error itself, not of what is above an experiment's own best."""
+    """Error bounds of the cells; only for the error itself, not relative to the own best."""
     if asked.measure != "absolute":
         return None
     return promised_cells(evidence, cells, asked.level, asked.seed)
 
 
 def usual_axes(evidence: HeldOutErrors, by: tuple[str, ...] | Any = ()) -> list[str]:
-    """Offsets that were varied; else conditions that differ, two at most."""
+    """Return the offsets that were varied; else conditions that differ, two at most."""
     offsets = varying(evidence, OFFSETS)
     if offsets:
         return offsets
@@ -209,7 +209,7 @@ def usual_axes(evidence: HeldOutErrors, by: tuple[str, ...] | Any = ()) -> list[
 
 
 def _at_nominal(evidence: HeldOutErrors, axes: list[str]) -> tuple[HeldOutErrors, int]:
-    """Without experiments that were offset along something that is no axis of the map."""
+    """Remove experiments that were offset along something that is no axis of the map."""
     keep_row = np.ones(len(evidence), bool)
     for name in varying(evidence, OFFSETS):
         if name not in axes:
@@ -252,6 +252,3 @@ def _refuse_empty_nominal(domain: DomainMap) -> None:
             found=f"no experiment at {cells.text(cells.nominal)}",
             expected=f"a cell with evidence, like {names}",
         )
-
-
-# --- what is said -------------------------------------------------------------------------------

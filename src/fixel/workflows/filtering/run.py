@@ -1,4 +1,4 @@
-"""A stored experiment filtered, and the run kept."""
+"""Filter a stored experiment, and store the run."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from fixel.model import Experiment, Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
 from fixel.typing import FloatArray, Progress
 
-NAME: Final = "particle"  # of the settings, in the project
+NAME: Final = "particle"  # name of the settings in the project
 
-# Of the columns that are kept of every parameter.
+# Suffixes of the columns stored for every parameter.
 ENDINGS: Final = ("", "_q05", "_q50", "_q95")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterAnswer:
-    """A filter run over an experiment, beside what was measured.
+    """Result of filtering an experiment, with its measurement.
 
     Attributes
     ----------
@@ -33,9 +33,9 @@ class FilterAnswer:
     experiment : Experiment
     estimates : FilterEstimates
     run_id : int or None
-        In the project; none where it was not kept.
+        Id of the run in the project; None if it was not stored.
     calibrations : mapping from int to CalibrationRecord
-        Those of the project in which the experiment is a member, by id.
+        Calibrations of the project with the experiment as a member, by id.
     """
 
     experiment_id: int
@@ -45,7 +45,7 @@ class FilterAnswer:
     calibrations: Mapping[int, CalibrationRecord] = field(default_factory=dict)
 
     def rms(self, hidden: bool) -> tuple[float, float] | None:
-        """Root mean square of errors [m, rad] inside or outside the occlusion; none for no pose."""
+        """Root mean square errors [m, rad] inside or outside the occlusion; None without poses."""
         position, angle, inside = self.estimates.errors(self.experiment.trajectory)
         wanted = inside == hidden
         if not wanted.any():
@@ -53,7 +53,7 @@ class FilterAnswer:
         return _rms(position[wanted]), _rms(angle[wanted])
 
     def summary(self) -> dict[str, Any]:
-        """All of it as plain values, for `--json`."""
+        """Return all results as plain values, for `--json`."""
         found, experiment = self.estimates, self.experiment
         return {
             "experiment": experiment.key,
@@ -111,7 +111,7 @@ class FilterAnswer:
         }
 
     def compared(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """By calibration's id and parameter: the value, its interval, and the verdict."""
+        """Return value, interval and verdict by calibration id and parameter."""
         names = self.estimates.prior.names
         return {
             str(number): {
@@ -128,7 +128,7 @@ class FilterAnswer:
         }
 
     def record(self, filter_parameters_id: int, command: str = "") -> FilterRun:
-        """What a project keeps of the run; `command` is what was typed."""
+        """Return the record of the run for a project; `command` is the command as typed."""
         found = self.estimates
         values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
         return FilterRun(
@@ -144,7 +144,7 @@ class FilterAnswer:
         )
 
     def settings(self, command: str = "") -> FilterParameters:
-        """What a project keeps of the options."""
+        """Return the record of the options for a project."""
         found = self.estimates
         numbers = {
             name: float(value)
@@ -190,7 +190,7 @@ def filter_experiment(
     command: str = "",
     progress: Progress | None = None,
 ) -> FilterAnswer:
-    """Filter an experiment of a project and keep the run.
+    """Filter an experiment of a project and store the run.
 
     Parameters
     ----------
@@ -199,18 +199,18 @@ def filter_experiment(
         Id, name, or dataset/name.
     options : ParticleFilter, optional
     occlusion, use_tactile, seed, progress
-        As for `run_filter`.
+        See `run_filter`.
     save : bool
-        Whether the project keeps the run, and the settings with it.
+        Whether to store the run and its settings in the project.
     command : str
-        What was typed.
+        Command as typed.
 
     Raises
     ------
     NotStored
-        No such experiment.
+        There is no such experiment.
     InvalidInput
-        One that cannot be filtered, or an occlusion outside of it.
+        The experiment cannot be filtered, or the occlusion is outside of it.
     """
     with project.store() as store:
         number = store.find(key)

@@ -1,1 +1,1 @@
-"""The thesis's exploration of where one set of parameters serves, from stored calibrations."""
+"""Exploration of the domain of applicability as in the thesis, from stored calibrations."""

@@ -1,1 +1,1 @@
-"""One page to hand over: what was measured, what was calibrated, how far to believe it."""
+"""Report of a calibration on one page: data, parameters, errors, and their reliability."""

@@ -1,4 +1,4 @@
-"""A sampling plan, read or made, checked, written and drawn."""
+"""Load or create a sampling plan, check, save and draw it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PLAN_ENDINGS = (".yaml", ".yml")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleAnswer:
-    """What `sample` found and left behind.
+    """Sampling plan with its problems and files.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class SampleAnswer:
     problems : tuple of PlanProblem
         In order of the plan.
     rehearsed : bool
-        Whether the problems are those of a simulation too.
+        Whether problems were also searched for by simulation.
     files : dict from kind to Path
         ``output``, ``plot``.
     """
@@ -39,7 +39,7 @@ class SampleAnswer:
     files: dict[str, Path]
 
     def summary(self) -> dict[str, Any]:
-        """Counts, problems, files and every experiment, as plain values."""
+        """Return counts, problems, files and every experiment, as plain values."""
         plan = self.plan
         return {
             "plan": plan.name,
@@ -69,27 +69,27 @@ def sample(
     eight_push: bool = False,
     say: Notify | None = None,
 ) -> SampleAnswer:
-    """Read a plan, check it, and write and draw it where asked.
+    """Load a plan and check it; save and draw it if requested.
 
     Parameters
     ----------
     path : Path, optional
-        Plan file; the thesis's plan where left out.
+        Plan file; by default the thesis's plan.
     output : Path, optional
-        The plan as a plan file: `.yaml`.
+        Plan file to write: `.yaml`.
     plot : Path, optional
-        A drawing: `.png`, `.svg` or `.pdf`.
+        Drawing to write: `.png`, `.svg` or `.pdf`.
     eight_push : bool
-        The ASME paper's plan instead of the thesis's, where no file is given.
+        Whether to use the ASME paper's plan instead of the thesis's, if no file is given.
     simulate : bool
-        Simulate every experiment too, to see whether the object touches a fixel.
+        Whether to simulate every experiment, to check that the object touches a fixel.
     say : callable, optional
-        Told in a sentence what takes long.
+        Called with a sentence before long operations.
 
     Raises
     ------
     InvalidInput
-        A file that cannot be read or written, or a plan that cannot be.
+        A file that cannot be read or written, or an invalid plan.
     """
     files = {kind: file for kind, file in (("output", output), ("plot", plot)) if file is not None}
     _refuse_files(path, files)
@@ -117,7 +117,7 @@ def _draw(plan: Plan, path: Path) -> None:
 
 
 def _refuse_files(path: Path | None, files: dict[str, Path]) -> None:
-    """Refuse files that cannot be written, before any work."""
+    """Reject files that cannot be written, before any work."""
     if "output" in files:
         refuse_ending(files["output"], PLAN_ENDINGS, "plan")
     if "plot" in files:

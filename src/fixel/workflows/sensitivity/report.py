@@ -1,4 +1,4 @@
-"""What is said of pushes and their sensitivity: sentences, tables, pictures."""
+"""Report of a sensitivity analysis: sentences, tables, charts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def analysis_of(
     command: str,
     seconds: float,
 ) -> Analysis:
-    """What is kept of findings, the one to avoid first in front."""
+    """Return the analysis to store, with the push to avoid first in front."""
     keys = [finding.subject.key for finding in found]
     one = found[0]
     title = keys[0] if len(keys) == 1 else f"{len(keys)} pushes"
@@ -91,7 +91,7 @@ def _headline(found: Sequence[Finding], request: SensitivityRequest) -> list[str
 
 
 def _largest_share(finding: Finding) -> list[str]:
-    """Which input the outcome that varies most owes most of its spread to."""
+    """Sentence on the input that causes most of the spread of the most variable outcome."""
     own = finding.indices
     if own is None or not (own.deviation > 0.0).any():
         return []
@@ -203,7 +203,7 @@ def _numbers(finding: Finding) -> dict[str, Any]:
 
 
 def pictures_of(found: Sequence[Finding]) -> list[Picture]:
-    """Of the pushes to avoid first."""
+    """Draw charts of the pushes to avoid first."""
     pictures = []
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
         own, fan, subject = finding.sensitivity, finding.fan, finding.subject
@@ -256,7 +256,7 @@ def _index_picture(stem: str, subject: Subject, own: Indices) -> Picture:
 
 
 def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:
-    """Starts and poses behind the pictures."""
+    """Return the starts and poses shown in the charts."""
     arrays: dict[str, FloatArray] = {}
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
         arrays[f"drawn_{k}"] = finding.fan.drawn

@@ -1,4 +1,4 @@
-"""Options of a sensitivity analysis, and what it computes of one push."""
+"""Options of a sensitivity analysis, and its result for one push."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from fixel.uncertainty.starts import StartError
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensitivityRequest:
-    """What is asked.
+    """Options of a sensitivity analysis.
 
     Parameters
     ----------
     error : StartError
     samples : int
-        Perturbed starts a push.
+        Number of perturbed starts per push.
     values : mapping of str to float
-        Parameters, over those of a calibration.
+        Parameters that override those of a calibration.
     ranges : mapping of str to (float, float)
-        What is uncertain besides, for the indices; over the intervals of a calibration.
+        Further uncertain inputs of the indices; they override a calibration's intervals.
     calibration : int, optional
-        Id; of stored experiments the newest where left out, the scene's own values without any.
+        Id; for stored experiments by default the newest; without any, the scene's own values.
     indices : bool
     base : int
         Base samples of the indices, a power of two.
@@ -49,7 +49,7 @@ class SensitivityRequest:
     threads: int | None = None
 
     def question(self, keys: Sequence[str]) -> dict[str, Any]:
-        """As plain content."""
+        """Return the request as plain content."""
         return {
             "of": list(keys),
             "error": [*self.error.size.tolist(), self.error.kind],
@@ -63,10 +63,10 @@ class SensitivityRequest:
 
 
 class Subject(NamedTuple):
-    """A push to look at."""
+    """Push to analyse."""
 
     key: str
-    id: int | None  # of a stored experiment
+    id: int | None  # id of a stored experiment
     scene: Scene
     values: dict[str, float]
     ranges: dict[str, tuple[float, float]]
@@ -76,7 +76,7 @@ class Subject(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """One push, judged."""
+    """Sensitivity of one push."""
 
     subject: Subject
     fan: Fan

@@ -1,4 +1,4 @@
-"""How sensitive pushes are to their start: fans, indices, and an order of what to avoid first."""
+"""Compute the sensitivity of pushes to their start, and order them by it."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensitivityAnswer:
-    """Pushes, the one to avoid first in front.
+    """Sensitivity of pushes, with the push to avoid first in front.
 
     Attributes
     ----------
     findings : tuple of Finding
     skipped : dict of str to str
-        What could not be looked at, and why.
+        Pushes that could not be analysed, and why.
     analysis : Analysis
     pictures : tuple of Picture
     kept : StoredAnalysis, optional
-        Where a project keeps it.
+        Analysis stored in a project.
     """
 
     findings: tuple[Finding, ...]
@@ -62,26 +62,26 @@ def analyse_sensitivity(
     progress: Callable[[str], Progress | None] | None = None,
     ready: Callable[[Scene], None] | None = None,
 ) -> SensitivityAnswer:
-    """Look at stored experiments or scene files, and keep the answer where there is a project.
+    """Analyse stored experiments or scene files; store the result if there is a project.
 
     Parameters
     ----------
     things : sequence of str
-        Keys of experiments, or scene files; all experiments with a scene where left out.
+        Keys of experiments, or scene files; by default all experiments with a scene.
     request : SensitivityRequest
     project : callable
-        Opens the project; not called for scene files alone without a calibration.
+        Opens the project; not called for scene files without a calibration.
     command : str
-        What was typed.
+        Command as typed.
     progress : callable, optional
-        Gives, for a name, what is told how many of how many starts are done.
+        Returns the progress callback for the starts of a push with this name.
     ready : callable, optional
-        Given the first scene before anything is simulated.
+        Called with the first scene before anything is simulated.
 
     Raises
     ------
     InvalidInput
-        Nothing that can be simulated.
+        Nothing can be simulated.
     """
     begun = clock.perf_counter()
     files = [thing for thing in things if is_scene_file(thing)]
@@ -121,7 +121,7 @@ def analyse_sensitivity(
 
 
 def is_scene_file(thing: str) -> bool:
-    """Whether this is the name of a scene file, and no experiment's."""
+    """Whether this is the name of a scene file, not of an experiment."""
     return thing.lower().endswith(SCENE_ENDINGS)
 
 
@@ -147,7 +147,7 @@ def _look(subject: Subject, request: SensitivityRequest, told: Progress | None) 
     return Finding(subject, fan, judged, indices)
 
 
-# --- what is looked at --------------------------------------------------------------------------
+# --- pushes to analyse --------------------------------------------------------------------------
 
 
 def _subjects(
@@ -216,7 +216,7 @@ def _of_experiment(
 def _ranges(
     model: CalibratedValues | None, values: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """Intervals of a calibration, where the data set both ends."""
+    """Intervals of a calibration, if the data determine both ends."""
     found: dict[str, tuple[float, float]] = {}
     for estimate in model.record.estimates if model is not None else ():
         name, _ = parted(estimate.label)

@@ -1,4 +1,4 @@
-"""The pictures of an uncertainty: samples, bands, final poses, coverage."""
+"""Draw the charts of an uncertainty: samples, bands, final poses, coverage."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
-MAX_PICTURED: Final = 3  # experiments
-# From so many held-out experiments on a curve says something.
+MAX_PICTURED: Final = 3  # experiments with charts
+# Number of held-out experiments from which a coverage curve is informative.
 MIN_FOR_CURVE: Final = 5
 
 
@@ -55,7 +55,7 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
 
 
 def _priors(axes: Sequence[CornerAxis]) -> str:
-    """Ranges of priors, which are mostly much wider than what is drawn."""
+    """Ranges of the priors, which are mostly much wider than the axes."""
     parts = []
     for axis in axes:
         unit = readable(axis.unit)
@@ -129,7 +129,7 @@ def what_of(found: Uncertainty) -> str:
 
 
 def curves_of(found: Uncertainty) -> tuple[CoverageCurve, CoverageCurve] | None:
-    """Of held-out final positions and angles; none for a few."""
+    """Coverage curves of held-out final positions and angles; None for few experiments."""
     held = found.held_out
     if len(held) < MIN_FOR_CURVE:
         return None

@@ -1,4 +1,4 @@
-"""Uncertainty as an analysis: sentences, tables and pictures that a project keeps."""
+"""Report of an uncertainty analysis, to store: sentences, tables and charts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
 def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> StoredAnalysis:
-    """Store the answer in its project, with pictures."""
+    """Store the result in its project, with charts."""
     posterior = found.posterior
     analysis = Analysis(
         kind="uncertainty",
@@ -46,7 +46,7 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
 
 
 def numbers_of(found: Uncertainty) -> dict[str, Any]:
-    """Plain values in SI units, for `--json`."""
+    """Return plain values in SI units, for `--json`."""
     posterior, request = found.posterior, found.request
     low, middle, high = posterior.quantiles()
     return {
@@ -220,7 +220,7 @@ def _warnings(found: Uncertainty) -> Iterator[str]:
 
 
 def _beside_calibration(found: Uncertainty) -> Iterator[str]:
-    """Misfit that the calibration found, and where the posterior contradicts it."""
+    """Sentences on the misfit of the calibration, and where the posterior contradicts it."""
     if found.compared is None:
         return
     record, number = found.compared.record, found.compared.id

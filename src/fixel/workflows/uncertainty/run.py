@@ -1,4 +1,4 @@
-"""What experiments leave open of parameters, and what follows for paths and final poses."""
+"""Sample the posterior of experiments' parameters, and predict paths and final poses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgre
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, searched_space
 
-# For the rough fit that tells the noise, before there is one.
+# Noise assumed by the rough fit from which the noise is estimated.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
 FIRST_STARTS: Final = 4
 DRAWS: Final = 400
@@ -40,24 +40,24 @@ DRAWS: Final = 400
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UncertaintyRequest:
-    """What is asked.
+    """Options of an uncertainty analysis.
 
     Parameters
     ----------
     experiments : tuple of str
-        Ids or names; those of the calibration where left out.
+        Ids or names; by default those of the calibration.
     held_out : tuple of str
-        Experiments to be predicted only.
+        Experiments that are only predicted.
     calibration : int, optional
-        Id of a stored one: its parameters, its motion model, its evaluations.
+        Id of a stored calibration: gives parameters, motion model and evaluations.
     fit : tuple of str
         `NAME[=LOW:HIGH[:START]]`, as for `fixel calibrate`.
     motion : str, optional
-        Of the calibration, else `dynamic`, where left out.
+        Name of the motion model; by default that of the calibration, else `dynamic`.
     noise : (float, float), optional
-        Standard deviations of the camera [m, rad]; found out where left out.
+        Standard deviations of the camera [m, rad]; estimated by default.
     model_error : bool
-        Whether the model's own error is a term.
+        Whether to include the model's own error as a term.
     samples, seed : int
     """
 
@@ -75,7 +75,7 @@ class UncertaintyRequest:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentPrediction:
-    """An experiment and draws of how it goes.
+    """Experiment with draws of its predicted motion.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ExperimentPrediction:
     held_out : bool
     prediction : PushPrediction
     levels : (float, float)
-        Of the smallest bounds that hold the measured last pose: position, angle.
+        Levels of the smallest bounds that contain the measured last pose: position, angle.
     """
 
     id: int
@@ -99,7 +99,7 @@ class ExperimentPrediction:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncertainty:
-    """The answer.
+    """Result of an uncertainty analysis.
 
     Attributes
     ----------
@@ -108,15 +108,15 @@ class Uncertainty:
     noise : Noise
     posterior : Posterior
     predicted : tuple of ExperimentPrediction
-        Of the experiments it was found from, then of those held out.
+        Predictions of the experiments used, then of those held out.
     near : NearOptimal, optional
-        Of the calibration's stored evaluations, and the names of their columns.
+        Near-optimal sets among the calibration's evaluations, with the names of their columns.
     near_names : tuple of str
     motion : str
     calibration : CalibratedValues, optional
     compared : CalibratedValues, optional
-        The same, or the newest one that the first experiment is a member of: what the posterior
-        should not contradict silently.
+        The same, or else the newest one with the first experiment as a member; differences to the
+        posterior are reported as warnings.
     """
 
     request: UncertaintyRequest
@@ -132,7 +132,7 @@ class Uncertainty:
 
     @property
     def held_out(self) -> tuple[ExperimentPrediction, ...]:
-        """Those that were predicted only."""
+        """Experiments that were only predicted."""
         return tuple(one for one in self.predicted if one.held_out)
 
 
@@ -146,10 +146,10 @@ def find_uncertainty(
     Raises
     ------
     InvalidInput
-        Experiments that cannot be compared, parameters that no experiment could inform, held-out
-        experiments that are among the others, or dynesty missing.
+        Experiments that cannot be compared, parameters that no experiment informs, held-out
+        experiments that are also used for the posterior, or dynesty missing.
     NotStored
-        No such experiment or calibration.
+        There is no such experiment or calibration.
     """
     with project.store() as store:
         one = None if request.calibration is None else calibrated(store, request.calibration)
@@ -216,7 +216,7 @@ def _unknowns(
     one: CalibratedValues | None,
     targets: Sequence[Target],
 ) -> list[Unknown]:
-    """Those asked for, those of the calibration in the box it searched, or the usual ones."""
+    """Return the requested parameters, a calibration's with its bounds, or the usual ones."""
     scenes = [target.case.scene for target in targets]
     if request.fit:
         return fitted(request.fit, scenes)
@@ -243,7 +243,7 @@ def _motion_model(name: str) -> Any:
 def _noise(
     comparer: Comparer, members: list[int], request: UncertaintyRequest
 ) -> tuple[Noise, FloatArray]:
-    """The noise, and the point of a rough fit."""
+    """Return the noise and the point of a rough fit."""
     own = np.asarray(members, np.int64)
     residuals = Frames(comparer, own).residuals(FIRST_NOISE)
     search = LeastSquares(loss="soft_l1", width=3.0, starts=FIRST_STARTS, most_iterations=20)
@@ -257,7 +257,7 @@ def _noise(
 
 
 def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
-    """All that the fit leaves, taken for noise."""
+    """Noise estimated from all residuals of the fit."""
     series = comparer.residuals_at(members, point)
     if not series:
         raise InvalidInput(
@@ -301,7 +301,7 @@ def _predicted(
 def _near(
     one: CalibratedValues | None, comparer: Comparer, members: list[int], point: FloatArray
 ) -> tuple[NearOptimal | None, tuple[str, ...]]:
-    """Nearly optimal sets among the evaluations a calibration kept."""
+    """Near-optimal sets among the stored evaluations of a calibration."""
     record: CalibrationRecord | None = None if one is None else one.record
     if record is None or record.evaluations is None or not len(record.evaluations.error):
         return None, ()

@@ -1,1 +1,1 @@
-"""Cameras: calibrated, imported, placed, checked; and the prints for it."""
+"""Calibrate, import, place and check cameras; print boards and tags for this."""
