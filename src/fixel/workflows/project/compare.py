@@ -1,4 +1,4 @@
-"""Stored experiments: their numbers, and how far simulations are from them."""
+"""Compare stored experiments with simulations, and summarise their numbers."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
 from fixel.typing import FloatArray
 
-ANGLE_SCALE: Final = 35.0  # [mm/rad], what the thesis's E counts an angle as
-SAMPLES: Final = 200  # of a simulation of two poses
-MICRO: Final = 3e-3  # [m], radius of objects below which lengths are read in micrometres
-NOISE: Final = 1e-3  # [m]; a way is measured in strides no shorter than this
+ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as
+SAMPLES: Final = 200  # samples of a simulation, for an experiment with few poses
+MICRO: Final = 3e-3  # [m], radius of objects below which lengths are shown in micrometres
+NOISE: Final = 1e-3  # [m], shortest stride that counts in the length of a path
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """A simulation of an experiment, beside what was measured.
+    """Simulation of an experiment, compared with the measurement.
 
     Attributes
     ----------
@@ -44,14 +44,14 @@ class Comparison:
     pusher : Trajectory, optional
         Simulated poses of the pusher, on the same clock.
     contacts : Channel, optional
-        Which fixel the simulated object touches, on the same clock; none without fixels.
+        Simulated contacts with each fixel, on the same clock; None without fixels.
     time : (n,) float64
-        Measured instants within `effective` [s]. The first measured pose is not among them: there
-        the simulation starts, so its error is none by construction.
+        Measured instants within `effective` [s], without the first measured pose: there the
+        simulation starts, so its error is zero by construction.
     position : (n,) float64
-        Distance from the measured to the simulated pose at these [m].
+        Distance from the measured to the simulated pose at these instants [m].
     angle : (n,) float64
-        From the measured to the simulated pose, wrapped [rad].
+        Angle from the measured to the simulated pose, wrapped [rad].
     """
 
     experiment: Experiment
@@ -66,12 +66,12 @@ class Comparison:
 
     @property
     def status(self) -> str:
-        """As `Simulation.status`."""
+        """Status of the simulation, as in `Simulation.status`."""
         return self.simulation.status
 
     @property
     def complete(self) -> bool:
-        """Whether the simulation came to the end; only then has it errors."""
+        """Whether the simulation reached its end; only then does it have errors."""
         return self.simulation.converged
 
     @property
@@ -81,36 +81,36 @@ class Comparison:
 
     @property
     def final_position(self) -> float | None:
-        """Of the last measured pose [m]."""
+        """Distance at the last measured pose [m]."""
         return float(self.position[-1]) if self.complete else None
 
     @property
     def final_angle(self) -> float | None:
-        """Of the last measured pose [rad]."""
+        """Angle at the last measured pose [rad]."""
         return float(self.angle[-1]) if self.complete else None
 
     @property
     def error_mm2(self) -> float | None:
-        """The thesis's E, mean of squared errors [mm^2]; none where it stopped early."""
+        """E of the thesis: mean of squared errors [mm^2]; None if the simulation stopped early."""
         if not self.complete:
             return None
         return float(np.mean((1e3 * self.position) ** 2 + (ANGLE_SCALE * self.angle) ** 2))
 
     @property
     def contact_mode(self) -> str:
-        """Simulated, at the end, a digit a fixel."""
+        """Simulated contact mode at the end, one digit per fixel."""
         if self.contacts is None:
             return ""
         return "".join(str(int(touch)) for touch in self.contacts.values[-1])
 
     @property
     def same_contact_mode(self) -> bool | None:
-        """Whether it is as measured; none where that is not known, or not simulated."""
+        """Agreement with the measured contact mode; None if unknown or not simulated."""
         measured = self.experiment.contact_mode
         return self.contact_mode == measured if measured and self.complete else None
 
     def summary(self) -> dict[str, Any]:
-        """All of it as plain values, for `--json`."""
+        """Return all results as plain values, for `--json`."""
         simulation = self.simulation
         return {
             "experiment": self.experiment.key,
@@ -136,7 +136,7 @@ class Comparison:
         }
 
     def record(self, experiment_id: int, command: str = "") -> SimulationRecord:
-        """What a project keeps of it; `command` is what was typed."""
+        """Return the record for a project; `command` is the command as typed."""
         method = {
             name: value if isinstance(value, str | int | float) else str(value)
             for name, value in self.simulation.method.items()
@@ -166,13 +166,13 @@ def comparison(
     Parameters
     ----------
     experiment : Experiment
-        With a scene.
+        Experiment with a scene.
     parameters : Parameters, optional
-        In place of the scene's values.
+        Values that replace the scene's.
     motion : AbstractMotionModel, optional
-        `Dynamic()` where left out.
+        Defaults to `Dynamic()`.
     stepper : AbstractStepper, optional
-        `Adaptive()` where left out.
+        Defaults to `Adaptive()`.
 
     Raises
     ------
@@ -216,28 +216,28 @@ def comparison(
 def errors_of(
     experiment: Experiment, simulated: Trajectory
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n,) measured instants within `effective` [s], and how far simulated poses are from what was
-    measured there: distance [m], and angle, wrapped [rad]."""
+    """Return measured instants (n,) within `effective` [s], and the errors of simulated poses
+    there: distance [m], and wrapped angle [rad]."""
     useful = useful_poses(experiment)
     time = experiment.trajectory.time[useful]
     return time, *pose_error(simulated.at(time), experiment.trajectory.pose[useful])
 
 
 def _interval(time: FloatArray, duration: float) -> float:
-    """Between samples of the simulation [s]: a frame, or less where frames are few."""
+    """Interval between samples of the simulation [s]: a frame, or less if frames are few."""
     frame = float(np.median(np.diff(time))) if len(time) > 1 else duration
     return min(frame, duration / SAMPLES) if len(time) < SAMPLES // 10 else min(frame, duration)
 
 
 def _track(simulation: Simulation, name: str, start: float) -> Trajectory:
-    """Poses of one body as far as they are numbers, on the experiment's clock."""
+    """Return the finite poses of one body, on the experiment's clock."""
     pose = simulation.pose[name]
     known = np.isfinite(pose).all(axis=1)
     return Trajectory(time=start + simulation.time[known], pose=pose[known])
 
 
 def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None:
-    """Which fixel a body touches, sample by sample, like a tactile channel."""
+    """Return contacts of a body with each fixel, sample by sample, like a tactile channel."""
     fixels = simulation.scene.fixels
     if not fixels:
         return None
@@ -263,7 +263,7 @@ def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None
 
 
 def summary(experiment: Experiment) -> dict[str, Any]:
-    """The numbers of an experiment as plain values, for `--json`: metres, radians, seconds."""
+    """Return an experiment's numbers as plain values, for `--json`: metres, radians, seconds."""
     track = experiment.trajectory
     pose = track.pose
     return {
@@ -293,14 +293,14 @@ def summary(experiment: Experiment) -> dict[str, Any]:
 
 
 def frame_rate(track: Trajectory) -> float | None:
-    """Frames a second [Hz], lost ones counted too; none for start and end alone."""
+    """Frames per second [Hz], counting lost ones; None for start and end alone."""
     return float(1.0 / np.median(np.diff(track.time))) if len(track.time) > 2 else None
 
 
 def length_unit(experiment: Experiment) -> tuple[str, float]:
-    """Return the unit in which people read an experiment's lengths, and its size [m].
+    """Return the unit for displaying an experiment's lengths, and its size [m].
 
-    Micrometres for objects below `MICRO`; by how far the object moved where its outline is unknown.
+    Micrometres for objects below `MICRO`; judged by the displacement if the outline is unknown.
     """
     reach = float(np.ptp(experiment.trajectory.pose[:, :2], axis=0).max())
     if experiment.scene is not None:
@@ -313,7 +313,7 @@ def length_unit(experiment: Experiment) -> tuple[str, float]:
 
 
 def travelled(track: Trajectory, noise: float = NOISE) -> float:
-    """Length of a path [m], in strides of `noise` [m] at least: noise is no way."""
+    """Length of a path [m], in strides of at least `noise` [m], so that noise adds nothing."""
     here, length = track.pose[0, :2], 0.0
     for place in track.pose[1:, :2]:
         stride = float(np.hypot(*(place - here)))

@@ -1,4 +1,4 @@
-"""Public datasets: what there is, under which licence, and fetching a file of one."""
+"""List public datasets with their licences, and download files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput, StoreRefused
 
 
 class DownloadedFile(NamedTuple):
-    """A file that has been fetched."""
+    """Downloaded file, with its checksum and size."""
 
     file: Path
     sha256: str
@@ -21,7 +21,7 @@ class DownloadedFile(NamedTuple):
 
 
 def datasets() -> list[dict[str, str]]:
-    """Name, title, licence and citation of every dataset that can be imported."""
+    """Return name, title, licence and citation of every dataset that can be imported."""
     return [
         {
             "name": importer.name,
@@ -35,19 +35,19 @@ def datasets() -> list[dict[str, str]]:
 
 
 def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
-    """Fetch a file into a folder: complete, with the checksum asked for, or not at all.
+    """Download a file into a folder: completely, with the required checksum, or not at all.
 
     Parameters
     ----------
     sha256 : str, optional
-        What its checksum must be; without one, whatever comes is kept.
+        Required checksum; without one, any content is accepted.
 
     Raises
     ------
     InvalidInput
-        Not an address of a file, or not a checksum.
+        Not the address of a file, or not a checksum.
     StoreRefused
-        It could not be fetched, or is another file than the one asked for.
+        The download failed, or the file has another checksum than the required one.
     """
     try:
         import pooch
@@ -58,7 +58,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
     name = _name(url)
     if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
         raise InvalidInput("--sha256", found=sha256, expected="64 hexadecimal digits")
-    pooch.get_logger().setLevel("ERROR")  # its warnings are ours to give
+    pooch.get_logger().setLevel("ERROR")  # fixel gives the warnings itself
     wanted = None if sha256 is None else f"sha256:{sha256.lower()}"
     try:
         path = Path(pooch.retrieve(url, wanted, fname=name, path=folder))
@@ -69,7 +69,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
         ) from None
     except Exception as problem:  # whatever the network library under pooch raises
         if (answer := getattr(problem, "response", None)) is not None:
-            answer.close()  # pooch leaves the connection of a refusal open
+            answer.close()  # pooch leaves the connection of a failed request open
         raise StoreRefused(
             f"{url} could not be fetched: {_one_line(problem)}", hint="check address and network"
         ) from None

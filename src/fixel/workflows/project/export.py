@@ -1,4 +1,4 @@
-"""A project's experiments, written for others: a bundle, Parquet tables, or a LeRobot dataset."""
+"""Export a project's experiments as a bundle, Parquet tables, or a LeRobot dataset."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RATES: Final = (1, 1000)  # [Hz]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportAnswer:
-    """What `export` wrote.
+    """Summary of an export.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class ExportAnswer:
     format : str
         ``bundle``, ``parquet`` or ``lerobot``.
     counts : dict of str to int
-        ``experiments``, of them ``flagged`` and ``simulated``, and what else there is.
+        Number of ``experiments``, of them ``flagged`` and ``simulated``, and of other records.
     left_out : dict of str to int
-        What was not exported, for a reason.
+        Number of records that were not exported, by reason.
     bytes : int
     seconds : float
     """
@@ -56,7 +56,7 @@ class ExportAnswer:
     seconds: float
 
     def summary(self) -> dict[str, Any]:
-        """The same as plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "target": str(self.target),
             "format": self.format,
@@ -70,9 +70,9 @@ class ExportAnswer:
 def import_zip(
     project: Project, path: Path, progress: Progress | None = None, *, dry_run: bool = False
 ) -> dict[str, int]:
-    """Add the records of a bundle to a project; how many of each kind were new.
+    """Add the records of a bundle to a project; return how many of each kind were new.
 
-    With `dry_run`, how many there are; nothing is added.
+    With `dry_run`, return how many there are, and add nothing.
     """
     if dry_run:
         with BundleFile(path, LIMITS) as bundle:
@@ -90,31 +90,31 @@ def export(
     fps: int | None = None,
     progress: Progress | None = None,
 ) -> ExportAnswer:
-    """Export a project.
+    """Export a project's experiments.
 
     Parameters
     ----------
     folder : Path
-        Of the project.
+        Folder of the project.
     target : Path
         A ``.zip`` for a bundle, else a new or empty folder.
     format : str
         One of `FORMATS`.
     dataset : str, optional
-        Only its experiments.
+        Dataset whose experiments are exported; by default all.
     fps : int, optional
-        Of a LeRobot dataset; the median rate of the experiments where left out.
+        Frame rate of a LeRobot dataset; by default the median rate of the experiments.
     progress : callable, optional
-        Told how many experiments of how many are done.
+        Called with the number of exported experiments and their total.
 
     Raises
     ------
     InvalidInput
-        A target that cannot be written.
+        The target cannot be written.
     NotStored
-        No experiments.
+        There are no experiments.
     StoreRefused
-        A project that cannot be opened or read.
+        The project cannot be opened or read.
     """
     _refuse(target, format, fps)
     started = time.perf_counter()
@@ -171,7 +171,7 @@ def _read(
 
 
 def median_rate(summaries: list[Summary]) -> int:
-    """Frames a second that most experiments come close to [Hz]."""
+    """Median frame rate of the experiments [Hz], rounded and limited."""
     rates = [(s.n_frame - 1) / s.duration_s for s in summaries if s.duration_s > 0.0]
     middle = round(float(np.median(rates))) if rates else RATES[0]
     return min(max(middle, RATES[0]), RATES[1])
@@ -187,7 +187,7 @@ def _rights() -> dict[str, tuple[str, str]]:
 
 
 def _refuse(target: Path, format: str, fps: int | None) -> None:
-    """Refuse what cannot be, before any work."""
+    """Reject invalid arguments before any work."""
     if format not in FORMATS:
         raise InvalidInput("format", found=format, expected="one of " + ", ".join(FORMATS))
     if fps is not None and (format != "lerobot" or not RATES[0] <= fps <= RATES[1]):
@@ -207,5 +207,5 @@ def _size(target: Path) -> int:
 
 
 def json_text(answer: ExportAnswer) -> str:
-    """One JSON object on one line."""
+    """Return the summary as one JSON object on one line."""
     return json.dumps(answer.summary(), allow_nan=False)

@@ -1,4 +1,4 @@
-"""Looking through experiments: a filter as one types it, what there is to filter by, coverage."""
+"""Filters for experiments as they are typed, the values to filter by, and coverage."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
 MAX_FILTER: Final = 1000  # characters
-MAX_VALUES: Final = 40  # of a condition, to be named one by one
-MAX_PLACES: Final = 40  # on an axis of the coverage, before they are put together
+MAX_VALUES: Final = 40  # values of a condition that are listed
+MAX_PLACES: Final = 40  # places on an axis of the coverage; more are merged
 
-# What people call a column, and what its unit is in metres and radians.
+# Short names of columns, with their units in metres and radians.
 DEGREE: Final = float(np.pi / 180.0)
 NAMES: Final[dict[str, tuple[str, float]]] = {
     "error": ("error_mm", 1.0),
@@ -44,17 +44,17 @@ def view_of(
     limit: int | None = None,
     offset: int = 0,
 ) -> ExperimentView:
-    """A view from a filter as one types it.
+    """Parse a filter as it is typed.
 
     Parameters
     ----------
     filter : str
-        Words that must stand somewhere, `"two words"` in quotes; `shape=square`, `offset_x_m>0.01`
+        Words that must occur somewhere, `"two words"` in quotes; `shape=square`, `offset_x_m>0.01`
         of a condition or a column; `error>5` [mm], `moved<80` [mm], `turned>10` [deg], `x`, `y`
         [mm], `angle` [deg], `duration` [s], `before` and `after` [mm]; `dataset:NAME`, `flag:NAME`,
         `is:clean`, `is:faulty`, `is:flagged`, `is:noted`, `is:real`, `is:simulated`, `is:deleted`.
     sort : str
-        A column, by either name, or a condition.
+        Name of a column, long or short, or a condition.
     descending : bool
     limit : int, optional
     offset : int
@@ -62,7 +62,7 @@ def view_of(
     Raises
     ------
     InvalidInput
-        A quote that does not end, an `is:` of another kind, a text where a number must stand.
+        A quote that does not end, an unknown `is:`, or a text instead of a number.
 
     Examples
     --------
@@ -144,16 +144,16 @@ def _number(text: str) -> float | None:
 
 
 class Values(NamedTuple):
-    """What a condition was, among all experiments."""
+    """Values of a condition among all experiments."""
 
-    texts: dict[str, int]  # with how many; empty for too many
+    texts: dict[str, int]  # values with their number of experiments; empty if too many
     low: float | None
     high: float | None
-    total: int  # of experiments that have it
+    total: int  # number of experiments with the condition
 
 
 class Vocabulary(NamedTuple):
-    """Words of a filter."""
+    """Names and values that a filter can use."""
 
     datasets: dict[str, int]
     flags: dict[str, int]
@@ -161,7 +161,7 @@ class Vocabulary(NamedTuple):
 
 
 def vocabulary(store: Store) -> Vocabulary:
-    """What experiments can be told apart by."""
+    """Return the datasets, flags and conditions by which experiments can be filtered."""
     found = {}
     for name, known in sorted(store.conditions().items()):
         few = dict(sorted(known.texts.items())) if len(known.texts) <= MAX_VALUES else {}
@@ -173,7 +173,7 @@ def vocabulary(store: Store) -> Vocabulary:
 
 
 class CoverageAxis(NamedTuple):
-    """An axis of the coverage: places, each from one edge to the next."""
+    """Axis of the coverage: places, each from one edge to the next."""
 
     name: str
     edges: FloatArray  # (n + 1,)
@@ -181,19 +181,19 @@ class CoverageAxis(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """How many experiments there are at each place of a plane of configurations.
+    """Number of experiments at each place of a plane of configurations.
 
     Attributes
     ----------
     x, y : CoverageAxis
     number : (n_x, n_y) array
     shapes, layouts : tuple of str
-        Empty where nobody wrote them down.
+        Shapes and layouts; empty if not stored.
     table : (n_shape, n_layout) array
     axes : tuple of str
-        Names that an axis may have here.
+        Names that an axis may have.
     without : int
-        Experiments that have no such value.
+        Number of experiments without these values.
     """
 
     x: CoverageAxis
@@ -214,15 +214,15 @@ _NUMBER: Final = (int, float)
 def coverage(
     store: Store, view: ExperimentView, x: str | None = None, y: str | None = None
 ) -> Coverage:
-    """Which configurations have been run.
+    """Count the experiments that were run in each configuration.
 
     Parameters
     ----------
     store : Store
     view : ExperimentView
     x, y : str, optional
-        Columns or conditions with numbers; left out, offsets along x and y, or where the object
-        began.
+        Columns or conditions with numbers; by default offsets along x and y, or else the start of
+        the object.
     """
     noted = store.conditions()
     known = tuple(
@@ -246,7 +246,7 @@ def coverage(
 
 
 def _axis(name: str, values: FloatArray) -> CoverageAxis:
-    """One place a value where these are few, else places of one width."""
+    """Return an axis with one place per value if these are few, else places of equal width."""
     distinct = np.unique(np.round(values, 9))
     if len(distinct) == 0:
         return CoverageAxis(name, np.array([0.0, 1.0]), np.array([0.5]))
@@ -263,7 +263,7 @@ def _axis(name: str, values: FloatArray) -> CoverageAxis:
 def _table(
     rows: Sequence[tuple[Any, Any, int]],
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
-    """How many of each shape in each layout."""
+    """Count the experiments of each shape in each layout."""
     counted: Counter[tuple[str, str]] = Counter()
     for shape, layout, n in rows:
         if shape is not None and layout is not None:

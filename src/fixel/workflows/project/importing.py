@@ -1,5 +1,4 @@
-"""A laboratory's day: make a project, import experiments, run the simulated testbed, look at the
-list."""
+"""Create a project, import experiments, run the simulated testbed, and list experiments."""
 
 from __future__ import annotations
 
@@ -28,16 +27,16 @@ _RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 
 
 class ImportSummary(NamedTuple):
-    """What an import did."""
+    """Number of experiments in an import."""
 
     new: int
-    known: int  # there already, and left alone
-    faulty: int  # of the new, that listings leave out unless asked
+    known: int  # stored before, and left unchanged
+    faulty: int  # of the new, those that listings leave out by default
     wall_time_s: float
 
 
 def new_project(folder: Path, database: str | None = None) -> Project:
-    """Make a project folder."""
+    """Create a project folder."""
     return Project.create(folder, database)
 
 
@@ -47,12 +46,12 @@ def import_plan(
     options: Iterable[str] = (),
     scene: Path | None = None,
 ) -> ImportPlan:
-    """Plan of the import of a file or folder; `options` are `NAME=VALUE`, `scene` is for a table.
+    """Plan the import of a file or folder; `options` are `NAME=VALUE`, `scene` is for a table.
 
     Raises
     ------
     InvalidInput
-        Data, an option or a scene that cannot be.
+        Invalid data, option or scene.
     """
     found = importer_for(source, importer)
     given = _options(options)
@@ -68,13 +67,13 @@ def import_plan(
 def write_template(plan: ImportPlan, folder: Path) -> Path | None:
     """Write the template of a scene for a table that was imported without one.
 
-    It is written beside the table, or into `folder` where that is not possible; a file of that name
-    is left as it is.
+    It is written next to the table, or into `folder` if that is not possible; an existing file of
+    that name is not changed.
 
     Returns
     -------
     Path or None
-        None where the experiments have a scene, or are no table.
+        None if the experiments have a scene, or are not from a table.
     """
     if plan.importer != TABLE:
         return None
@@ -99,16 +98,16 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
 def import_experiments(
     project: Project, plan: ImportPlan, progress: Progress | None = None
 ) -> ImportSummary:
-    """Store the experiments of a plan, each whole or not at all."""
+    """Store the experiments of a plan, each completely or not at all."""
     with project.store() as store:
         return _add(store, plan.experiments(), plan.n_experiments, progress)
 
 
 class ImportedTable(NamedTuple):
-    """How the text of a table was read."""
+    """Result of reading the text of a table."""
 
     understood: tuple[str, ...]
-    template: str | None  # of a scene, where there is none
+    template: str | None  # template of a scene, if there is none
     new: bool
     known: bool
 
@@ -128,19 +127,19 @@ def import_texts(
     ----------
     store : Store
     name : str
-        Of the table's file; the experiment is named for it.
+        Name of the table's file, from which the experiment gets its name.
     table : str
     scene : str, optional
         Scene file, as YAML.
     angle_unit : str, optional
-        `rad` or `deg`, whatever the header has.
+        `rad` or `deg`, which overrides the header.
     dry_run : bool
-        Read only.
+        Whether to read the table without storing it.
 
     Raises
     ------
     InvalidInput
-        A table or a scene that cannot be.
+        Invalid table or scene.
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
         source = Path(folder) / name
@@ -165,7 +164,7 @@ def run_testbed(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> ImportSummary:
-    """Perform a sampling plan on the simulated testbed, and store what it measures."""
+    """Perform a sampling plan on the simulated testbed, and store the measurements."""
     from fixel.formats.plan_file import load_plan
     from fixel.sampling import thesis_plan
     from fixel.testbed.simulated import SimulatedTestbed
@@ -177,7 +176,7 @@ def run_testbed(
 
 
 def list_experiments(project: Project, query: Query, limit: int | None = None) -> Listing:
-    """One page of a project's experiments."""
+    """Return one page of a project's experiments."""
     with project.store() as store:
         found = store.experiments(query, limit=limit)
         if not found.total and not found.left_out:
@@ -186,7 +185,7 @@ def list_experiments(project: Project, query: Query, limit: int | None = None) -
 
 
 def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
-    """How many experiments each dataset has, and how many carry each flag."""
+    """Return the number of experiments of each dataset, and of those with each flag."""
     with project.store() as store:
         return store.datasets(), store.flags()
 
@@ -201,7 +200,7 @@ def query_of(
     flagged: bool = False,
     deleted: bool = False,
 ) -> Query:
-    """A query from what was typed; `where` are `CONDITION=VALUE`, or with another relation."""
+    """Build a query from options; `where` are `CONDITION=VALUE`, or with another relation."""
     bounds = [_bound(text) for text in where]
     return Query(
         dataset=dataset,
@@ -216,14 +215,14 @@ def query_of(
 
 
 def typed() -> str:
-    """The command line that is running, as one could type it again."""
+    """Return the running command line, as it could be typed again."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def _add(
     store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
 ) -> ImportSummary:
-    """Store experiments, with the command that was typed as where they come from."""
+    """Store experiments, with the command as typed in their provenance."""
     begun = time.monotonic()
     command = typed()
     new = known = faulty = 0

@@ -1,4 +1,4 @@
-"""A project's database, brought up to date, copied and looked through."""
+"""Upgrade, back up, check and draw the database of a project."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ OWNERS: Final = {
     "calibration": tables.calibration,
     "filter_run": tables.filter_run,
 }
-# Of these records nothing is left without the motion of the object.
+# Records that are incomplete without the motion of the object.
 MOVING: Final = ("experiment", "simulation", "filter_run")
 RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
 SEE: Final = "see what is wrong with: fixel db check"
 
 
 class SchemaVersions(NamedTuple):
-    """Versions of the schema."""
+    """Versions of the schema before and after an upgrade."""
 
-    before: str | None  # none for a database that was empty
+    before: str | None  # None for a database that was empty
     after: str | None
 
 
 class Backup(NamedTuple):
-    """What was copied, and what was not."""
+    """Backup of a database, and what must be copied separately."""
 
     file: Path
     size: int  # [bytes]
@@ -59,18 +59,18 @@ class Backup(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """What a check found.
+    """Result of checking a database.
 
     Attributes
     ----------
     engine : str
         `sqlite` or `postgresql`.
     version : str, optional
-        Of the schema; none where it could not be read.
+        Version of the schema; None if it could not be read.
     counts : dict from table to number of rows
-        Deleted ones too.
+        Deleted rows are counted, too.
     media_files, unused_files : int
-        Files in the media folder, and those of them that no row names; another project may.
+        Files in the media folder, and those of them that no row refers to; another project may.
     troubles : tuple of Trouble
     """
 
@@ -82,7 +82,7 @@ class CheckResult:
     troubles: tuple[Trouble, ...]
 
     def summary(self) -> dict[str, Any]:
-        """Everything, as plain values."""
+        """Return plain values, ready for JSON."""
         return {
             "ok": not self.troubles,
             "engine": self.engine,
@@ -98,7 +98,7 @@ class CheckResult:
 
 
 def upgrade(folder: Path) -> SchemaVersions:
-    """Bring the tables of a project to this program's version, or leave them as they were."""
+    """Upgrade the tables of a project to this program's version, or leave them unchanged."""
     project = Project.open(folder)
     with Store(project.url, project.media) as store:
         return SchemaVersions(*store.upgrade())
@@ -108,14 +108,14 @@ def upgrade(folder: Path) -> SchemaVersions:
 
 
 def backup(folder: Path, file: Path) -> Backup:
-    """Copy a project's SQLite database while others may go on using it.
+    """Copy a project's SQLite database while other programs may use it.
 
     Raises
     ------
     InvalidInput
         The file cannot be written, or is the database itself.
     StoreRefused
-        The database lies on a server, is not there or is damaged.
+        The database is on a server, missing or damaged.
     """
     project = Project.open(folder)
     database = _database_file(project, file)
@@ -130,7 +130,7 @@ def backup(folder: Path, file: Path) -> Backup:
 
 
 def _database_file(project: Project, target: Path | None = None) -> Path:
-    """The SQLite file of a project, or a refusal that names the server's own tool."""
+    """Return the SQLite file of a project; for a server, raise with its own backup command."""
     url = sa.make_url(project.url)
     if url.get_backend_name() != "sqlite":
         raise StoreRefused(
@@ -148,7 +148,7 @@ def _database_file(project: Project, target: Path | None = None) -> Path:
 
 
 def _dump_command(url: sa.URL, target: Path) -> str:
-    # Without the password, which other users of the machine would see; pg_dump asks for it.
+    # Without the password, which other users of the machine would see; pg_dump prompts for it.
     plain = sa.URL.create(
         "postgresql", url.username, None, url.host, url.port, url.database, url.query
     )
@@ -156,7 +156,7 @@ def _dump_command(url: sa.URL, target: Path) -> str:
 
 
 def _copy(database: Path, path: Path) -> None:
-    """One consistent state of a database, pages and journal together, as a single file."""
+    """Copy one consistent state of a database, pages and journal together, as a single file."""
     try:
         with (
             contextlib.closing(sqlite3.connect(_read_only(database), uri=True)) as source,
@@ -182,7 +182,7 @@ def _read_only(file: Path) -> str:
 
 
 def check(folder: Path) -> CheckResult:
-    """Read everything a project holds, and say what is wrong with it; changes nothing."""
+    """Read everything a project stores and report what is wrong with it; changes nothing."""
     project = Project.open(folder)
     if sa.make_url(project.url).get_backend_name() == "sqlite":
         _database_file(project)
@@ -218,7 +218,7 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             )
             used, videos = _used(connection)
     except StoreRefused as refused:
-        # A damaged file may be read up to some point only; say what was found until there.
+        # A damaged file may be readable up to some point only; report what was found until there.
         troubles.append(Trouble("database", refused.reason, _helpful(refused.hint)))
         used, videos = set(), set()
     files, bad = _media_files(media, read_already=used)
@@ -233,12 +233,12 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
 
 
 def _helpful(hint: str | None) -> str:
-    # Here the advice to run a check is of no use any more.
+    # Here the advice to run a check is useless.
     return RESTORE if hint is None or "db check" in hint else hint
 
 
 def _damage(connection: sa.Connection) -> Iterator[Trouble]:
-    """What SQLite finds in its own pages; a server looks after its own."""
+    """Yield the faults that SQLite finds in its own pages; a server checks its own."""
     if connection.dialect.name != "sqlite":
         return
     for said in connection.exec_driver_sql("PRAGMA integrity_check").scalars():
@@ -254,7 +254,7 @@ def _counts(connection: sa.Connection) -> dict[str, int]:
 
 
 def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
-    """Rows that name a row that is not there."""
+    """Yield tables with rows that refer to missing rows."""
     for table in tables.METADATA.tables.values():
         for key in table.foreign_keys:
             target = key.column.table.alias("target")
@@ -272,14 +272,14 @@ def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
 
 
 def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
-    """Series that cannot be read, or whose record is gone."""
+    """Yield series that cannot be read, or whose record is gone."""
     table = tables.series
     # One by one, since together they may be larger than memory.
     for number in connection.scalars(sa.select(table.c.id).order_by(table.c.id)).all():
         try:
             row = connection.execute(sa.select(table).where(table.c.id == number)).one()
         except (ValueError, TypeError, sa.exc.NoResultFound) as problem:
-            # What should be JSON or text is not, or an index leads to no row.
+            # Content that should be JSON or text is not, or an index leads to no row.
             yield Trouble(f"series {number}", f"cannot be read: {problem}", RESTORE)
             continue
         where = f"{row.owner} {row.owner_id}, series {row.name!r}"
@@ -309,7 +309,7 @@ def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
 
 
 def _without_motion(connection: sa.Connection) -> Iterator[Trouble]:
-    """Records without the path of their object, or with one of another length."""
+    """Yield records without the path of their object, or with one of another length."""
     series = tables.series
     for name in MOVING:
         owner = OWNERS[name]
@@ -332,18 +332,18 @@ def _missing_videos(connection: sa.Connection, media: Path) -> Iterator[Trouble]
 
 
 def _used(connection: sa.Connection) -> tuple[set[str], set[str]]:
-    """Checksums of the files that rows name: of series, of videos."""
+    """Return the checksums of the files that rows refer to: of series, of videos."""
     series, video = tables.series.c.media_sha256, tables.experiment.c.video_sha256
     found = connection.scalars(sa.select(series).where(series.is_not(None)))
     return set(found), set(connection.scalars(sa.select(video).where(video != "")))
 
 
 def _media_files(media: Path, read_already: set[str]) -> tuple[set[str], list[Trouble]]:
-    """Checksums that name the files of a media folder, and what is wrong with some."""
+    """Return the checksums that name the files of a media folder, and the faults of the files."""
     files: set[str] = set()
     bad: list[Trouble] = []
     for path in sorted(media.glob("??/*")):
-        # Others are left behind by a process that died while it wrote; nobody reads those.
+        # Others are left by a process that died while it wrote; nothing reads those.
         if not re.fullmatch(r"[0-9a-f]{64}", path.name):
             continue
         files.add(path.name)
@@ -367,9 +367,9 @@ def _rows(n: int) -> str:
 
 
 def diagram(file: Path) -> list[str]:
-    """Draw the tables of a project's database and what refers to what; returns their names.
+    """Draw the tables of a project's database and their references; return the tables' names.
 
-    It is this program's schema, whatever a project's is: `upgrade` brings that up to it.
+    The schema is this program's, not that of a project, which `upgrade` brings up to date.
     """
     from fixel.database.tables import METADATA
     from fixel.drawing.relations import Entity, draw_relations

@@ -1,4 +1,4 @@
-"""Check a database's schema, the checksums of its records and the figures derived from others."""
+"""Check a database's schema, the checksums of its records, and values derived from others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CHANGED: Final = "has changed: its checksum is another"
 
 
 class Trouble(NamedTuple):
-    """One thing that is wrong."""
+    """Fault found in a database."""
 
     where: str
     sentence: str
@@ -30,7 +30,7 @@ class Trouble(NamedTuple):
 
 
 def schema_troubles(connection: sa.Connection) -> Iterator[Trouble]:
-    """Yield what is missing of tables, columns, indices, references and triggers."""
+    """Yield missing tables, columns, indices, references and triggers."""
     look = sa.inspect(connection)
     triggers = _triggers(connection)
     there = set(look.get_table_names())
@@ -44,7 +44,7 @@ def schema_troubles(connection: sa.Connection) -> Iterator[Trouble]:
 
 
 def _wanted(table: sa.Table) -> Iterator[str]:
-    """Properties of a table that others rely on, as sentences that name one that is missing."""
+    """Yield one sentence per required property of a table, to report if the property is missing."""
     for column in table.columns:
         yield _column(column.name, bool(column.nullable))
     for index in table.indexes:
@@ -105,7 +105,7 @@ def _trigger_faults(table: sa.Table, triggers: Mapping[str, str]) -> Iterator[st
 
 
 def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
-    """Records whose content is not what their checksum, or what they were made from, says."""
+    """Yield records whose content disagrees with their checksum or with their source."""
     checks: dict[sa.Table, Callable[[sa.Connection, sa.Row[Any], Path], str | None]] = {
         tables.experiment: _experiment,
         tables.system_parameters: _parameters,
@@ -120,7 +120,7 @@ def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble
                 row = connection.execute(sa.select(table).where(table.c.id == number)).one()
                 sentence = check(connection, row, media)
             except StoreRefused:
-                continue  # a file that is missing or has changed, which is told of its series
+                continue  # a file that is missing or has changed, which is reported with its series
             except (FixelError, sa.exc.NoResultFound, *UNREADABLE) as problem:
                 sentence = f"cannot be read: {_short(problem)}"
             if sentence is not None:
@@ -142,7 +142,7 @@ def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str
     measured = arrays.read_all(connection, "experiment", row.id, media)
     paths = [values for name, _, values in measured if name == "object"]
     if not paths or len(paths[0]) != row.n_frame:
-        return None  # told by another check
+        return None  # reported by another check
     content = row._asdict()
     derived = rows.path_columns(rows.trajectory_of(paths[0]))
     if any(content[name] != value for name, value in derived.items()):
@@ -166,7 +166,7 @@ def _geometries(connection: sa.Connection, row: sa.Row[Any]) -> str | None:
         table = tables.geometry
         stored = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
         if stored is None:
-            return None  # a broken reference, which another check tells
+            return None  # a broken reference, which another check reports
         found = stored._asdict()
         if any(found[name] != value for name, value in geometry.items()):
             return f"object_pusher_geometry {number} is not that of its scene"
@@ -182,7 +182,7 @@ def _moved(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | No
     owner = "simulation" if hasattr(row, "error_mm2") else "filter_run"
     for name, columns, values in arrays.read_all(connection, owner, row.id, media):
         if columns == rows.PATH:
-            rows.trajectory_of(values)  # refuses what is no path
+            rows.trajectory_of(values)  # raises if it is no path
         elif name in ("object", "pusher"):
             return f"its path has the columns {', '.join(columns)}"
     return None

@@ -1,4 +1,4 @@
-"""What was perhaps meant by a filter that nothing matches."""
+"""Suggest corrections for a filter that matches nothing."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.workflows.project.filters import NAMES, view_of
 
-MAX_NAMED = 12  # values in a refusal
+MAX_NAMED = 12  # values listed in an error
 
 
 class UnknownName(NamedTuple):
-    """A name or a value that no experiment has."""
+    """Name or value that no experiment has."""
 
     what: str  # as typed: "--where shape"
     typed: str
@@ -24,12 +24,12 @@ class UnknownName(NamedTuple):
 
     @property
     def meant(self) -> str | None:
-        """The known one that resembles it most."""
+        """Known name that resembles it most; None if none does."""
         close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
         return next((k for k in self.known if k.lower() == close[0]), None) if close else None
 
     def refusal(self) -> InvalidInput:
-        """The complaint about it."""
+        """Return the error to raise."""
         more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
         return InvalidInput(
             self.what,
@@ -42,12 +42,12 @@ class UnknownName(NamedTuple):
 
 
 def refuse_mistyped(store: Store, query: Query) -> None:
-    """Refuse a query with a dataset, a flag, a condition or a value that no experiment has.
+    """Raise if a query has a dataset, flag, condition or value that no experiment has.
 
     Raises
     ------
     InvalidInput
-        The first of them, with the known one that resembles it most.
+        Error for the first of them, with the known name that resembles it most.
     """
     for unknown in _unknown_in(store, query):
         raise unknown.refusal()
@@ -59,7 +59,7 @@ def meant_filter(store: Store, filter: str) -> str | None:
     Returns
     -------
     str or None
-        None where nothing is unknown, or nothing resembles it.
+        None if nothing is unknown, or nothing resembles it.
     """
     view = view_of(filter)
     changed = filter

@@ -1,4 +1,4 @@
-"""What a report may cite, as BibTeX."""
+"""Works that a report may cite, with their BibTeX entries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 class Work(NamedTuple):
     """A work that can be cited."""
 
-    kind: str  # of the BibTeX entry
+    kind: str  # type of the BibTeX entry
     author: str
     title: str
     year: str
@@ -18,10 +18,8 @@ class Work(NamedTuple):
 
 
 WORKS: Final = {
-    # From copies of the title pages: vdocuments.net (exploring-the-domain-of-applicability-of-
-    # simulated) and moam.info (detc2006-99687). The texts that fixel follows have no title page:
-    # they confirm ASME and 2006, and that the thesis was finished after 11 November 2011, no more.
-    # Calibrations store the keys, so these remain although the thesis is of 2012.
+    # Both title pages: vdocuments.net (exploring-the-domain-of-applicability-of-simulated) and
+    # moam.info (detc2006-99687). The keys predate this information, and projects store them.
     "rpi2011": Work(
         "mastersthesis",
         "Macaluso, W.",
@@ -200,12 +198,12 @@ WORKS: Final = {
 }
 
 
-# How people read what BibTeX writes.
+# Plain text for the markup of BibTeX.
 READ: Final = {'{\\"u}': "ü", "{\\`e}": "è", "{": "", "}": ""}
 
 
 def fixel() -> Work:
-    """The program itself, in the version that runs."""
+    """Entry of fixel itself, in the running version."""
     return Work(
         "misc",
         "{The fixel authors}",
@@ -216,13 +214,13 @@ def fixel() -> Work:
 
 
 def works(keys: Sequence[str]) -> dict[str, Work]:
-    """The program, and what is cited, each once; keys that nobody knows are left out."""
+    """Return fixel and the cited works, each once; unknown keys are left out."""
     known = {key: WORKS[key] for key in dict.fromkeys(keys) if key in WORKS}
     return {"fixel": fixel(), **known}
 
 
 def bibtex(cited: dict[str, Work]) -> str:
-    """Entries of a `.bib` file."""
+    """Return the entries of a `.bib` file."""
     return "\n".join(_entry(key, work) for key, work in cited.items())
 
 
@@ -233,7 +231,7 @@ def _entry(key: str, work: Work) -> str:
 
 
 def line(work: Work) -> str:
-    """As people read it."""
+    """Format a work for people to read."""
     authors = work.author.replace(" and others", " et al.").replace(" and ", ", ")
     for written, read in READ.items():
         authors = authors.replace(written, read)

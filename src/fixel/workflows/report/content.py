@@ -1,4 +1,4 @@
-"""What a report says, before it is written: plain content, no markup."""
+"""Content of a report as plain data, without markup."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fixel.workflows.analysis import TextTable
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """A picture with its files.
+    """Picture with its files.
 
     Attributes
     ----------
     name : str
-        Of its files, unique in the report.
+        Name of its files, unique in the report.
     caption : str
     png : Path
-        Its PDF and CSV lie beside it.
+        PNG file; its PDF and CSV are in the same folder.
     """
 
     name: str
@@ -31,21 +31,21 @@ class Figure:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A part of the report under a heading.
+    """Part of a report under a heading.
 
     Attributes
     ----------
     title : str
     anchor : str
-        For links within the page.
+        Anchor for links within the page.
     lead : tuple of str
         Sentences before tables and figures.
     tables : tuple of TextTable
     figures : tuple of Figure
     notes : tuple of str
-        Sentences after them, in small print.
+        Sentences after tables and figures, in small print.
     commands : tuple of str
-        That make it again.
+        Commands that repeat its analyses.
     """
 
     title: str
@@ -60,26 +60,26 @@ class Section:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A whole report.
+    """Content of a whole report.
 
     Attributes
     ----------
     title : str
     banner : str
-        For data that no camera has seen; empty where all of it is real.
+        Text for data that no camera has seen; empty if all of it is real.
     facts : tuple of (str, str)
         Provenance: name and value.
     warnings : tuple of str
-        In plain words, the gravest first.
+        Warnings in plain words, the gravest first.
     findings : tuple of str
-        The answer in a few sentences.
+        Main results in a few sentences.
     sections : tuple of Section
     methods : tuple of str
-        Sentences of the methods paragraph.
+        Sentences of the methods section.
     references : tuple of str
         Keys of the bibliography, in the order they are first needed.
     commands : tuple of str
-        That make everything again, in order.
+        Commands that repeat everything, in order.
     """
 
     title: str

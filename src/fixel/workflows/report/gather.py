@@ -1,4 +1,4 @@
-"""Everything that a project knows about one calibration, put in the order of a report."""
+"""Collect everything that a project knows about one calibration, in the order of a report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fixel.workflows.report.of_calibration import (
 )
 from fixel.workflows.report.of_data import ReportData, data_of, data_section, data_warnings
 
-# Kinds of analyses in the order in which a reader wants them, and what each answers.
+# Kinds of analyses in the order of a report, with the titles of their sections.
 WANTED: Final[dict[Kind, str]] = {
     "tracking": "What the camera saw beside what really happened",
     "domain": "Where the calibrated simulator can be trusted",
@@ -48,19 +48,19 @@ MISSING: Final[dict[Kind, str]] = {
 def gather(
     project: Project, number: int | None, folder: Path, title: str, say: Notify | None = None
 ) -> Content:
-    """The content of a report, its figures drawn into a folder.
+    """Collect the content of a report, and draw its figures into a folder.
 
     Parameters
     ----------
     project : Project
     number : int, optional
-        Id of the calibration; the newest for several experiments where left out.
+        Id of the calibration; by default the newest for several experiments.
     folder : Path
-        For figures; it exists.
+        Existing folder for figures.
     title : str
-        Empty for one made of the project's name.
+        Title of the report; an empty one is replaced by one with the project's name.
     say : callable, optional
-        Told what is being done.
+        Called with a sentence before each part of the work.
     """
     tell = say or (lambda _: None)
     with project.store() as store:
@@ -97,7 +97,7 @@ def gather(
 
 
 def _analyses(project: Project, one: CalibratedValues) -> list[StoredAnalysis]:
-    """The newest of each kind that used this calibration or its experiments, and nothing else."""
+    """Select the newest analysis of each kind that used this calibration or its experiments."""
     found = []
     for kind in WANTED:
         fitting = [own for own in kept(project, kind) if _fits(own, one)]
@@ -151,7 +151,7 @@ def _warnings(
     found = [
         *data_warnings(data),
         *(words for kind, words in MISSING.items() if kind not in there),
-        *misfit_of(one.record),  # first: it decides what the rest is worth
+        *misfit_of(one.record),  # first: it decides how far to trust the rest
         *(
             words
             for answer in analyses

@@ -1,4 +1,4 @@
-"""The parts of a report about a calibration: errors before and after, parameters and verdicts."""
+"""Report sections on a calibration: errors before and after, parameters and verdicts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
-# Of experiments far worse than the others.
-FAR_RATIO: Final = 3.0
+# Factor of the median error beyond which an experiment is named in a warning.
+FAR: Final = 3.0
 MAX_NAMED: Final = 5
 READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
 SUSPECT: Final = {
@@ -48,7 +48,7 @@ OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
 def figures_of(calibration: Calibration, folder: Path) -> list[Figure]:
-    """Draw the pictures of a calibration into a folder."""
+    """Draw the charts of a calibration into a folder."""
     found = []
     for picture in pictures_of(CalibrationReportData(calibration)):
         files = write_picture(folder, picture._replace(name=f"calibration_{picture.name}"))
@@ -62,13 +62,13 @@ def errors_section(
     keys: Mapping[int, str],
     figures: list[Figure],
 ) -> Section:
-    """Nominal against calibrated.
+    """Build the section that compares nominal with calibrated errors.
 
     Parameters
     ----------
     one : CalibratedValues
     nominal : (n_member,) float64, optional
-        Errors before.
+        Errors before calibration.
     keys : mapping from id to name of an experiment
     figures : list of Figure
     """
@@ -95,7 +95,7 @@ def errors_section(
 
 
 def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
-    """Values with their intervals and verdicts."""
+    """Build the section with the values, their intervals and verdicts."""
     estimates = one.record.estimates
     head = ("parameter", "value", "interval", "unit", "verdict", "best fit")
     rows = [_row(one, estimate) for estimate in estimates]
@@ -118,7 +118,7 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
 
 
 def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> list[str]:
-    """What to know before using the values."""
+    """Return warnings to read before the values are used."""
     found = misfit_of(one.record)
     for estimate in one.record.estimates:
         for verdict, words in SUSPECT.items():
@@ -143,7 +143,7 @@ def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> list
 
 
 def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
-    """The calibration in one sentence."""
+    """Summarise the calibration in one sentence."""
     after = rms(one, errors_of(one))
     n = len(after)
     of = f"{n} experiments" if n > 1 else "the experiment"
@@ -162,7 +162,7 @@ def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
 
 
 def methods(one: CalibratedValues) -> list[str]:
-    """Sentences about it for a methods paragraph."""
+    """Return sentences on the calibration for a methods section."""
     method = one.record.method
     n = len(one.record.members)
     values = [name for name in one.record.parameters]
@@ -193,18 +193,18 @@ def methods(one: CalibratedValues) -> list[str]:
 
 
 def scale_of(one: CalibratedValues) -> float:
-    """What the error counts an angle as [m/rad]."""
+    """Length that the error counts an angle as [m/rad]."""
     scale: float = one.error.angle_scale  # type: ignore[attr-defined]
     return scale
 
 
 def errors_of(one: CalibratedValues) -> FloatArray:
-    """(n_member,) as they were minimised; inf where there is none."""
+    """(n_member,) errors that were minimised; inf where there is none."""
     return np.array([error if _has(error) else math.inf for error in one.record.errors])
 
 
 def rms(one: CalibratedValues, errors: FloatArray) -> FloatArray:
-    """Of the path [mm]."""
+    """Convert errors to root mean square errors of the path [mm]."""
     return errors if one.error.unit == "mm" else np.sqrt(errors)
 
 
@@ -274,7 +274,7 @@ def _row(one: CalibratedValues, estimate: Estimate) -> tuple[str, ...]:
 
 
 def _in_order(figures: list[Figure]) -> tuple[Figure, ...]:
-    """How long it took is what a reader wants to know last."""
+    """Order the figures, with the durations last."""
     return tuple(sorted(figures, key=lambda figure: figure.name.endswith("seconds")))
 
 

@@ -1,4 +1,4 @@
-"""The part of a report about the experiments: how many, of what kind, what is wrong with some."""
+"""Report section on the experiments: their number, kinds and faults."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from fixel.model.trajectory import turned
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.report.content import Section
 
-MAX_VALUES: Final = 8  # of one condition, written out
-FEW_EXPERIMENTS: Final = 10  # experiments below which little can be said
+MAX_VALUES: Final = 8  # values of one condition that are written out
+FEW: Final = 10  # number of experiments below which little can be concluded
 
 
 @final
 @dataclass(frozen=True)
 class ReportData:
-    """The experiments that a report is about.
+    """Experiments of a report.
 
     Parameters
     ----------
     summaries : list of Summary
-        Of those used.
+        Experiments that are used.
     flags : mapping from name of a flag to how many experiments of the project carry it
     left_out : int
-        Of the project, for their flags.
+        Number of experiments of the project that are left out for their flags.
     """
 
     summaries: list[Summary]
@@ -40,12 +40,12 @@ class ReportData:
 
     @property
     def simulated(self) -> int:
-        """How many no camera has seen."""
+        """Number of simulated experiments."""
         return sum(not summary.is_real for summary in self.summaries)
 
     @property
     def banner(self) -> str:
-        """What stands over everything."""
+        """Banner over the report; empty if all experiments are real."""
         if not self.simulated:
             return ""
         if self.simulated == len(self.summaries):
@@ -64,7 +64,7 @@ class ReportData:
 
 
 def data_of(store: Store, ids: Sequence[int]) -> ReportData:
-    """What the project knows of experiments."""
+    """Load the summaries and flags of experiments."""
     listed = store.experiments(Query(flagged=True, replaced=True)).summaries
     wanted = set(ids)
     clean = store.experiments(Query())
@@ -72,7 +72,7 @@ def data_of(store: Store, ids: Sequence[int]) -> ReportData:
 
 
 def data_section(data: ReportData) -> Section:
-    """What was measured."""
+    """Build the section on the experiments and their conditions."""
     summaries = data.summaries
     frames = np.array([s.n_frame for s in summaries])
     lasted = np.array([s.duration_s for s in summaries])
@@ -112,7 +112,7 @@ def data_section(data: ReportData) -> Section:
 
 
 def data_warnings(data: ReportData) -> list[str]:
-    """What is wrong with them."""
+    """Return warnings about the experiments."""
     found = []
     n = len(data.summaries)
     if data.simulated:
@@ -162,7 +162,7 @@ def _conditions(data: ReportData) -> TextTable:
 
 
 def _in_order(value: str | float) -> tuple[bool, float, str]:
-    """Numbers by size, then words by letters."""
+    """Sort key: numbers by size, then words alphabetically."""
     words = isinstance(value, str)
     return words, 0.0 if isinstance(value, str) else value, str(value)
 

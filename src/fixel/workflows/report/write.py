@@ -1,4 +1,4 @@
-"""A report as one HTML file that needs nothing else, beside its figures and a bibliography."""
+"""Write a report as one self-contained HTML file, with its figures and a bibliography."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ _WORD: Final = re.compile(r"[^\W\d_]{2,}")
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
 BIBLIOGRAPHY: Final = "cite.bib"
-MAX_PAGE_BYTES: Final = 10_000_000  # of the page [byte]
+LARGEST: Final = 10_000_000  # largest size of the page [byte]
 PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
-WIDEST: Final = 1500  # of a picture on the page [pixel]; its PDF is beside it
+WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF has all
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """A report that was written.
+    """Report that was written.
 
     Attributes
     ----------
     page, bibliography : Path
     figures : list of Path
-        PDFs.
+        PDF files.
     content : Content
     size : int
-        Of the page [byte].
+        Size of the page [byte].
     """
 
     page: Path
@@ -53,7 +53,7 @@ class Report:
     size: int
 
     def summary(self) -> dict[str, Any]:
-        """Plain values, for `--json`."""
+        """Return plain values, for `--json`."""
         return {
             "report": str(self.page),
             "bibliography": str(self.bibliography),
@@ -74,13 +74,13 @@ def write_report(
     command: str = "",
     say: Callable[[str], None] | None = None,
 ) -> Report:
-    """Write the report of a calibration and of what was made of it.
+    """Write the report of a calibration and of the analyses that used it.
 
     Parameters
     ----------
     project : Project
     folder : Path
-        Made where there is none; files of the same names are replaced.
+        Created if missing; files of the same names are replaced.
     number : int, optional
         Id of the calibration.
     title, command : str
@@ -128,14 +128,14 @@ def write_report(
 
 
 def next_command(report: Report) -> str:
-    """What to type to read it."""
+    """Return the command that opens the report."""
     return f"xdg-open {shlex.quote(str(report.page))}"
 
 
 def _template() -> Any:
     import jinja2
 
-    # Names of experiments are anybody's text: everything is escaped.
+    # Names of experiments may contain anything: everything is escaped.
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -143,7 +143,7 @@ def _template() -> Any:
 
 
 def _of_words(table: TextTable) -> list[bool]:
-    """Which columns are read from the left: those with words in them, not numbers."""
+    """True for each column that contains words, not numbers, and is aligned to the left."""
     columns = zip(*table.rows, strict=True)
     return [any(len(_WORD.findall(cell)) > 1 for cell in column) for column in columns]
 
@@ -153,8 +153,8 @@ def _own(name: str) -> str:
 
 
 def _embedded(path: Path) -> dict[str, Any]:
-    """A picture as a `data:` address, no larger than a screen shows, in few colours; and its width
-    on the page [pixel]."""
+    """Embed a picture as a `data:` address, in few colours and no larger than a screen shows, with
+    its width on the page [pixel]."""
     from PIL import Image
 
     with Image.open(path) as original:
