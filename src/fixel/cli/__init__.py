@@ -1,1 +1,1 @@
-"""The command line: parse, call a workflow, print."""
+"""Command line: parse arguments, call a workflow, print the result."""

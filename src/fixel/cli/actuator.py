@@ -107,7 +107,7 @@ def stop(port: Port = None, as_json: AsJson = False) -> None:
 
 @app.command("where")
 def where(port: Port = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
-    """Say where the drive is; it does not move."""
+    """Show the position of the drive; it does not move."""
     from fixel.cli.screen import say
     from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
 

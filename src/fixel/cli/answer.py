@@ -1,4 +1,4 @@
-"""The answer of `fixel simulate`, for programs and for people."""
+"""Output of `fixel simulate`, as JSON and as text."""
 
 import json
 import shlex
@@ -14,14 +14,14 @@ MAX_ROWS = 20
 
 
 def json_answer(simulation: Simulation, outputs: Outputs) -> str:
-    """One JSON object on one line; numbers that are not finite become null."""
+    """Return one JSON object on one line; numbers that are not finite become null."""
     answer = simulation.summary()
     files = {name: str(path) for name, path in outputs.files.items()}
     return json.dumps(plain_numbers(answer | {"files": files}), allow_nan=False)
 
 
 def written_answer(simulation: Simulation, scene: Path, outputs: Outputs) -> str:
-    """About a screen for people: status, poses, pushers, contacts, files, what to type next."""
+    """Return about a screen of text: status, poses, pushers, contacts, files, next command."""
     blocks = [
         _status(simulation, scene),
         _poses(simulation),
@@ -84,7 +84,7 @@ def _effort(simulation: Simulation) -> list[str]:
 
 
 def _next(simulation: Simulation, scene: Path, outputs: Outputs) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     command = f"fixel simulate {shlex.quote(str(scene))}"
     rigid = [p.name for p in simulation.scene.pushers if p.drive.force_limit is None]
     if simulation.status == "jammed" and rigid:

@@ -1,4 +1,4 @@
-"""`fixel benchmark real`: calibrate on recorded pushes, and be judged on others."""
+"""`fixel benchmark real`: calibrate on recorded pushes, and evaluate on others."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def real(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate on some recorded pushes and say how far others end from where they should."""
+    """Calibrate on some recorded pushes and report how far others end from where they should."""
     import json
 
     from fixel.reproductions import PROTOCOLS, BenchmarkRequest, benchmark_real, joint_real

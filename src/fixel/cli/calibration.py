@@ -1,4 +1,4 @@
-"""`fixel calibrate`: parameters from experiments, and what the experiments say about them."""
+"""`fixel calibrate`: estimate parameters from experiments, with verdicts on each."""
 
 import json
 import shlex
@@ -258,7 +258,7 @@ def _one_of(where: str, value: str, known: tuple[str, ...]) -> Any:
 
 
 def _options(settings: list[str]) -> dict[str, Any]:
-    """Of `--option NAME=VALUE`; values as JSON has them, else as text."""
+    """Parse `--option NAME=VALUE`; values are JSON, or else text."""
     found: dict[str, Any] = {}
     for setting in settings:
         name, equals, text = setting.partition("=")
@@ -272,7 +272,7 @@ def _options(settings: list[str]) -> dict[str, Any]:
 
 
 def _announce(scene: Any, as_json: bool) -> None:
-    """Compile before the clock runs, and say so where somebody watches."""
+    """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
     from fixel.cli.screen import say
     from fixel.workflows.compilation import get_ready
 

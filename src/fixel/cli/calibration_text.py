@@ -1,4 +1,4 @@
-"""What `fixel calibrate` says: tables of parameters, verdicts, the next command."""
+"""Text output of `fixel calibrate`: tables of parameters, verdicts, the next command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BEST_FIT = (
 
 
 def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]:
-    """What is printed."""
+    """Return the lines to print."""
     outcome = done.outcome
     lines = []
     if done.left_out:
@@ -48,7 +48,7 @@ def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]
 
 
 def _next(done: Calibration, folder: Path) -> str:
-    """The worst experiment beside its simulation, under all that it was calibrated with."""
+    """Return the command that compares the worst experiment with its simulation."""
     outcome, space = done.outcome, done.request.space
     one = outcome.together[-1] if outcome.together else max(_best_alone(done), key=_worst)
     target = done.targets[one.members[int(one.errors.argmax())]]
@@ -62,7 +62,7 @@ def _worst(one: ParameterSet) -> float:
 
 
 def _best_alone(done: Calibration) -> list[ParameterSet]:
-    """One set an experiment: its own, or a neighbour's, which comes later where it is better."""
+    """Select one set per experiment: a neighbour's follows its own, and only if it is better."""
     return list({one.members: one for one in done.outcome.alone}.values())
 
 
@@ -88,7 +88,7 @@ def _alone_lines(done: Calibration) -> list[str]:
 
 
 def _verdicts(alone: Sequence[ParameterSet], labels: list[str]) -> list[str]:
-    """How often each parameter has which verdict."""
+    """Count how often each parameter has which verdict."""
     counts: dict[str, Counter[str]] = {label: Counter() for label in labels}
     for estimate in (e for one in alone for e in one.estimates if e.label in counts):
         counts[estimate.label][estimate.verdict.partition(" with ")[0]] += 1
@@ -116,7 +116,7 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
         lines.append(
             f"{len(one.trace.errors)} evaluations in {seconds(one.seconds)}; {one.trace.ended}"
         )
-    lines = [*one.misfit, *lines]  # first: it decides what the rest is worth
+    lines = [*one.misfit, *lines]  # first: it decides how far to trust the rest
     lines += [sentence for sentence in (one.note, one.noise) if sentence]
     lines += _outlier_lines(done, one)
     if len(one.solutions) > 1:
@@ -139,7 +139,7 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
 
 
 def _outlier_lines(done: Calibration, one: ParameterSet) -> list[str]:
-    """The experiments that stand out, and what to do about them."""
+    """Name the experiments that stand out, and what to do about them."""
     unit = done.request.made_error.unit
     found = outliers(one.errors, unit)
     if not found:
@@ -161,7 +161,7 @@ def _outlier_lines(done: Calibration, one: ParameterSet) -> list[str]:
 
 
 def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
-    """The value to quote inside its interval, and the one that predicts best."""
+    """Build a row with the value to quote, its interval, and the value that predicts best."""
     estimate = next((e for e in one.estimates if e.label == unknown.label), None)
     interval, verdict = "", ""
     if estimate is not None:
@@ -175,7 +175,7 @@ def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
 
 
 def _known_end(verdict: str, written: list[str]) -> list[str]:
-    """The end of the interval, of both as they are written, that a one-sided verdict is about."""
+    """Return the end of the interval that a one-sided verdict is about, as formatted."""
     return [written[ENDS.index(verdict)]] if verdict in ENDS else []
 
 
@@ -185,5 +185,5 @@ def _headed(unknown: Any) -> str:
 
 
 def _shown(unit: str, value: float) -> float:
-    """A value in the unit people read: mm and degrees."""
+    """Convert a value to the unit for display: mm and degrees."""
     return value * {"m": 1e3, "rad": 57.29577951308232}.get(unit, 1.0)

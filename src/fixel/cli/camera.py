@@ -247,7 +247,7 @@ def check(
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how right places on the plate are, and whether the camera is still where it was."""
+    """Report how right places on the plate are, and whether the camera is still where it was."""
     from fixel.workflows.acquisition.camera.check import check as run
 
     found = run(camera, video=video, heights=heights_of(height_mm), plot=plot)

@@ -1,4 +1,4 @@
-"""What is typed after `fixel camera`, read."""
+"""Parse the options of `fixel camera`."""
 
 import math
 import re
@@ -11,12 +11,12 @@ THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
 
 def heights_of(typed: list[float] | None) -> tuple[float, ...]:
-    """Heights above the plate [m], those of the thesis where none is typed."""
+    """Return heights above the plate [m]; those of the thesis by default."""
     return tuple(mm / 1e3 for mm in (typed or THESIS_HEIGHTS))
 
 
 def pose_of(text: str) -> tuple[float, float, float]:
-    """`X,Y,ANGLE` in mm and degrees as metres and radians."""
+    """Parse `X,Y,ANGLE` in mm and degrees to metres and radians."""
     try:
         x, y, angle = (float(part) for part in text.split(","))
     except ValueError:
@@ -27,7 +27,7 @@ def pose_of(text: str) -> tuple[float, float, float]:
 
 
 def size_of(text: str | None) -> tuple[int, int] | None:
-    """`1280x720` as width and height [px]."""
+    """Parse `1280x720` to width and height [px]."""
     if text is None:
         return None
     found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
@@ -37,7 +37,7 @@ def size_of(text: str | None) -> tuple[int, int] | None:
 
 
 def range_of(text: str) -> tuple[int, int]:
-    """`0-9` as the first and the last number."""
+    """Parse `0-9` to the first and the last number."""
     found = re.fullmatch(r"(\d{1,4})(?:-(\d{1,4}))?", text)
     if not found:
         raise InvalidInput("--ids", found=repr(text), expected="numbers such as 0-9")
@@ -45,5 +45,5 @@ def range_of(text: str) -> tuple[int, int]:
 
 
 def quoted(path: Path | str) -> str:
-    """As a shell takes it."""
+    """Quote a path for a shell."""
     return shlex.quote(str(path))

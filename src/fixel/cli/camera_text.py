@@ -1,4 +1,4 @@
-"""What the commands of `fixel camera` say to people."""
+"""Text output of the commands of `fixel camera`."""
 
 import json
 import math
@@ -20,7 +20,7 @@ def show(
     then: str,
     as_json: bool,
 ) -> None:
-    """One JSON object, or blocks of lines, files and what to type next."""
+    """Print one JSON object, or blocks of lines, files and the next command."""
     if as_json:
         typer.echo(json.dumps(summary, allow_nan=False))
         return
@@ -31,7 +31,7 @@ def show(
 
 
 def lens_lines(answer: "CameraAnswer") -> list[str]:
-    """Resolution and parameters, with their standard deviations."""
+    """Lines with resolution and parameters, and their standard deviations."""
     camera, lens = answer.camera, answer.camera.lens
     width, height = lens.image_size
     known = camera.deviations
@@ -60,7 +60,7 @@ def lens_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def view_lines(answer: "CameraAnswer") -> list[str]:
-    """A table of the pictures, and what was left out."""
+    """Table of the pictures, and of those that were left out."""
     from fixel.cli.screen import table
 
     found = answer.calibration
@@ -82,7 +82,7 @@ def view_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def coefficient_lines(answer: "CameraAnswer") -> list[str]:
-    """Whether more or fewer distortion coefficients would do."""
+    """Advice on whether more or fewer distortion coefficients would do."""
     found = answer.calibration
     assert found is not None
     if not found.unseen:
@@ -101,7 +101,7 @@ def coefficient_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def corner_lines(answer: "CameraAnswer") -> list[str]:
-    """Which corners of the picture no board was near."""
+    """Warning of the corners of the picture that no board was near."""
     from fixel.workflows.acquisition.camera.report import empty_corners
 
     empty = empty_corners(answer.camera.seen)
@@ -114,7 +114,7 @@ def corner_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def place_lines(answer: "CameraAnswer") -> list[str]:
-    """Where the camera is."""
+    """Line with the position of the camera."""
     camera = answer.camera.camera
     if camera is None:
         return []
@@ -131,7 +131,7 @@ def _tilt(rotation: Any) -> float:
 
 
 def misfit_lines(answer: "CameraAnswer") -> list[str]:
-    """How far the points of the plate are from where they are said to be."""
+    """Distance between the points of the plate and their nominal places."""
     found = answer.placement
     assert found is not None
     summary = answer.summary()
@@ -143,10 +143,10 @@ def misfit_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def verdict_lines(answer: "CameraAnswer") -> list[str]:
-    """How right places are at each height."""
+    """Accuracy of places at each height."""
     return [f"{each.sentence}." for each in answer.verdicts]
 
 
 def remark_lines(answer: "CameraAnswer") -> list[str]:
-    """What to know about a file."""
+    """Remarks about a file."""
     return [f"note: {remark}" for remark in answer.remarks]

@@ -55,9 +55,9 @@ def backup(
 def check(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
-    """Read all that is stored; say what is wrong.
+    """Read all that is stored and report faults.
 
-    Exit code 1 if anything is.
+    Exit code 1 if there are any.
     """
     from fixel.workflows.project import maintenance
 
@@ -130,7 +130,7 @@ def _troubles(found: "CheckResult") -> list[str]:
 
 
 def _next(found: "CheckResult", project: Path) -> str:
-    """What helps against the first trouble; else the command most people want after this one."""
+    """Return advice against the first fault, or else the command that most users need next."""
     if found.troubles:
         return found.troubles[0].hint.removeprefix("run: ")
     return _next_of(found.engine, project)

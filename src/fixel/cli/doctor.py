@@ -1,4 +1,4 @@
-"""`fixel doctor`: is this installation in order?"""
+"""`fixel doctor`: check an installation."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def doctor(
     as_json: AsJson = False,
 ) -> None:
-    """Check this installation and say what to do about anything that is wrong."""
+    """Check this installation and report what to do about anything that is wrong."""
     from fixel.cli.screen import say
     from fixel.workflows.diagnostics.doctor import examine
 

@@ -1,4 +1,4 @@
-"""`fixel domain`: where one parameter set can be trusted."""
+"""`fixel domain`: map where one parameter set can be trusted."""
 
 import json
 import shlex
@@ -225,7 +225,7 @@ def _lines(done: "DomainResult", folder: Path, asked: "DomainRequest") -> list[s
 
 
 def _next(done: "DomainResult", folder: Path, asked: "DomainRequest") -> str:
-    """Pictures; then a tighter threshold, where the measurement itself allows one."""
+    """Return the next command: charts, then a tighter threshold or, below the noise, a report."""
     from dataclasses import replace
 
     from fixel.workflows.domain.commands import command_of

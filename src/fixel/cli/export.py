@@ -63,7 +63,7 @@ def export(
 
 
 def written(answer: "ExportAnswer") -> str:
-    """A few lines for people: what was written, and what to know of it."""
+    """Return a few lines of text: what was written, and remarks on it."""
     from fixel.cli.screen import seconds
 
     counts = dict(answer.counts)

@@ -99,7 +99,7 @@ def film(
 
 
 def written(filmed: "list[FilmResult]") -> str:
-    """What was filmed, and what to type next."""
+    """Return the films that were made, and the next command."""
     from fixel.cli.screen import table
 
     rows = [

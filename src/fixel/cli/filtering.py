@@ -18,8 +18,7 @@ HERE = Path()
 
 Range = tuple[float, float]
 
-BELIEF_FAR = 3.0  # times the camera's noise: a belief beyond it is worth a line
-NOISE_FAR = 1.5  # times the belief: ellipsoids are too small beyond it
+BELIEF_FAR = 3.0  # times the camera's noise: a larger deviation is reported
 
 
 def filter_(
@@ -87,7 +86,7 @@ def filter_(
 
 
 def _refuse_picture(plot: Path | None) -> None:
-    """Before any work."""
+    """Reject an invalid file for the chart before any work."""
     if plot is not None:
         from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
         from fixel.io.atomic import refuse_unwritable
@@ -97,7 +96,7 @@ def _refuse_picture(plot: Path | None) -> None:
 
 
 def _interval(option: str, text: str) -> Range:
-    """Of FROM:TO, or a refusal."""
+    """Parse FROM:TO."""
     first, _, last = text.partition(":")
     try:
         return float(first), float(last)
@@ -121,7 +120,7 @@ def _command(
     prior: list[str] | None,
     seed: int,
 ) -> str:
-    """What to type, from the current folder."""
+    """Return the command, to be run in the current folder."""
     words = ["fixel", "filter", key]
     if project != HERE:
         words += ["--project", str(project)]
@@ -150,7 +149,7 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
         draw_filter(answer.experiment, answer.estimates, unfinished)
 
 
-# --- the answer for people --------------------------------------------------------------------
+# --- text output ------------------------------------------------------------------------------
 
 
 def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
@@ -177,7 +176,7 @@ def _origin(answer: "FilterAnswer") -> str:
 
 
 def _misfit(answer: "FilterAnswer") -> list[str]:
-    """Said first: how far the intervals below can be trusted."""
+    """Warning, printed first, of how far the intervals below can be trusted."""
     misfit, found = answer.estimates.misfit, answer.estimates
     if misfit.ratio is None or not misfit.warns:
         return []
@@ -256,7 +255,7 @@ def _parameters(answer: "FilterAnswer") -> list[str]:
 
 
 def _calibrated(answer: "FilterAnswer") -> list[str]:
-    """What calibrations with this experiment say of the same parameters."""
+    """Estimates of the same parameters in calibrations with this experiment."""
     from fixel.cli.screen import table
 
     rows = []
@@ -303,7 +302,7 @@ def _kept(answer: "FilterAnswer", plot: Path | None) -> list[str]:
 
 
 def _next(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     experiment, found = answer.experiment, answer.estimates
     if plot is None:
         return f"{command} --plot {shlex.quote(experiment.name.replace('/', '-') + '-filter.png')}"

@@ -1,13 +1,13 @@
 """The `fixel` command: its sub-commands and its exit codes.
 
     0    done
-    1    something else went wrong, said on standard error
-    2    bad input: a wrong option, or a scene or dataset that cannot be; said likewise
+    1    something else went wrong; the message is on standard error
+    2    bad input: a wrong option, or an invalid scene or dataset; message as above
     3    the simulation did not finish; what was computed until then is in the answer
     4    `fixel overlay --once`: something is not in its place
     130  interrupted
 
-With `--json` the sentence is a JSON object on standard output: `{"error": {...}}`.
+With `--json` the message is a JSON object on standard output: `{"error": {...}}`.
 
 Nothing heavy is imported here: each command imports its workflow when it runs.
 """
@@ -58,14 +58,14 @@ from fixel.errors import (
     machine_failure,
 )
 
-# What Typer raises for wrong options; it has no public name of its own.
+# Base class of Typer's errors for wrong options; it has no public name of its own.
 ClickException = cast(type[Exception], typer.BadParameter.mro()[2])
 
 BAD_INPUT = 2
 NOT_SOLVED = 3
 INTERRUPTED = 130
 
-# Commands in the order of a day's work, as `fixel --help` lists them.
+# Commands in the order of a typical workflow, as `fixel --help` lists them.
 SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] = {
     "Begin": {
         "demo": demo.demo,
@@ -108,7 +108,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
 
 
 class InSections(TyperGroup):
-    """Lists commands under the headings of `SECTIONS`, in their order."""
+    """Command group that lists commands under the headings of `SECTIONS`, in their order."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return [name for commands in SECTIONS.values() for name in commands]
@@ -164,11 +164,11 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
     An expected failure becomes one sentence and an exit code; with `--json`, one JSON object.
     """
-    if arguments is not None:  # commands repeat what was typed: as provenance, and as what is next
+    if arguments is not None:  # commands repeat these, in provenance and in proposed commands
         sys.argv = ["fixel", *arguments]
     as_json = "--json" in sys.argv[1:]
     try:
-        # With --json, refusals of options come here too.
+        # With --json, errors in options come here too.
         code = app(arguments, prog_name="fixel", standalone_mode=not as_json)
     except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, error, as_json)
@@ -186,7 +186,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         _exit(INTERRUPTED, None, as_json)
     except SystemExit as end:
-        # Typer has already turned an interrupt inside a command into this code, without a word.
+        # Typer has already turned an interrupt inside a command into this code, silently.
         if end.code == INTERRUPTED:
             _exit(INTERRUPTED, None, as_json)
         raise

@@ -1,4 +1,4 @@
-"""Options that several commands share, said in the same words everywhere."""
+"""Options that several commands share, with the same wording everywhere."""
 
 from pathlib import Path
 from typing import Annotated
@@ -52,5 +52,5 @@ def project_at(place: Path | None, folder: Path) -> Path:
 
 
 def project_words(folder: Path) -> list[str]:
-    """Return what a command ends with so that it finds the same project."""
+    """Return the words that a command needs at its end to find the same project."""
     return [] if folder == Path() else ["--project", str(folder)]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 HERE = Path()
 NOT_IN_PLACE = 4
-WAKING = 5  # pictures of a camera that has just been switched on are dark: so many are left out
+WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
 
 
 def overlay(
@@ -110,7 +110,7 @@ def overlay(
 
 
 def written(look: "Look", setting: str, picture: Path | None) -> str:
-    """A few lines for people: the verdict, the errors, the file, what to type next."""
+    """Return a few lines of text: the verdict, the errors, the file, the next command."""
     blocks = [
         [look.sentence],
         _errors(look),
@@ -138,10 +138,10 @@ def _errors(look: "Look") -> list[str]:
 
 
 def _next(look: "Look", setting: str) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     if look.placed:
         return f"fixel record {setting} --out recording"
-    return shlex.join(["fixel", *sys.argv[1:]])  # once it is put right
+    return shlex.join(["fixel", *sys.argv[1:]])  # after the part has been moved
 
 
 def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
@@ -166,7 +166,7 @@ def _once(looks: "Overlay", source: "FrameSource", output: Path) -> "Look":
 def _live(
     looks: "Overlay", source: "FrameSource", heading: str, port: int | None, *, show: bool
 ) -> "Look":
-    """Until the pictures end, or Ctrl-C."""
+    """Show the overlay in a browser until the pictures end, or Ctrl-C."""
     from fixel.cli.screen import say
     from fixel.web import require_server
     from fixel.workflows.acquisition.overlay import frames_of, watch

@@ -115,7 +115,7 @@ def _without_dry_run() -> list[str]:
 
 
 def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
-    """Add what another project has exported."""
+    """Import the bundle that another project exported."""
     from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
     from fixel.workflows.project.export import import_zip

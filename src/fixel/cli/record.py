@@ -135,7 +135,7 @@ def record(
 
 @app.command()
 def check(folder: Folder, as_json: AsJson = False) -> None:
-    """Check every frame of a recording against its row, and say what is missing."""
+    """Check every frame of a recording against its row, and report what is missing."""
     _checked(folder, as_json, repair=False)
 
 
@@ -169,7 +169,7 @@ def serve(
 
 
 def duration(text: str) -> float:
-    """Seconds of `15s`, `10min`, `1.5 h` or `15`."""
+    """Parse a duration such as `15s`, `10min`, `1.5 h` or `15` to seconds."""
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(s|min|h|)\s*", text)
     if match is None:
         raise InvalidInput("--limit", found=repr(text), expected="a duration: 15s, 10min, 1h")
@@ -185,7 +185,7 @@ def _size(text: str) -> tuple[int, int]:
 
 @contextmanager
 def _shown(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterator[Any]:
-    """Whom to tell of the recording while it runs: the terminal, and the browser where wanted."""
+    """Yield a callback that shows a running recording: on the terminal, and in the browser."""
     line = _StatusLine() if sys.stderr.isatty() else None
     with _browser(limit, out, preview, wish) as page:
 
@@ -235,7 +235,7 @@ def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterat
 
 
 class _StatusLine:
-    """One line on standard error that is written over and over."""
+    """Line on standard error that is overwritten again and again."""
 
     def __init__(self) -> None:
         self._length = 0
@@ -255,7 +255,7 @@ class _StatusLine:
 
 
 def _written(done: "RecordingSummary") -> str:
-    """About a recording, for people."""
+    """Return a text about the recording."""
     frames = "frame" if done.frames == 1 else "frames"
     lines = [
         f"recorded {done.folder}: {done.frames} {frames} in {done.seconds:.3f} s, "

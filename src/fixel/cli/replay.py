@@ -84,7 +84,7 @@ def replay(
         ),
     ] = None,
 ) -> None:
-    """Replay recorded pushes and say how far simulation and measurement lie apart."""
+    """Replay recorded pushes and report how far simulation and measurement lie apart."""
     from fixel.reproductions.replay import (
         ReplayRequest,
         columns_and_values,
@@ -117,7 +117,7 @@ def replay(
 
 
 class ReplayColumn(NamedTuple):
-    """A heading over two lines, and how to say the value of a row."""
+    """Heading over two lines, and a function that formats the value of a row."""
 
     heading: str
     say: Callable[[dict[str, Any]], str]
@@ -177,7 +177,7 @@ def _next(answer: Replay, dataset: Path, plot: Path | None) -> str:
     if plot is None:
         return f"{command} --plot replay.png"
     if answer.dataset == "mit_timeseries":
-        return f"{command} --window 0"  # whole runs
+        return f"{command} --window 0"  # complete runs
     value = "tripod_radius=0.041" if answer.dataset == "rpi_2dgad" else "mu_pusher=0.2"
     return f"{command} --set {value}"
 
@@ -234,7 +234,7 @@ def _pair_of(name: str, what: str) -> Callable[[dict[str, Any]], str]:
 
 
 def _pair(value: dict[str, float | None], digits: int = 2) -> str:
-    """Mean and median."""
+    """Format mean and median."""
     return f"{_number(value['mean'], digits)} / {_number(value['median'], digits)}"
 
 

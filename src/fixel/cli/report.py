@@ -1,4 +1,4 @@
-"""`fixel report`: one page to hand over."""
+"""`fixel report`: write one page about a calibration."""
 
 import json
 import shlex
@@ -32,7 +32,7 @@ def report(
 ) -> None:
     """Write what is known of a calibration on one page: data, errors, verdicts, domain, limits.
 
-    The page needs no network. Beside it: every figure as PDF, and a bibliography.
+    The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """
     from fixel.cli.screen import say
     from fixel.database.project import Project

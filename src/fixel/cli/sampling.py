@@ -1,4 +1,4 @@
-"""`fixel sample [PLAN.yaml]`: which experiments to run."""
+"""`fixel sample [PLAN.yaml]`: plan experiments."""
 
 import json
 import shlex
@@ -49,7 +49,7 @@ def sample(
         typer.Option("--simulate", help="Simulate every experiment: does it touch a fixel?"),
     ] = False,
 ) -> None:
-    """Lay out a plan of experiments, and say what stands against it."""
+    """Lay out a plan of experiments, and report its problems."""
     from fixel.cli.screen import say
     from fixel.workflows.sampling.run import sample as sample_plan
 
@@ -70,7 +70,7 @@ def sample(
 
 
 def written(answer: "SampleAnswer", path: Path | None, design: str = "") -> str:
-    """About a screen for people: counts, problems, files, what to type next."""
+    """Return about a screen of text: counts, problems, files, the next command."""
     blocks = [
         _counts(answer),
         _problems(answer),
@@ -116,7 +116,7 @@ def _problems(answer: "SampleAnswer") -> list[str]:
 
 
 def _next(answer: "SampleAnswer", path: Path | None, design: str) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     plan = answer.files.get("output", path)
     if plan is None:
         return " ".join(("fixel sample", design, "--output plan.yaml")).replace("  ", " ")

@@ -1,4 +1,4 @@
-"""What the commands share in speaking to people: sentences, tables, progress."""
+"""Output that the commands share: sentences, tables, progress."""
 
 import shlex
 import sys
@@ -10,7 +10,7 @@ from pathlib import Path
 Row = Sequence[str]
 
 BAR = 30  # [characters]
-BETWEEN_BARS = 0.1  # [s]
+BETWEEN_BARS = 0.1  # [s] between two updates of a bar
 
 
 def say(sentence: str) -> None:
@@ -19,7 +19,7 @@ def say(sentence: str) -> None:
 
 
 def table(head: Row, rows: Sequence[Row], left: int = 1) -> list[str]:
-    """Lines of a table; the first `left` columns and the last word stand left, numbers right."""
+    """Format the lines of a table; the first `left` columns are left-aligned, the others right."""
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     return [
         "  ".join(
@@ -31,7 +31,7 @@ def table(head: Row, rows: Sequence[Row], left: int = 1) -> list[str]:
 
 
 def progress_bar(what: str) -> Callable[[int, int], None] | None:
-    """A bar on standard error, or None where nobody watches."""
+    """Create a bar on standard error; None if that is no terminal."""
     if not sys.stderr.isatty():
         return None
     last = 0.0
@@ -52,7 +52,7 @@ def progress_bar(what: str) -> Callable[[int, int], None] | None:
 
 @contextmanager
 def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on standard error that is told of how many and of what, if that is a terminal."""
+    """Yield a callback for a bar on standard error, which takes number, total and name."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -72,7 +72,7 @@ def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
 def compare_command(
     key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
 ) -> str:
-    """What to type to see an experiment beside its simulation."""
+    """Return the command that compares an experiment with its simulation."""
     words = ["fixel", "compare", key]
     for name, value in values.items():
         words += ["--set", f"{name}={value:.4g}"]
@@ -82,5 +82,5 @@ def compare_command(
 
 
 def seconds(duration: float) -> str:
-    """A wall time as one reads it."""
+    """Format a wall time for display."""
     return f"{1e3 * duration:.3g} ms" if duration < 1.0 else f"{duration:.3g} s"

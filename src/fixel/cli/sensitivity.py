@@ -1,4 +1,4 @@
-"""`fixel sensitivity`: the fan of outcomes over the error of a push's start."""
+"""`fixel sensitivity`: outcomes of pushes over the error of their start."""
 
 import json
 import math
@@ -82,7 +82,7 @@ def sensitivity(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how errors of the start grow, and which pushes part ways, before they are executed."""
+    """Report how errors of the start grow, and which pushes part ways, before they are executed."""
     from fixel.cli.screen import progress_bar, say
     from fixel.database.project import Project
     from fixel.workflows.compilation import get_ready
@@ -190,7 +190,7 @@ def _lines(
 
 
 def _next(answer: "SensitivityAnswer", plot: Path | None, project: Path) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     again = answer.analysis.command or "fixel sensitivity"
     if plot is None:
         return f"{again} --plot sensitivity"

@@ -64,8 +64,8 @@ def serve(
             door.unlink(missing_ok=True)
         server.stop()
         desk.close()
-        # A computation that nobody waits for any more must not keep the program alive; records are
-        # whole or not there.
+        # A computation whose result is no longer needed must not keep the program alive; records
+        # are complete or absent.
         sys.stdout.flush()
         sys.stderr.flush()
         if server.busy:

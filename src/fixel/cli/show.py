@@ -34,7 +34,7 @@ def show(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show an experiment: what it is, what was measured, and how far to believe it."""
+    """Show an experiment: its facts, what was measured, and how far to believe it."""
     from fixel.database.project import Project
     from fixel.io.atomic import written_whole
     from fixel.workflows.project.compare import summary
@@ -82,7 +82,7 @@ def compare(
     as_json: AsJson = False,
     save: Annotated[bool, typer.Option("--save", help="Keep the simulation.")] = False,
 ) -> None:
-    """Simulate an experiment, and say how far the simulation is from what was measured."""
+    """Simulate an experiment, and report how far the simulation is from what was measured."""
     from fixel.database.project import Project
     from fixel.simulation.motion import MOTION_MODELS
     from fixel.workflows.calibration.stored import parameters_of
@@ -116,7 +116,7 @@ def compare(
 
 
 def _refuse_picture(plot: Path | None) -> None:
-    """Before any work."""
+    """Reject an invalid file for the chart before any work."""
     if plot is not None:
         from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
         from fixel.io.atomic import refuse_unwritable
@@ -147,7 +147,7 @@ def _command(
     motion: MotionChoice | None = None,
     calibration: int | None = None,
 ) -> str:
-    """What to type, from the current folder."""
+    """Return the command, to be run in the current folder."""
     words = ["fixel", name, experiment.key, *project_words(project)]
     if calibration is not None:
         words += ["--calibration", str(calibration)]
@@ -167,7 +167,7 @@ def _origin(experiment: "Experiment") -> str:
 
 
 def _written_show(number: int, experiment: "Experiment", project: Path, plot: Path | None) -> str:
-    """About a screen for people."""
+    """Return about a screen of text."""
     blocks = [
         [_origin(experiment), f"experiment {number} of dataset {experiment.dataset}"],
         _frames(experiment),
@@ -253,7 +253,7 @@ def _provenance(experiment: "Experiment") -> list[str]:
 
 
 def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     if plot is None:
         return _command("show", experiment, project) + f" --plot {_picture(experiment)}"
     if experiment.scene is not None:
@@ -262,7 +262,7 @@ def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> st
 
 
 def _picture(experiment: "Experiment") -> str:
-    """A file name that is one, whatever the name of the experiment."""
+    """Return a valid file name, whatever the name of the experiment."""
     return shlex.quote(experiment.name.replace("/", "-") + ".png")
 
 
@@ -270,7 +270,7 @@ def _picture(experiment: "Experiment") -> str:
 
 
 def _parameters(settings: list[str]) -> "Parameters":
-    """Of `--set NAME=VALUE`, or a refusal."""
+    """Parse `--set NAME=VALUE`."""
     from fixel.model import KNOWN_PARAMETERS, Parameters
 
     values: dict[str, float] = {}
@@ -288,7 +288,7 @@ def _parameters(settings: list[str]) -> "Parameters":
 
 
 def _announce(experiment: "Experiment", as_json: bool) -> None:
-    """Compile before the clock runs, and say so where somebody watches."""
+    """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
     if experiment.scene is not None:
         from fixel.cli.screen import say
         from fixel.workflows.compilation import get_ready
@@ -307,7 +307,7 @@ def _draw(answer: "Comparison", plot: Path) -> None:
 def _written_compare(
     answer: "Comparison", project: Path, plot: Path | None, saved: int | None, command: str
 ) -> str:
-    """About a screen for people."""
+    """Return about a screen of text."""
     wrote = [] if plot is None else [f"wrote {plot}"]
     kept = [] if saved is None else [f"kept as simulation {saved}"]
     blocks = [
@@ -358,7 +358,7 @@ def _modes(answer: "Comparison") -> list[str]:
 def _next_compare(
     answer: "Comparison", project: Path, plot: Path | None, saved: int | None, command: str
 ) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     if plot is None:
         return f"{command} --plot {_picture(answer.experiment)}"
     if saved is None:

@@ -77,7 +77,7 @@ def simulate(
         bool, typer.Option("--plain", help="Walk the steps in Python, slowly, as a cross-check.")
     ] = False,
 ) -> None:
-    """Simulate a scene file; say where everything came to rest."""
+    """Simulate a scene file; show where everything came to rest."""
     from fixel.cli.screen import progress_bar, say
     from fixel.workflows.simulation import Outputs, SimulationMethod, simulate_file
 

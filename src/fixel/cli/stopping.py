@@ -1,4 +1,4 @@
-"""Ending something that runs on: Enter, Ctrl-C, a polite kill."""
+"""Stop a running command with Enter, Ctrl-C or a termination signal."""
 
 import signal
 import sys
@@ -10,19 +10,19 @@ from typing import Any
 
 
 class StopWish:
-    """Whether somebody wants it to end, and how that was said."""
+    """Request to stop, with its reason."""
 
     def __init__(self) -> None:
         self.reason = ""
 
     def __call__(self) -> str:
-        """Why it should end; empty while it should not."""
+        """Return the reason to stop; empty while there is none."""
         return self.reason
 
 
 @contextmanager
 def stop_on_request() -> Iterator[StopWish]:
-    """The wish to stop, by Enter, Ctrl-C or a polite kill; a second Ctrl-C interrupts at once."""
+    """Collect requests to stop: Enter, Ctrl-C, SIGTERM; a second Ctrl-C interrupts at once."""
     wish = StopWish()
 
     def asked(number: int, frame: FrameType | None) -> None:

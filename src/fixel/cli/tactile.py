@@ -1,4 +1,4 @@
-"""`fixel tactile`: the board that feels what the fixels touch."""
+"""`fixel tactile`: the board that reads the tactile fixels."""
 
 import json
 import sys
@@ -37,7 +37,7 @@ def ports(as_json: AsJson = False) -> None:
 
 
 def show_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
-    """Ports as a table, or as JSON, and the command to go on with."""
+    """Print ports as a table or as JSON, and the next command."""
     from fixel.cli.screen import table
 
     if as_json:
@@ -128,7 +128,7 @@ def watch(
         if live:
             print(f"\r\033[K{line}", end="", flush=True)
         elif as_json or news != last:
-            # A file gets the changes; every reading would be the same line over and over.
+            # A file gets the changes only; most readings are the same.
             typer.echo(line)
             last = news
     if live:

@@ -1,4 +1,4 @@
-"""`fixel track FILM`: from pictures to an experiment."""
+"""`fixel track FILM`: track a film and store an experiment."""
 
 import json
 import shlex

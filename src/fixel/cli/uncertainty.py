@@ -1,4 +1,4 @@
-"""`fixel uncertainty`: what experiments leave open of parameters, and what follows from it."""
+"""`fixel uncertainty`: posterior of the parameters, and predictions of paths and poses."""
 
 import json
 import shlex
@@ -68,7 +68,7 @@ def uncertainty(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how certain parameters are, and where the next push like this one ends.
+    """Show how certain parameters are, and where the next push like this one ends.
 
     Priors are uniform within the bounds of the parameters.
     """
@@ -140,7 +140,7 @@ def _lines(
     from fixel.cli.screen import seconds, table
 
     analysis, posterior = kept.analysis, found.posterior
-    lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: it may not be quoted
+    lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: they limit the rest
     lines += analysis.headline
     for one in analysis.tables:
         lines += ["", one.title, *table(one.head, one.rows)]
@@ -157,7 +157,7 @@ def _lines(
 
 
 def _next(found: "Uncertainty", folder: Path) -> str:
-    """What the answer asks for: a comparison with the likeliest values."""
+    """Return the next command: a comparison with the likeliest values."""
     from fixel.cli.screen import compare_command
 
     first = found.predicted[0]

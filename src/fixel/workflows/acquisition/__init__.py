@@ -1,1 +1,1 @@
-"""From a camera to experiments: record, track, overlay, drive, and rendered films."""
+"""Acquire experiments with a camera: record, track, overlay, drive, and rendered films."""
