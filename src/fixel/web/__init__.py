@@ -1,4 +1,4 @@
-"""Pages in a browser: a small server on this machine, and the live pictures it shows."""
+"""Web server on this machine, for the pages of a project and for live pictures."""
 
 from importlib.util import find_spec
 
@@ -6,7 +6,7 @@ from fixel.errors import InvalidInput
 
 
 def require_server() -> None:
-    """Refuse, before any work, where the packages of the server are missing."""
+    """Raise, before any work, if packages of the server are missing."""
     missing = [name for name in ("fastapi", "uvicorn") if find_spec(name) is None]
     if missing:
         raise InvalidInput(

@@ -1,4 +1,4 @@
-"""The web application: pages, and what programs ask for, behind one gate."""
+"""Web application: pages for browsers and an API for programs, behind one gate."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ _log = logging.getLogger("fixel.web")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """One page of the interface, and what it needs of the server.
+    """Page of the interface, with its template, context and routes.
 
     Parameters
     ----------
     path : str
-        Where it is: `"/overlay"`, or `"/experiments/{number}"` for one page a thing. Everything it
-        fetches is below.
+        Address: `"/overlay"`, or `"/experiments/{number}"` for one page per record. Everything that
+        the page fetches is below it.
     title : str
-        In the list of pages and in the window's title.
+        Title in the list of pages and of the window.
     template : str
-        Its name in `templates`.
+        Name of the template in `templates`.
     context : mapping
-        What the template is told besides title and pages.
+        Context of the template, in addition to title and pages.
     fill : callable, optional
-        Told the request, gives the rest of the context; a `title` in it names the window. What it
-        raises of `FixelError` becomes a page that says so.
+        Returns the rest of the context for a request; a `title` in it names the window. A
+        `FixelError` that it raises becomes a page with the error.
     router : APIRouter, optional
-        What is below its path.
+        Routes below the path of the page.
     views : tuple of LiveView
         Streams that must end when the server does.
     place : int
-        Among the pages in the navigation, from left to right.
+        Position in the navigation, from left to right.
     listed : bool
-        Whether the navigation names it.
+        Whether the navigation lists the page.
     """
 
     path: str
@@ -77,7 +77,7 @@ def create_app(
     api: FastAPI | None = None,
     name: str = "",
 ) -> FastAPI:
-    """The application.
+    """Create the application.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ def create_app(
         At least one; `/` leads to the first.
     gate : Gate
     hosts : sequence of str
-        Names by which a browser may call the server.
+        Names by which a browser may address the server.
     api : FastAPI, optional
-        What programs ask for, below `API`.
+        API for programs, mounted at `API`.
     name : str
-        Of the project, for all pages.
+        Name of the project, for all pages.
     """
-    # The address book of the pages is for nobody, and its page loads scripts from elsewhere.
+    # The pages need no OpenAPI document, and its viewer loads scripts from elsewhere.
     app = FastAPI(title="fixel", docs_url=None, redoc_url=None, openapi_url=None)
     app.mount("/static", StaticFiles(directory=HERE / "static"), name="static")
     render = _renderer(pages, name, gate)
@@ -122,7 +122,7 @@ def create_app(
 
 
 class Unforeseen:
-    """Mistakes of ours: told to whoever started fixel, and in one sentence to who asked."""
+    """Log unexpected exceptions, and answer with a one-sentence 500."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -175,7 +175,7 @@ def _shown(page: Page, render: Any) -> Any:
 
 
 def _tell_problems(app: FastAPI, render: Any) -> None:
-    """A page for a person where something is not there or cannot be."""
+    """Answer errors with a page that explains them."""
     page = Page(path="", title="Not here", template="problem.html", listed=False)
 
     @app.exception_handler(FixelError)
@@ -186,7 +186,7 @@ def _tell_problems(app: FastAPI, render: Any) -> None:
 
     @app.exception_handler(HTTPException)
     def missing(request: Request, error: HTTPException) -> Response:
-        if request.url.path.startswith("/api/"):  # with characters that no address of it has
+        if request.url.path.startswith("/api/"):  # with characters that the API's paths never have
             problem = Refusal(status=error.status_code, sentence=f"{error.detail}.")
             return answer(problem, dict(error.headers or {}))
         more = {"sentence": f"{error.detail}.", "hint": "The navigation leads to what there is."}

@@ -1,4 +1,4 @@
-"""A live picture and what there is to say about it, from any thread to any number of browsers."""
+"""Live picture with a status, from any thread to any number of browsers."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from fixel.vision.opencv import opencv
 
 BOUNDARY: Final = "next-picture-of-fixel-7d1f0c5e"
 PART_HEAD: Final = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()
-HEARTBEAT: Final = 1.0  # [s] between two signs of life when nothing changes
-STATUS_PAUSE: Final = 0.05  # [s] least time between two reports: nobody reads faster
+HEARTBEAT: Final = 1.0  # [s] between two signs of life if nothing changes
+STATUS_PAUSE: Final = 0.05  # [s] shortest time between two reports; faster ones are not read
 
 
 @final
 class Drawing:
-    """A picture that is drawn and compressed when first asked for, once for all who look."""
+    """Picture that is drawn and compressed on first use, once for all viewers."""
 
     def __init__(self, picture: Picture | Callable[[], Picture], quality: int) -> None:
         self._picture = picture
@@ -33,7 +33,7 @@ class Drawing:
         self._lock = threading.Lock()
 
     def jpeg(self) -> bytes:
-        """The picture as a JPEG file."""
+        """Return the picture as a JPEG file."""
         with self._lock:
             if self._jpeg is None:
                 self._jpeg = self._compressed()
@@ -49,7 +49,7 @@ class Drawing:
 
 
 class LiveFrame(NamedTuple):
-    """What is shown at one moment: the number of the change, the picture if any, the status."""
+    """State of a view: the number of the change, the picture if any, the status."""
 
     number: int
     drawing: Drawing | None
@@ -58,15 +58,15 @@ class LiveFrame(NamedTuple):
 
 @final
 class LiveView:
-    """What a camera sees now.
+    """Live view of a camera.
 
     A program shows pictures from its own thread and never waits; browsers get the newest when they
-    are ready for one. Nothing is compressed, and nothing drawn, that nobody looks at.
+    are ready for one. Pictures are drawn and compressed only while there is a viewer.
 
     Parameters
     ----------
     quality : int
-        Of the JPEG pictures, from 1 to 100.
+        Quality of the JPEG pictures, from 1 to 100.
 
     Examples
     --------
@@ -87,20 +87,20 @@ class LiveView:
     def show(
         self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
     ) -> None:
-        """Show this from now on.
+        """Show a picture and a status until the next call.
 
         Parameters
         ----------
         picture : (h, w, 3) uint8, callable that returns one, or None
-            Not to be written to afterwards. A callable is called, in another thread, only if
-            somebody looks. None: the picture stays and only the report is new.
+            Must not be modified afterwards. A callable is called in another thread, and only if
+            there is a viewer. None: the picture stays and only the report is new.
         status : mapping
             Plain values for JSON.
 
         Raises
         ------
         ValueError
-            A status with a number that is not finite.
+            The status has a number that is not finite.
         """
         report = json.dumps(status, allow_nan=False)
         drawing = None if picture is None else Drawing(picture, self._quality)
@@ -119,22 +119,22 @@ class LiveView:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody looks at the moving picture."""
+        """Whether a browser shows the moving picture."""
         return self._watchers > 0
 
     @property
     def newest(self) -> LiveFrame:
-        """The newest picture and report."""
+        """Newest picture and report."""
         with self._lock:
             return self._shot
 
     @property
     def report(self) -> str:
-        """The newest status, as JSON."""
+        """Newest status, as JSON."""
         return self.newest.report
 
     async def after(self, number: int, patience: float) -> LiveFrame | None:
-        """The newest that is newer than this, or the old one after `patience` [s]; None: closed."""
+        """Return a frame after `number`, or the old one after `patience` [s]; None if closed."""
         event, loop = asyncio.Event(), asyncio.get_running_loop()
         with self._lock:
             if self._closed or self._shot.number > number:
@@ -152,12 +152,12 @@ class LiveView:
         return None if self._closed else self._shot
 
     async def pictures(self) -> AsyncIterator[bytes]:
-        """Parts of a `multipart/x-mixed-replace` answer.
+        """Yield the parts of a `multipart/x-mixed-replace` answer.
 
-        Behind each picture the head of the next is sent at once: Chromium shows a picture when it
-        has read that head, so that each would be one picture late otherwise.
+        The head of the next picture is sent directly after each picture: Chromium shows a picture
+        when it has read that head, so each would be one picture late otherwise.
         """
-        self._watchers += 1  # of one event loop, so no two at once
+        self._watchers += 1  # always in the same event loop, so without a race
         seen, shown = 0, None
         try:
             yield PART_HEAD
@@ -171,19 +171,19 @@ class LiveView:
             self._watchers -= 1
 
     async def reports(self) -> AsyncIterator[str]:
-        """Server-sent events: the status when it changes, and signs of life."""
+        """Yield server-sent events: the status when it changes, and signs of life."""
         seen = 0
         yield "retry: 1000\n\n"
         while (shot := await self.after(seen, HEARTBEAT)) is not None:
             yield f"data: {shot.report}\n\n" if shot.number > seen else ": still here\n\n"
             seen = shot.number
             await asyncio.sleep(STATUS_PAUSE)
-        if self.newest.number > seen:  # the last words
+        if self.newest.number > seen:  # the last status
             yield f"data: {self.report}\n\n"
         yield "event: end\ndata: {}\n\n"
 
     def router(self) -> APIRouter:
-        """`stream` (MJPEG), `picture.jpg`, `events` (server-sent) and `status` (JSON)."""
+        """Routes `stream` (MJPEG), `picture.jpg`, `events` (server-sent) and `status` (JSON)."""
         router = APIRouter()
 
         @router.get("/stream")
@@ -212,5 +212,5 @@ class LiveView:
 
 def _wake(waiting: list[tuple[asyncio.Event, asyncio.AbstractEventLoop]]) -> None:
     for event, loop in waiting:
-        with suppress(RuntimeError):  # of a server that has ended meanwhile
+        with suppress(RuntimeError):  # the server has ended meanwhile
             loop.call_soon_threadsafe(event.set)

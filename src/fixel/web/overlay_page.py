@@ -1,4 +1,4 @@
-"""The page on which a person places a part."""
+"""Page for placing a part by hand."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from fixel.web.live import LiveView
 
 
 def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
-    """The live picture with outlines, and how far the part is from its place.
+    """Create the page with the live picture, its outlines and the errors of the part.
 
     Parameters
     ----------
     view : LiveView
-        Its status is a `fixel.workflows.acquisition.overlay_check.Look.summary()`.
+        View whose status is a `fixel.workflows.acquisition.overlay_check.Look.summary()`.
     heading : str
-        What is to be placed, from which scene.
+        Part to be placed, and its scene.
     path : str
     """
     return Page(

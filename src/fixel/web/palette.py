@@ -1,4 +1,4 @@
-"""The colours of the figures as CSS, made from the palette of the drawings: one source for both."""
+"""Colours of the figures as CSS, from the palette of the drawings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROLES: Final = {
     "trail": palette.TRAIL,
     "cone": palette.CONE,
 }
-# Grounds that text stands on; the same as --card in style.css.
+# Backgrounds of text; the same as --card in style.css.
 LIGHT: Final = "#ffffff"
 DARK: Final = "#1b2127"
 READABLE: Final = 4.6  # contrast of text; WCAG AA asks for 4.5
@@ -25,7 +25,7 @@ Colour = tuple[float, float, float]
 
 
 def palette_css() -> str:
-    """`--body` and so on for lines, `--body-text` and so on for words; for light and dark."""
+    """Return variables `--body` etc. for lines, `--body-text` etc. for text, in light and dark."""
     light = "\n".join(_lines(LIGHT))
     dark = "\n".join(_lines(DARK))
     return (
@@ -43,7 +43,7 @@ def _lines(ground: str) -> list[str]:
 
 
 def readable(colour: str, ground: str, contrast: float) -> str:
-    """The colour, mixed with black or white until it stands out from its ground."""
+    """Mix a colour with black or white until it contrasts with its background."""
     against = 0.0 if _lightness(ground) > 0.5 else 1.0
     for share in range(0, 101, 2):
         mixed = tuple(c + (against - c) * share / 100 for c in _rgb(colour))

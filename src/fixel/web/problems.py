@@ -1,4 +1,4 @@
-"""What went wrong, as a document for programs: where, what was found, what could stand there."""
+"""Errors as documents for programs: place, found value, expected values, hint."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Refusal(BaseModel):
 
 
 def problem_of(error: FixelError) -> Refusal:
-    """The document of what fixel raises on purpose."""
+    """Convert an error that fixel raises on purpose to its document."""
     sentence = str(error)
     match error:
         case InvalidInput():
@@ -104,5 +104,5 @@ def tell_problems(api: FastAPI) -> None:
 
 
 def answer(problem: Refusal, headers: dict[str, str] | None = None) -> JSONResponse:
-    """A problem as an answer."""
+    """Return a problem as a JSON response."""
     return JSONResponse(problem.model_dump(), status_code=problem.status, headers=headers)

@@ -1,8 +1,8 @@
-"""The pages and the interface for programs of one project.
+"""Pages and API of one project.
 
-Whoever adds a page puts a module into `fixel.web.pages` with `pages(desk) -> list[Page]`, and
-whoever adds a resource one into `fixel.web.api` with `router(desk) -> APIRouter`. Being there is
-all: nothing needs to be told of them.
+To add a page, put a module into `fixel.web.pages` with `pages(desk) -> list[Page]`. To add a
+resource, put one into `fixel.web.api` with `router(desk) -> APIRouter`. Modules are found there
+without any registration.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Programs send `Authorization: Bearer TOKEN` with the token of the link that `fix
 
 @final
 class ProjectContext:
-    """What the pages of one project share.
+    """Project and store that its pages share.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class ProjectContext:
     Attributes
     ----------
     store : Store
-        Its records, opened once; any thread may use it.
+        Records of the project, opened once; any thread may use it.
     """
 
     def __init__(self, project: Project) -> None:
@@ -57,27 +57,27 @@ class ProjectContext:
 
     @property
     def name(self) -> str:
-        """Of the project."""
+        """Name of the project."""
         return self.project.settings.name
 
     @property
     def folder(self) -> Path:
-        """Of the project, for commands that somebody types elsewhere."""
+        """Absolute folder of the project, for commands that are typed elsewhere."""
         return self.project.folder.resolve()
 
     def close(self) -> None:
-        """Let go of the records."""
+        """Close the store."""
         self.store.close()
 
 
 def project_pages(desk: ProjectContext) -> list[Page]:
-    """All pages, in the order of the navigation."""
+    """Return all pages, in the order of the navigation."""
     found = [page for module in _modules(shown) for page in module.pages(desk)]
     return sorted(found, key=lambda page: (not page.listed, page.place))
 
 
 def project_api(desk: ProjectContext) -> FastAPI:
-    """The interface for programs, to be mounted."""
+    """Create the API for programs, to be mounted."""
     api = FastAPI(
         title=f"fixel: {desk.name}",
         version=fixel.__version__,
@@ -96,7 +96,7 @@ def project_api(desk: ProjectContext) -> FastAPI:
 def project_server(
     desk: ProjectContext, *, port: int | None = None, host: str = HERE_ONLY
 ) -> WebServer:
-    """A server of all of it; it is not started yet."""
+    """Create a server of the pages and the API, without starting it."""
     pages = project_pages(desk)
     return WebServer(pages, port=port, host=host, api=project_api(desk), name=desk.name)
 

@@ -1,4 +1,4 @@
-"""The page that shows a recording while it runs, and can end it."""
+"""Page that shows a running recording, and can end it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from fixel.vision.frame import Picture
 from fixel.web.app import Page
 from fixel.web.live import LiveView
 
-# How many bits of the tactile byte are fixels, and what they are called: blue, red, green.
+# Names of the fixels that are bits of the tactile byte: blue, red, green.
 FIXELS = ("blue", "red", "green")
 
 
 @final
 class RecordPreview:
-    """What a recording tells the browser, and what the browser tells the recording.
+    """Live page of a recording, with a button that ends it.
 
     Parameters
     ----------
     heading : str
-        What is recorded, where to.
+        Title of the page: what is recorded, and where.
     fixels : sequence of str
-        Names of the bits of the tactile byte, the lowest first; empty for a recording without.
+        Names of the bits of the tactile byte, lowest first; empty for a recording without fixels.
 
     Examples
     --------
@@ -44,13 +44,13 @@ class RecordPreview:
 
     @property
     def stop_wanted(self) -> bool:
-        """Whether somebody pressed Stop on the page."""
+        """Whether Stop was pressed on the page."""
         return self._stop.is_set()
 
     def show(
         self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
     ) -> None:
-        """Show this from now on; see `LiveView.show`. Never waits."""
+        """Show a picture and a status without waiting; see `LiveView.show`."""
         self.view.show(picture, status)
 
     def status(
@@ -65,22 +65,22 @@ class RecordPreview:
         state: str = "recording",
         problems: Sequence[str] = (),
     ) -> dict[str, Any]:
-        """A status of the page.
+        """Build the status for the page.
 
         Parameters
         ----------
         elapsed_s : float
-            Since the first frame [s].
+            Time since the first frame [s].
         frames, lost : int
-            Kept, and known to be missing.
+            Numbers of stored frames, and of frames known to be missing.
         reading : int
-            The newest tactile byte; -1 for none.
+            Newest tactile byte; -1 for none.
         disk_free_bytes, limit_s : float, optional
-            Space left [byte]; when the recording ends by itself [s].
+            Free space [byte]; time at which the recording ends by itself [s].
         state : str
             `waiting`, `recording` or `finished`.
         problems : sequence of str
-            What somebody should look after now.
+            Problems that need attention now.
         """
         lamps = [
             {"name": name, "on": None if reading < 0 else bool(reading >> bit & 1)}
@@ -99,7 +99,7 @@ class RecordPreview:
         }
 
     def page(self, path: str = "/record") -> Page:
-        """The page, for `fixel.web.serve.WebServer`."""
+        """Create the page, for `fixel.web.serve.WebServer`."""
         return Page(
             path=path,
             title="Recording",

@@ -1,12 +1,12 @@
-"""Who may see and do what: a link with a token, cookies, headers.
+"""Access control of the web server: a link with a token, cookies, headers.
 
-The server listens on this machine only, but everything that runs here can reach it: other people's
-programs, and the pages of any site that is open in the browser. So a page opens only with the token
-of the link. The token becomes two things: a cookie, and a secret first part of all paths. Cookies
-know no ports: a browser sends those of this server to every other server of this machine, except
-that it sends them to their own path alone, and no other server knows that path. Requests must name
-the server as the link does, or a foreign name could be made to point here (DNS rebinding); and what
-changes anything needs a word that only our own pages know (CSRF).
+The server listens on this machine only, but every program of the machine can reach it, and so can
+the pages of any site that is open in the browser. A page therefore opens only with the token of
+the link. The token is exchanged for a cookie and a secret first part of all paths. Cookies ignore
+ports: a browser sends those of this server to every other server of this machine, but only with
+their own path, which no other server knows. Requests must name the server as the link does, or a
+foreign name could be made to point here (DNS rebinding). Requests that change something need a
+word that only our own pages know (CSRF).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from fixel.web.problems import Refusal, answer
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
-WORD_HEADER: Final = "x-fixel-word"  # carries the word of our own pages
+WORD_HEADER: Final = "x-fixel-word"  # header with the word of our own pages
 SAFE_METHODS: Final = ("GET", "HEAD", "OPTIONS")
-MAX_BODY: Final = 2 * 1024 * 1024  # [byte] of a request
+MAX_BODY: Final = 2 * 1024 * 1024  # [byte] largest body of a request
 
 HEADERS: Final = {
-    # Everything comes from here, and no script or style is written into a page.
+    # All content comes from here, and no script or style is written into a page.
     "content-security-policy": "default-src 'none'; img-src 'self' data:; style-src 'self'; "
     "script-src 'self'; connect-src 'self'; media-src 'self'; form-action 'self'; base-uri 'none'; "
     "frame-ancestors 'none'",
@@ -50,20 +50,20 @@ def _secret() -> str:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
-    """The secrets of one running server.
+    """Secrets of one running server.
 
     Attributes
     ----------
     token : str
-        In the link that opens the pages, and in the header of programs.
+        Secret in the link that opens the pages, and in the header of programs.
     session : str
-        In the cookie the link is exchanged for.
+        Secret in the cookie for which the link is exchanged.
     prefix : str
         First part of the path of every page; the cookie is sent with no other path.
     word : str
-        In our own pages, sent back with everything that changes something.
+        Secret in our own pages, sent back with every request that changes something.
     cookie : str
-        Name of the cookie: cookies are shared by all servers of a machine.
+        Name of the cookie, as all servers of a machine share their cookies.
     """
 
     token: str = field(default_factory=_secret, repr=False)
@@ -84,7 +84,7 @@ class Gate:
 
     def opens(self, headers: Headers) -> bool:
         """Whether a request carries the cookie."""
-        # As lenient as browsers: what other servers of this machine left may be no proper cookie.
+        # As lenient as browsers: cookies left by other servers of this machine may be malformed.
         cookies = cookie_parser(headers.get("cookie", ""))
         return _same(cookies.get(self.cookie, ""), self.session)
 
@@ -101,7 +101,7 @@ class Gate:
 def at_home(headers: Headers) -> bool:
     """Whether a request comes from no page at all, or from one of this server.
 
-    A page of another port of this machine is of the same *site*, and not ours. A link on it may be
+    A page of another port of this machine is of the same *site*, but not ours. A link on it may be
     followed: what a link opens changes nothing, and no other page can read it.
     """
     origin = headers.get("origin")
@@ -113,7 +113,7 @@ def at_home(headers: Headers) -> bool:
 
 
 class SecurityHeaders:
-    """Adds `HEADERS` to every answer."""
+    """Middleware that adds `HEADERS` to every answer."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -130,9 +130,9 @@ class SecurityHeaders:
 
 
 class Guard:
-    """Lets through what has the cookie and knows the prefix; exchanges the token for both.
+    """Middleware that admits requests with cookie and prefix; exchanges the token for both.
 
-    What is behind it is told paths without the prefix.
+    It removes the prefix from the paths of requests that it admits.
     """
 
     def __init__(self, app: ASGIApp, gate: Gate) -> None:
@@ -158,7 +158,7 @@ class Guard:
             return self._let_in(scope["path"], [pair for pair in query if pair[0] != "token"])
         if "authorization" in headers:
             return None if self.gate.knows(headers) else _refusal(scope, 401, WRONG_TOKEN)
-        # The cookie alone opens nothing: it may have come from anywhere.
+        # The cookie alone is not enough: it may have come from anywhere.
         if not (knows_prefix and self.gate.opens(headers)):
             return _refusal(scope, 403, NO_COOKIE)
         if not at_home(headers) or (not safe and not self.gate.admits(headers)):
@@ -179,7 +179,7 @@ class Guard:
 
 
 class BodyLimit:
-    """Refuses requests whose body is longer than anything this interface asks for."""
+    """Middleware that rejects requests with a body longer than this interface needs."""
 
     def __init__(self, app: ASGIApp, most: int = MAX_BODY) -> None:
         self.app = app
@@ -199,7 +199,7 @@ class BodyLimit:
             nonlocal had
             message = await receive()
             had += len(message.get("body", b""))
-            # Without a length that was said beforehand, the end is cut off: nobody can parse it.
+            # Without a declared length the end is cut off, so that the body cannot be parsed.
             return message if had <= self.most else {"type": "http.disconnect"}
 
         await self.app(scope, counted, send)

@@ -1,4 +1,4 @@
-"""The server: a thread beside the program whose pictures it shows."""
+"""Web server in a thread of the program whose pictures it shows."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from fixel.web.security import LOOPBACK, Gate
 
 HERE_ONLY: Final = "127.0.0.1"
 EVERYWHERE: Final = ("0.0.0.0", "::")
-CONNECTIONS: Final = 512  # a browser holds six, and an open page one more
+CONNECTIONS: Final = 512  # a browser uses six, and an open page one more
 STARTS_WITHIN: Final = 10.0  # [s]
 ENDS_WITHIN: Final = 1  # [s] for answers to browsers that do not read
-# What lies in the socket is late: about three pictures, or a slow browser lags by seconds.
+# Data that waits in the socket is late: about three pictures, or a slow browser lags by seconds.
 SEND_BUFFER: Final = 256 * 1024  # [byte]
 
 
 @final
 class WebServer:
-    """Pages on a port of this machine.
+    """Server of pages on a port of this machine.
 
     Parameters
     ----------
     pages : sequence of Page
     port : int, optional
-        Left out, any that is free.
+        Port to listen on; by default any free one.
     host : str
-        Address to listen on. Any but this machine's own lets others in who know the link, which
-        then travels in the clear.
+        Address to listen on. Any but this machine's own admits others who know the link, which is
+        then sent unencrypted.
     api : FastAPI, optional
-        What programs ask for.
+        API for programs.
     name : str
-        Of the project.
+        Name of the project.
 
     Raises
     ------
     InvalidInput
-        A port that another program uses, or that only the administrator may.
+        The port is used by another program, or reserved for the administrator.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class WebServer:
             ws="none",
             loop="asyncio",
             lifespan="off",
-            access_log=False,  # it would hold the token
+            access_log=False,  # it would contain the token
             log_config=None,
             log_level="critical",
             proxy_headers=False,
@@ -92,29 +92,29 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Where programs ask, with the token in a header."""
+        """Base address for programs, which send the token in a header."""
         name = socket.gethostname() if self.host in EVERYWHERE else self.host
         return f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
 
     @property
     def home(self) -> str:
-        """Address below which a browser that has opened the link finds the pages."""
+        """Address of the pages for a browser that has opened the link."""
         return f"{self.address}{self.gate.prefix}/"
 
     @property
     def link(self) -> str:
-        """The link that opens the pages."""
+        """Link that opens the pages."""
         return f"{self.address}?token={self.gate.token}"
 
     def start(self) -> WebServer:
-        """Serve from now on, in a thread."""
+        """Start serving, in a thread."""
         self._thread.start()
         if not self._server.ready.wait(STARTS_WITHIN):
             raise RuntimeError(f"the web server did not start within {STARTS_WITHIN:g} s")
         return self
 
     def stop(self) -> None:
-        """End, open streams too, within a second or two."""
+        """Stop the server and its open streams, within a second or two."""
         for page in self._pages:
             for view in page.views:
                 view.close()
@@ -124,13 +124,13 @@ class WebServer:
         self._socket.close()
 
     def wait(self) -> None:
-        """Until it ends by itself, or somebody interrupts."""
+        """Wait until the server ends by itself, or the program is interrupted."""
         while self._thread.is_alive():
             self._thread.join(0.5)
 
     @property
     def busy(self) -> bool:
-        """Whether threads of it still compute after the end."""
+        """Whether threads of the server still compute after its end."""
         return any("AnyIO" in thread.name for thread in threading.enumerate())
 
     def __enter__(self) -> WebServer:
@@ -142,7 +142,7 @@ class WebServer:
 
 @final
 class _Server(uvicorn.Server):
-    """Tells when it is ready, and ends with no connection open."""
+    """Server that signals when it is ready, and ends with no connection open."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -155,15 +155,15 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await super().shutdown(sockets)
         for connection in list(self.server_state.connections):
-            # Of a browser that stands still: what it was sent waits for it for ever.
+            # The browser has stopped reading: data sent to it would wait without end.
             transport = getattr(connection, "transport", None)
             if transport is not None:
                 transport.abort()
-        await asyncio.sleep(0.01)  # for the loop to let go of them
+        await asyncio.sleep(0.01)  # lets the loop close them
 
 
 def _names(host: str) -> tuple[str, ...]:
-    """By which a browser may call the server."""
+    """Names by which a browser may address the server."""
     if host in EVERYWHERE:
         name = socket.gethostname()
         try:

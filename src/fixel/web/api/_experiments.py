@@ -1,4 +1,4 @@
-"""What is answered about experiments."""
+"""Models of answers about experiments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class FlagOut(BaseModel):
 
 
 class NoteOut(BaseModel):
-    """What somebody wrote."""
+    """Note on an experiment."""
 
     id: int
     text: str
@@ -69,7 +69,7 @@ class IdsOut(BaseModel):
 
 
 class ValuesOut(BaseModel):
-    """What a condition was."""
+    """Values of a condition."""
 
     texts: dict[str, int]
     low: float | None
@@ -78,7 +78,7 @@ class ValuesOut(BaseModel):
 
 
 class VocabularyOut(BaseModel):
-    """What experiments can be told apart by."""
+    """Names and values by which experiments can be filtered."""
 
     datasets: dict[str, int]
     flags: dict[str, int]
@@ -94,7 +94,7 @@ class CoverageAxisOut(BaseModel):
 
 
 class CoverageOut(BaseModel):
-    """How many experiments there are at each place of a plane of configurations."""
+    """Number of experiments at each place of a plane of configurations."""
 
     x: CoverageAxisOut
     y: CoverageAxisOut
@@ -114,7 +114,7 @@ class TrackOut(BaseModel):
 
 
 class TrajectoryOut(TrackOut):
-    """What was measured."""
+    """Measured poses against time."""
 
     object: str
     pusher: TrackOut | None
@@ -160,7 +160,7 @@ class TactileOut(BaseModel):
 
 
 class SeenOut(BaseModel):
-    """Where the object appears in pictures of this size."""
+    """Outlines of the object in pictures of this size."""
 
     size_px: list[int] = Field(description="width, height")
     time_s: Array = Field(description="(n,)")

@@ -1,4 +1,4 @@
-"""Kinds of values that several resources take and give."""
+"""Types of values that several resources share."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from fastapi import Path
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-MAX_ID = 2**31 - 1  # what a database counts with
-MOST_KEYS = 100  # of a request's body; those that are known are about ten
+LARGEST = 2**31 - 1  # largest integer of a database
+MOST_KEYS = 100  # keys of a request's body; those that are known are about ten
 
 # Ids, as they stand in addresses and in bodies.
 Number = Annotated[int, Path(ge=1, le=MAX_ID)]
@@ -19,7 +19,7 @@ Id = Annotated[int, Field(ge=1, le=MAX_ID)]
 
 
 def plain_text(text: str) -> str:
-    """Refuse what neither a database nor a browser can hold."""
+    """Reject what neither a database nor a browser can store."""
     if any(c < " " and c not in "\n\t" for c in text):
         raise ValueError("control characters in a text")
     return text
@@ -36,7 +36,7 @@ class RequestBody(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _few_keys(cls, body: Any) -> Any:
-        """Refuse before each unknown key becomes a complaint."""
+        """Reject a body with many unknown keys before each of them becomes an error."""
         if isinstance(body, dict) and len(body) > MOST_KEYS:
             raise ValueError(f"{len(body)} keys; at most {MOST_KEYS} are read")
         return body
@@ -51,7 +51,7 @@ class Array(BaseModel):
 
     @classmethod
     def of(cls, values: ArrayLike, dtype: str = "<f8") -> Array:
-        """The array of these values."""
+        """Encode an array."""
         array = np.ascontiguousarray(values, dtype=dtype)
         data = base64.b64encode(array.tobytes()).decode("ascii")
         return cls(dtype=dtype, shape=list(array.shape), base64=data)

@@ -1,4 +1,4 @@
-"""Kept analyses: what they found, their pictures and the numbers behind those."""
+"""Stored analyses: results, charts and the numbers behind those."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class AnalysesOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/analyses`."""
+    """Routes of `/analyses`."""
     found = APIRouter(tags=["analyses"])
 
     @found.get("/analyses", summary="Kept analyses")

@@ -1,4 +1,4 @@
-"""Calibrations: those stored, those that run, and how to begin, stop and resume one."""
+"""Calibrations: stored and running ones; begin, stop and resume a calibration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fixel.workflows.calibration.detail import CalibrationDetail, CalibrationSummary, Residual
 
 MAX_LISTED: Final = 500
-MAX_KEPT: Final = 64  # calibrations at hand; what is stored never changes
+MAX_KEPT: Final = 64  # calibrations in memory; what is stored never changes
 
 Filter = Annotated[Text, Field(max_length=1000)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
@@ -34,7 +34,7 @@ Optimiser = Literal["pattern-search", "nelder-mead", "cma-es", "least-squares"]
 
 
 class ListedOut(BaseModel):
-    """What came of one run of a calibration."""
+    """Result of one run of a calibration."""
 
     id: int = Field(description="of the calibration to open")
     name: str
@@ -131,7 +131,7 @@ class ResidualOut(BaseModel):
 
 
 class StartOut(BaseModel):
-    """Where one of several searches ended."""
+    """End of one of several searches."""
 
     error: float | None
     point: list[float] = Field(description="in the order of `parameters`")
@@ -204,7 +204,7 @@ class OptimiserOut(BaseModel):
 
 
 class OfferOut(BaseModel):
-    """What can be calibrated."""
+    """Experiments, parameters and searches for a calibration."""
 
     experiments: int
     faulty: int = Field(description="that match too, and are left out for faults in their data")
@@ -254,7 +254,7 @@ class BegunOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/calibrations`."""
+    """Routes of `/calibrations`."""
     found = APIRouter(prefix="/calibrations", tags=["calibrations"])
     watch = Watch(desk.project)
 
@@ -267,7 +267,7 @@ def router(desk: ProjectContext) -> APIRouter:
         limit: Annotated[int, Query(ge=1, le=MAX_LISTED)] = 100,
         offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> CalibrationsOut:
-        running, unreadable = watch.unfinished()  # first: what is done becomes one of those stored
+        running, unreadable = watch.unfinished()  # first: calibrations that are done become stored
         every = detail.listed(desk.store)
         return CalibrationsOut(
             calibrations=[_listed(one) for one in every[offset : offset + limit]],
@@ -359,7 +359,7 @@ def router(desk: ProjectContext) -> APIRouter:
     def calibration(number: Number) -> CalibrationOut:
         one = at_hand(number)
         if not one.complete:
-            at_hand.cache_clear()  # its job may be brought back
+            at_hand.cache_clear()  # its job may be restored
         return _whole(one, desk)
 
     return found

@@ -1,4 +1,4 @@
-"""Simulations of one experiment under parameters that somebody changes."""
+"""Simulations of one experiment with parameters that the user changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MAX_AT_ONCE: Final = 50  # about a second of work
 MotionName = Literal["dynamic", "quasistatic", "first-order"]
-# A part that is thrown to infinity is far from where it was measured, but JSON has no such number.
+# A part that is thrown to infinity has an infinite error, but JSON has no such number.
 Finite = Annotated[float | None, BeforeValidator(plain_numbers)]
 Value = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -36,7 +36,7 @@ class SliderOut(BaseModel):
 
 
 class SetOut(BaseModel):
-    """Values somebody may want to look at."""
+    """Values that can be selected for comparison."""
 
     id: str
     label: str
@@ -47,7 +47,7 @@ class SetOut(BaseModel):
 
 
 class DeskOut(BaseModel):
-    """What there is to compare."""
+    """Parameters and stored sets for a comparison."""
 
     experiment: str
     sliders: list[SliderOut]
@@ -55,7 +55,7 @@ class DeskOut(BaseModel):
 
 
 class CompareIn(RequestBody):
-    """What to simulate the experiment with."""
+    """Parameters and motion model of a simulation."""
 
     parameters: dict[str, Value] = Field(default_factory=dict, max_length=64)
     motion: MotionName = "dynamic"
@@ -83,7 +83,7 @@ class SimulateIn(RequestBody):
 
 
 class NewSimulationsOut(BaseModel):
-    """What came of it; those that have such a simulation, or no scene, are in neither."""
+    """Result per experiment; those that have such a simulation, or no scene, are in neither."""
 
     stored: list[int] = Field(description="experiments")
     refused: dict[int, str] = Field(description="experiments and reasons")
@@ -96,7 +96,7 @@ class KeptOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/experiments/{number}/comparison`."""
+    """Routes of `/experiments/{number}/comparison`."""
     found = APIRouter(tags=["compare"])
     at_hand = live_comparison.CompareDesk(desk.store)
     threading.Thread(target=live_comparison.warm_up, name="fixel-warm-up", daemon=True).start()

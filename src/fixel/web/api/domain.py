@@ -1,4 +1,4 @@
-"""Where the simulator can be believed: kept maps at any threshold."""
+"""Domain of applicability: stored maps at any threshold."""
 
 from __future__ import annotations
 
@@ -168,14 +168,14 @@ class ProposalOut(BaseModel):
 
 
 class NextOut(BaseModel):
-    """What to try next."""
+    """Experiments to try next."""
 
     proposals: list[ProposalOut]
     command: str
 
 
 class FitOut(BaseModel):
-    """Whether a map can be shown."""
+    """Progress of the fit of a map."""
 
     ready: bool
     seconds: float = Field(description="for how long it has been fitted to these axes")
@@ -190,7 +190,7 @@ class DomainIn(RequestBody):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/domain`."""
+    """Routes of `/domain`."""
     found = APIRouter(tags=["domain"])
     at_hand = DomainDesk(desk.project, desk.store)
 

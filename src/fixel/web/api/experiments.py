@@ -1,4 +1,4 @@
-"""Experiments: the table and all of one."""
+"""Experiments: the table, and everything about a single one."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
 MAX_ROWS: Final = 500  # on one page
-MAX_THUMBNAILS: Final = 5000  # kept; about 2 kB each
+MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
 
 Filter = Annotated[
@@ -60,7 +60,7 @@ Filter = Annotated[
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/experiments`, `/coverage` and `/vocabulary`."""
+    """Routes of `/experiments`, `/coverage` and `/vocabulary`."""
     found = APIRouter(tags=["experiments"])
     _add_table(found, desk)
     _add_one(found, desk)
@@ -155,7 +155,7 @@ def _add_one(router: APIRouter, desk: ProjectContext) -> None:
     def simulations(
         number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
     ) -> SimulationsOut:
-        store.content(number)  # refuses one that is not there
+        store.content(number)  # raises if there is none
         stored = store.simulations(number)[::-1]
         return SimulationsOut(
             total=len(stored), simulations=[_simulation(desk, one) for one in stored[:limit]]
@@ -204,7 +204,7 @@ def _add_one(router: APIRouter, desk: ProjectContext) -> None:
         if path is None or not path.is_file():
             raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
         found = watchable(desk.project, path)
-        # The address stays when a correction brings another video, so it is asked for each time.
+        # The address stays when a correction brings another video, so it is validated each time.
         headers = {"cache-control": "private, no-cache"}
         return FileResponse(found.path, media_type=found.media_type, headers=headers)
 
@@ -223,7 +223,7 @@ def _add_one(router: APIRouter, desk: ProjectContext) -> None:
 
 
 def row_out(row: ExperimentRow) -> ExperimentRowOut:
-    """A line of the table, for JSON."""
+    """Convert a row of the table for JSON."""
     dx, dy = row.end[0] - row.start[0], row.end[1] - row.start[1]
     return ExperimentRowOut(
         id=row.id,
@@ -251,7 +251,7 @@ def row_out(row: ExperimentRow) -> ExperimentRowOut:
 
 
 def experiment_out(desk: ProjectContext, number: int) -> ExperimentOut:
-    """All that is known of an experiment but for what is long, for JSON."""
+    """Return everything about an experiment except its long data, for JSON."""
     experiment: Experiment = desk.store.experiment(number)
     known = plain_numbers(summary(experiment))
     return ExperimentOut(
@@ -298,14 +298,14 @@ def _text(value: str | float | None) -> str | None:
 
 @final
 class Thumbnails:
-    """Small pictures that have been drawn, the newest kept in memory.
+    """Small pictures that have been drawn, with the newest in memory.
 
     Parameters
     ----------
     draw : callable
-        Told the id of an experiment, gives an SVG.
+        Returns the SVG of an experiment with an id.
     most : int
-        So many are kept.
+        Maximum number of pictures.
     """
 
     def __init__(self, draw: Callable[[int], str], most: int = MAX_THUMBNAILS) -> None:
@@ -315,7 +315,7 @@ class Thumbnails:
         self._lock = Lock()
 
     def of(self, number: int, content: str) -> str:
-        """The picture of an experiment whose content has this checksum."""
+        """Return the picture of an experiment whose content has this checksum."""
         key = (number, content[:16])
         with self._lock:
             if key in self._kept:

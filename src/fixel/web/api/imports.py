@@ -1,4 +1,4 @@
-"""Tables that are dropped on a page, with the scene they belong to."""
+"""Import of tables that are dropped on a page, with their scenes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 
 
 
 def _writable(text: str) -> str:
-    """Refuse text that no file can hold."""
+    """Reject text that no file can store."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -43,7 +43,7 @@ class TableIn(RequestBody):
 
 
 class ImportedOut(BaseModel):
-    """How a table was read, and what was stored."""
+    """Result of reading a table, and of storing it."""
 
     understood: list[str]
     has_scene: bool
@@ -53,7 +53,7 @@ class ImportedOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/import`."""
+    """Routes of `/import`."""
     found = APIRouter(tags=["experiments"])
 
     @found.post("/import", summary="Import a CSV table with its scene")

@@ -1,4 +1,4 @@
-"""Work that takes long: how far it is, who is at it, and a way to end it or go on."""
+"""Jobs: progress and workers; cancel and resume a job."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class LogOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/jobs`."""
+    """Routes of `/jobs`."""
     found = APIRouter(tags=["jobs"])
     project = desk.project.folder
 
@@ -118,7 +118,7 @@ def _detail(job: JobSummary) -> JobDetailOut:
 
 
 def job_out(job: JobSummary) -> JobOut:
-    """A job, for JSON."""
+    """Convert a job for JSON."""
     known = job.status
     said = None if known is None else known.status
     return JobOut(
@@ -149,5 +149,5 @@ def job_out(job: JobSummary) -> JobOut:
 
 
 def _plain(line: str) -> str:
-    """Without what terminals colour words with."""
+    """Remove the codes by which terminals colour text."""
     return "".join(c if c >= " " or c == "\t" else "\ufffd" for c in line)

@@ -13,7 +13,7 @@ from fixel.web.api._values import Id, RequestBody, Text
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MAX_MARKED: Final = 20_000  # in one act
+MAX_MARKED: Final = 20_000  # in one request
 
 
 class _MarkBody(RequestBody):
@@ -39,19 +39,19 @@ class UnflagIn(_MarkBody):
 
 
 class NoteIn(_MarkBody):
-    """A note beside experiments."""
+    """A note on experiments."""
 
     text: Text = Field(min_length=1, max_length=10_000)
 
 
 class ChangedOut(BaseModel):
-    """What an act changed: taking it back means these and no others."""
+    """Experiments or notes that a request changed: to undo it, change these and no others."""
 
     changed: list[int]
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/experiments/flag` and so on; `changed` says what taking it back means."""
+    """Routes of `/experiments/flag` etc.; `changed` lists what has to be changed back to undo."""
     found = APIRouter(tags=["marks"])
     store = desk.store
 

@@ -1,4 +1,4 @@
-"""Motions of one experiment, with everything it takes to draw them."""
+"""Motions of one experiment, with all data to draw them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ShapeOut(BaseModel):
 
     @classmethod
     def of(cls, shape: Shape) -> ShapeOut:
-        """The outline of a shape."""
+        """Return the outline of a shape."""
         if isinstance(shape, Disk):
             return cls(polygon_m=None, disk_m=shape.radius)
         return cls(polygon_m=shape.vertices.tolist(), disk_m=None)
@@ -62,7 +62,7 @@ class TouchOut(BaseModel):
 
 
 class ErrorsOut(BaseModel):
-    """How far a simulation is from what was measured."""
+    """Errors of a simulation against the measurement."""
 
     time_s: Array
     position_m: Array
@@ -87,7 +87,7 @@ class MotionOut(BaseModel):
 
     @classmethod
     def of(cls, motion: MotionView) -> MotionOut:
-        """A motion as a document."""
+        """Return a motion as a document."""
         contacts, touch, errors = motion.contacts, motion.touch, motion.errors
         return cls(
             id=motion.id,
@@ -131,7 +131,7 @@ class StoryOut(BaseModel):
 
     @classmethod
     def of(cls, story: Story) -> StoryOut:
-        """A story as a document."""
+        """Return a story as a document."""
         return cls(
             title=story.title,
             object=story.object_name,
@@ -161,7 +161,7 @@ Simulations = Annotated[
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/experiments/{number}/motion`."""
+    """Routes of `/experiments/{number}/motion`."""
     found = APIRouter(tags=["motion"])
     at_hand = CompareDesk(desk.store)
 

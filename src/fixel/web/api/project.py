@@ -1,4 +1,4 @@
-"""The project itself."""
+"""Facts about the project itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class ProjectOut(BaseModel):
-    """What is served here."""
+    """Project that is served."""
 
     name: str
     version: str = Field(description="of fixel")
@@ -23,7 +23,7 @@ class ProjectOut(BaseModel):
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/project`."""
+    """Routes of `/project`."""
     found = APIRouter(tags=["project"])
 
     @found.get("/project", summary="What is served here")

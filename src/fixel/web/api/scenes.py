@@ -1,4 +1,4 @@
-"""Scenes that are made on a page, and simulated within bounds."""
+"""Scenes that are made on a page, and simulated within limits."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from fixel.web.views import scene_editor
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-NOBODY_WAITS = 499  # of HTTP, as nginx counts it
-GLANCE = 0.05  # [s] between two looks whether the browser still waits
+NOBODY_WAITS = 499  # HTTP status of nginx for a closed connection
+GLANCE = 0.05  # [s] between two checks whether the browser still waits
 
 
 def _writable(scene: dict[str, Any]) -> dict[str, Any]:
-    """Refuse what no file can hold, before a sentence is made of it."""
+    """Reject what no file can store, before an error message is made of it."""
     try:
         json.dumps(scene, ensure_ascii=False).encode()
     except (UnicodeEncodeError, RecursionError):
@@ -66,7 +66,7 @@ class TextOut(BaseModel):
 
 
 class SceneMotionOut(BaseModel):
-    """What became of a scene."""
+    """Result of simulating a scene."""
 
     story: StoryOut
     summary: dict[str, Any] = Field(description="as `fixel simulate --json` answers")
@@ -76,7 +76,7 @@ ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/scenes` and `/simulate`."""
+    """Routes of `/scenes` and `/simulate`."""
     found = APIRouter(tags=["scenes"])
 
     @found.get("/scenes/examples", summary="Scenes that come with fixel")
@@ -124,7 +124,7 @@ def router(desk: ProjectContext) -> APIRouter:
 
 
 def _simulated(scene: dict[str, Any], gone: threading.Event) -> SceneMotionOut:
-    scene_editor.check_scene(scene)  # what cannot be needs no other process
+    scene_editor.check_scene(scene)  # an invalid scene needs no other process
     try:
         answer: scene_editor.SceneMotion = scene_editor.beside().call(scene, gone.is_set)
     except CallCancellation:

@@ -1,4 +1,4 @@
-"""What the project runs on: versions, database, disk; self-test, check and backup on demand."""
+"""Status of the installation; self-test, check and backup on demand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fixel.workflows.project.maintenance import CheckResult
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-MAX_TROUBLES: Final = 200  # that are told of
+MAX_TROUBLES: Final = 200  # faults that are listed
 
 
 class CacheOut(BaseModel):
@@ -31,7 +31,7 @@ class CacheOut(BaseModel):
 
 
 class DatabaseOut(BaseModel):
-    """Where the records are."""
+    """Database of the project."""
 
     engine: str
     place: str = Field(description="without a password")
@@ -62,7 +62,7 @@ class BackupOut(BaseModel):
 
 
 class SystemOut(BaseModel):
-    """What the project runs on."""
+    """Versions, database, disk and backups."""
 
     versions: dict[str, str]
     machine: dict[str, Any]
@@ -82,7 +82,7 @@ class CheckOut(BaseModel):
 
 
 class SelfTestOut(BaseModel):
-    """What `fixel doctor` found."""
+    """Result of `fixel doctor`."""
 
     passed: bool
     max_residual: float | None
@@ -100,7 +100,7 @@ class TroubleOut(BaseModel):
 
 
 class DatabaseCheckOut(BaseModel):
-    """What `fixel db check` found."""
+    """Result of `fixel db check`."""
 
     ok: bool
     engine: str
@@ -124,7 +124,7 @@ BackupName = Annotated[str, Path(min_length=1, max_length=80)]
 
 
 def router(desk: ProjectContext) -> APIRouter:
-    """`/system`."""
+    """Routes of `/system`."""
     found = APIRouter(tags=["system"])
     project = desk.project
     alone = _OneAtATime()
@@ -173,7 +173,7 @@ def router(desk: ProjectContext) -> APIRouter:
 
 
 def system_out(desk: ProjectContext) -> SystemOut:
-    """All of it that needs no computing, for JSON."""
+    """Return everything about the installation that needs no computing, for JSON."""
     project = desk.project
     here, tables, room = (
         system_status.installation(),
@@ -225,7 +225,7 @@ def _checked(found: CheckResult) -> DatabaseCheckOut:
 
 
 class _OneAtATime:
-    """Acts that take long, each once: a page that is opened ten times must not wear a disk out."""
+    """Long tasks, each running once at a time: a page that is opened often must not load a disk."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

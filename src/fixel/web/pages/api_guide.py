@@ -1,4 +1,4 @@
-"""The page that explains the interface for programs."""
+"""Page that documents the API for programs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ METHODS: Final = ("get", "post", "put", "patch", "delete")
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/api`."""
+    """Page `/api`."""
     operations: list[dict[str, str]] = []
 
     def fill(request: Request) -> dict[str, Any]:
-        if not operations:  # read from what is mounted, once all of it is
+        if not operations:  # read when everything is mounted
             operations.extend(_operations(request))
         return {"operations": operations, "base": str(request.base_url).rstrip("/") + API}
 

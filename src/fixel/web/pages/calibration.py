@@ -1,4 +1,4 @@
-"""Calibrations: the list, how to begin one, one that runs, one that is stored."""
+"""Pages of calibrations: the list, a new one, a running one, a stored one."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
-HIDDEN = (  # told elsewhere
+HIDDEN = (  # shown elsewhere
     "how", "job", "nominal_error", "error_unit", "seconds", "ended", SEARCHED,
 )  # fmt: skip
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/calibrations` and below."""
+    """Pages `/calibrations` and below."""
     watch = Watch(desk.project)
 
     def one(request: Request) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def pages(desk: ProjectContext) -> list[Page]:
 
 
 def method(record: CalibrationRecord) -> list[Fact]:
-    """How it was found."""
+    """Facts on the method of a calibration."""
     found = [
         Fact(name.replace("_", " ").replace(".", ": "), _word(value))
         for name, value in record.method.items()
@@ -99,7 +99,7 @@ def method(record: CalibrationRecord) -> list[Fact]:
 
 
 def provenance(record: CalibrationRecord) -> list[Fact]:
-    """Where it comes from."""
+    """Facts on the origin of a calibration."""
     origin, seconds = record.provenance, record.method.get("seconds")
     took = f"{seconds:.3g}" if isinstance(seconds, float | int) else ""
     given = (

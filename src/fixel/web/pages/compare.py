@@ -1,4 +1,4 @@
-"""The page on which sets of parameters are held against one experiment."""
+"""Page that compares sets of parameters on one experiment."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from fixel.web.app import Page
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-OFFERED: Final = 300  # names in the list from which an experiment is chosen
+OFFERED: Final = 300  # names in the list of experiments
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/compare?experiment=KEY`."""
+    """Page `/compare?experiment=KEY`."""
 
     def fill(request: Request) -> dict[str, Any]:
         listed = desk.store.experiments(Query(), limit=OFFERED).summaries

@@ -1,4 +1,4 @@
-"""Where the simulator can be believed, and what else was found out about it."""
+"""Page of the domain of applicability, and of the other stored analyses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/domain?map=NAME`; the newest map where left out."""
+    """Page `/domain?map=NAME`; by default with the newest map."""
 
     def fill(request: Request) -> dict[str, Any]:
         every, unreadable = kept_and_not(desk.project)

@@ -1,4 +1,4 @@
-"""One experiment: what was on the plate, how it moved, what a simulation makes of it."""
+"""Page of one experiment: its scene, its motion, and simulations of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_ID = 2**31 - 1
 
 
 class Fact(NamedTuple):
-    """A line of a list."""
+    """Line in a list of facts."""
 
     name: str
     value: str
@@ -29,7 +29,7 @@ class Fact(NamedTuple):
 
 
 def number_in(request: Request, what: str, hint: str) -> int:
-    """The id in an address; whatever no record can have is refused as one that is not there."""
+    """Return the id in an address; raise `NotStored` for one that no record can have."""
     given = str(request.path_params["number"])
     number = int(given) if given.isdecimal() and len(given) < 11 else 0
     if not 0 < number <= MAX_ID:
@@ -38,7 +38,7 @@ def number_in(request: Request, what: str, hint: str) -> int:
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/experiments/{number}`."""
+    """Page `/experiments/{number}`."""
 
     def fill(request: Request) -> dict[str, Any]:
         number = number_in(request, "experiment", "the table shows what there is")
@@ -72,7 +72,7 @@ def pages(desk: ProjectContext) -> list[Page]:
 
 
 def facts(experiment: Experiment) -> list[Fact]:
-    """What was measured, in the units of people."""
+    """Facts on what was measured, in units for display."""
     known = summary(experiment)
     rate, useful = known["rate_hz"], known["effective_s"]
     found = [
@@ -92,7 +92,7 @@ def facts(experiment: Experiment) -> list[Fact]:
 
 
 def conditions(experiment: Experiment, truth: bool) -> list[Fact]:
-    """What else was written down, or what was true on a simulated testbed."""
+    """Facts on the stored conditions, or on the truths of a simulated testbed."""
     chosen = [
         (name, value)
         for name, value in experiment.conditions.items()
@@ -113,7 +113,7 @@ def _pose(pose: list[float]) -> tuple[str, str]:
 
 
 def _fixed(value: float, digits: int) -> str:
-    """With a true minus sign, and none before a zero."""
+    """Format a number with a true minus sign, and none before a zero."""
     text = f"{abs(value):.{digits}f}"
     return f"\u2212{text}" if value < 0.0 and float(text) else text
 
@@ -131,7 +131,7 @@ _UNITS = (
 
 
 def _condition(name: str, value: str | float) -> Fact:
-    """As `condition` of units.js."""
+    """Format a condition, as `condition` of units.js does."""
     if isinstance(value, str):
         return Fact(name.replace("_", " "), value)
     for ending, factor, unit in _UNITS:
@@ -142,7 +142,7 @@ def _condition(name: str, value: str | float) -> Fact:
 
 
 def provenance(experiment: Experiment) -> list[Fact]:
-    """Where it comes from."""
+    """Facts on the origin of an experiment."""
     origin = experiment.provenance
     given = (
         ("stored", _instant(origin.created)),
@@ -158,7 +158,7 @@ def provenance(experiment: Experiment) -> list[Fact]:
 
 
 def _short(name: str, value: str) -> str:
-    """Checksums by their beginning: enough to tell them apart, and the JSON has all of it."""
+    """Shorten checksums to their beginning, which identifies them; the JSON has all of it."""
     return f"{value[:16]}\u2026" if name.endswith("SHA-256") else value
 
 
@@ -167,13 +167,13 @@ def _instant(iso: str) -> str:
 
 
 def command(desk: ProjectContext, experiment: Experiment) -> str:
-    """What to type for the same."""
+    """Return the command that shows the experiment."""
     folder = str(desk.folder)
     return shlex.join(["fixel", "show", experiment.key, "--project", folder, "--plot", "run.png"])
 
 
 def python(desk: ProjectContext, experiment: Experiment) -> str:
-    """What to write in a script for the same."""
+    """Return a script that loads the experiment."""
     folder = str(desk.folder)
     return (
         "from pathlib import Path\n\n"

@@ -1,4 +1,4 @@
-"""All experiments: look through them, mark them, see what has been run."""
+"""Page of all experiments: browse them, mark them, see the coverage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/experiments`."""
+    """Page `/experiments`."""
     context = {"folder": shlex.quote(str(desk.folder))}
     return [
         Page(

@@ -1,4 +1,4 @@
-"""Work that takes long: the queue, who computes, what was lost, the log."""
+"""Page of the jobs: queue, workers, losses, log."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ if TYPE_CHECKING:
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/jobs`; the name of the chosen job stands behind `#`."""
+    """Page `/jobs`; the name of the chosen job follows `#`."""
     context = {"folder": shlex.quote(str(desk.folder))}
     return [Page(path="/jobs", title="Jobs", template="jobs.html", context=context, place=60)]

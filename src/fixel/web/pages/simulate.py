@@ -1,4 +1,4 @@
-"""The page on which scenes are made and simulated."""
+"""Page on which scenes are made and simulated."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from fixel.web.views import scene_editor
 if TYPE_CHECKING:
     from fixel.web.project import ProjectContext
 
-OFFERED: Final = 300  # names in the list from which an experiment is chosen
-FIRST: Final = "grasp"  # the example that is there to begin with
+OFFERED: Final = 300  # names in the list of experiments
+FIRST: Final = "grasp"  # example that is shown first
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
+    """Page `/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
 
     def fill(request: Request) -> dict[str, Any]:
-        # Whoever opens the page will simulate: the process should be there by then.
+        # A simulation is likely to follow: its process should be ready by then.
         Thread(target=scene_editor.get_ready, name="fixel-beside", daemon=True).start()
         key = request.query_params.get("experiment", "")
         listed = desk.store.experiments(Query(), limit=OFFERED).summaries

@@ -1,4 +1,4 @@
-"""What the project runs on: versions, self-test, database, disk, backups."""
+"""Page of the installation: versions, self-test, database, disk, backups."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def pages(desk: ProjectContext) -> list[Page]:
-    """`/system`."""
+    """Page `/system`."""
 
     def fill(_: Request) -> dict[str, Any]:
         known = system_out(desk)
@@ -37,7 +37,7 @@ def pages(desk: ProjectContext) -> list[Page]:
 
 
 def bytes_text(size: int | None) -> str:
-    """A size for people, in decimal units; as `bytes` of units.js."""
+    """Format a size in decimal units, as `bytes` of units.js does."""
     if size is None:
         return "on a server"
     value = float(size)

@@ -1,4 +1,4 @@
-"""Fits that take minutes: beside the server, once for all who ask, until nobody does any more."""
+"""Fits that take minutes: in processes of their own, shared by clients, stopped when unused."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
 
-MAX_FITS: Final = 3  # at a time
+MOST: Final = 3  # fits at a time
 LIMIT: Final = 3600.0  # [s]
-FORGOTTEN: Final = 120.0  # [s] after which nobody asks any more; browsers let hidden pages sleep
+FORGOTTEN: Final = 120.0  # [s] without a request that stop a fit; browsers suspend hidden pages
 ENDS_WITHIN: Final = 2.0  # [s]
 
 
 @final
 @dataclass
 class BackgroundFit:
-    """One that is on its way.
+    """Fit that is running or has failed.
 
     Attributes
     ----------
     ended : Event
-        With an answer, or without.
+        Set when the fit has ended, with an answer or without.
     """
 
     ended: threading.Event = field(default_factory=threading.Event)
@@ -39,7 +39,7 @@ class BackgroundFit:
 
     @property
     def seconds(self) -> float:
-        """Since it was begun."""
+        """Time since the fit began."""
         return time.monotonic() - self._begun
 
     def _nobody_waits(self) -> bool:
@@ -48,12 +48,12 @@ class BackgroundFit:
 
 @final
 class Fits(Generic[K, A]):
-    """Calls of a function by a key, each in a process of its own.
+    """Fits by a key, each a call of a function in a process of its own.
 
     Parameters
     ----------
     function : callable
-        Of a module; takes one argument. Both it and the answer can be pickled.
+        Function of a module, of one argument. Argument and answer can be pickled.
     """
 
     def __init__(self, function: Callable[[Any], A]) -> None:
@@ -62,7 +62,7 @@ class Fits(Generic[K, A]):
         self._lock = threading.Lock()
 
     def joined(self, key: K) -> BackgroundFit | None:
-        """One that is on its way, for one more who asks; raises what one has failed with."""
+        """Return the running fit of a key and note the request; raise the error of a failed fit."""
         with self._lock:
             fit = self._fits.get(key)
             if fit is None:
@@ -74,12 +74,12 @@ class Fits(Generic[K, A]):
             return fit
 
     def begun(self, key: K, argument: Any, put: Callable[[A], None]) -> BackgroundFit:
-        """A new one, unless somebody else was faster; `put` is told the answer.
+        """Begin a fit, unless one is running for the key; `put` is called with the answer.
 
         Raises
         ------
         JobRefused
-            So many are on their way already.
+            Too many fits are running.
         """
         with self._lock:
             fit = self._fits.get(key)
@@ -95,7 +95,7 @@ class Fits(Generic[K, A]):
         return fit
 
     def stop(self, key: K) -> None:
-        """End one, if there is one."""
+        """Stop the fit of a key, if there is one."""
         with self._lock:
             fit = self._fits.get(key)
         if fit is not None:
@@ -108,7 +108,7 @@ class Fits(Generic[K, A]):
                 put(beside.call(argument, fit._nobody_waits))
         except CallCancellation:
             pass
-        except Exception as problem:  # for who asks next
+        except Exception as problem:  # raised at the next request
             fit._problem = problem
         finally:
             with self._lock:

@@ -1,4 +1,4 @@
-"""Videos as a browser plays them: what it cannot play is written anew, once, and smaller."""
+"""Convert videos that browsers cannot play, once, and to a smaller size."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from fixel.formats.video_file import VideoWriter, open_video
 from fixel.vision.frame import Frame
 from fixel.vision.opencv import opencv
 
-CACHE: Final = "cache"  # of a project: what can be made again
-WIDEST: Final = 1280  # [px] of what is written anew
+CACHE: Final = "cache"  # folder of a project for files that can be made again
+WIDEST: Final = 1280  # [px] largest width of a converted video
 PLAYED: Final = ("h264", "vp8", "vp9", "av1")  # codecs
 _one_at_a_time: Final = Lock()
 
 
 class Watchable(NamedTuple):
-    """A file a browser plays."""
+    """Video file that a browser can play."""
 
     path: Path
     media_type: str
 
 
 def watchable(project: Project, video: Path) -> Watchable:
-    """The video itself where a browser plays it, else a smaller copy in the project's cache.
+    """Return the video itself if a browser plays it, else a smaller copy in the project's cache.
 
-    Its times are those of the video. Writing it takes about as long as the video does.
+    The copy has the times of the video. Writing it takes about as long as the video lasts.
 
     Raises
     ------
     InvalidInput
-        A file that is no video.
+        The file is no video.
     """
     with video.open("rb") as stream:
         container = _container(stream.read(16))
     if container is not None and open_video(video).codec in PLAYED:
         return Watchable(video, container)
     copy = project.folder / CACHE / f"video-{video.stem[:32]}.mp4"
-    if not copy.is_file():  # or who wants another one waits for all that is being written
+    if not copy.is_file():  # checked first: a finished copy need not wait for others being written
         with _one_at_a_time:
             if not copy.is_file():
                 _write(video, copy)
@@ -47,7 +47,7 @@ def watchable(project: Project, video: Path) -> Watchable:
 
 
 def _container(start: bytes) -> str | None:
-    """What a browser should be told of a file that begins like this; none where it would not play.
+    """Media type of a file that begins like this; None if a browser would not play it.
 
     Examples
     --------

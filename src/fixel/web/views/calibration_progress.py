@@ -1,4 +1,4 @@
-"""A calibration while it runs: its objective, read from the journal of its job."""
+"""Progress of a running calibration: its objective, read from the journal of its job."""
 
 from __future__ import annotations
 
@@ -30,58 +30,58 @@ SEARCHES: Final = ("all together", "squares")  # stages whose errors are the obj
 ALONE: Final = "alone"
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
-# Names by which searches call how much they may evaluate.
+# Options by which searches limit their evaluations.
 LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 
 
 @final
 @dataclass
 class JournalProgress:
-    """What the journal of one job has said so far."""
+    """Content of the journal of one job so far."""
 
-    seen: int = 0  # blocks
+    seen: int = 0  # blocks that were read
     size: int = -1  # [byte] of the journal when it was read
     stage: str = ""
-    objective: list[float] = field(default_factory=list)  # one an evaluation; inf where it failed
-    nominal: list[float] = field(default_factory=list)  # one an experiment
-    alone: dict[int, float] = field(default_factory=dict)  # place of an experiment to its error
-    waiting: list[FloatArray] = field(default_factory=list)  # chunks of a round that goes on
+    objective: list[float] = field(default_factory=list)  # one per evaluation; inf where it failed
+    nominal: list[float] = field(default_factory=list)  # one per experiment
+    alone: dict[int, float] = field(default_factory=dict)  # index of an experiment to its error
+    waiting: list[FloatArray] = field(default_factory=list)  # chunks of an unfinished round
     rate: deque[tuple[float, int]] = field(default_factory=deque)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationProgress:
-    """A calibration's job, as far as it is.
+    """Progress of a calibration's job.
 
     Attributes
     ----------
     name : str
-        Of its folder.
+        Name of its folder.
     status : JobStatus
     request : CalibrationRequest
     experiments : list of int
-        Ids.
+        Ids of the experiments.
     stage : str
-        What was computed last.
+        Stage that was computed last.
     objective : list of float
-        Of the evaluations in order, from `since`; inf where a simulation failed.
+        Objective of the evaluations in order, from `since`; inf where a simulation failed.
     evaluations : int
-        All of them.
+        Number of all evaluations.
     best : float or None
-        Least of all evaluations.
+        Least objective of all evaluations.
     start : float or None
-        The same number at the nominal values.
+        Objective at the nominal values.
     nominal : list of float
-        Error of every experiment before.
+        Error of every experiment before calibration.
     alone : dict from int to float
-        Place of an experiment and its error with parameters of its own.
+        Index of an experiment and its error with parameters of its own.
     rate : float
-        Evaluations a second, lately.
+        Recent evaluations per second.
     most : int or None
-        Evaluations after which the search ends at the latest.
+        Largest number of evaluations of the search.
     stored : list of int
-        Ids of the calibrations it became.
+        Ids of the calibrations that its result was stored as.
     """
 
     name: str
@@ -102,7 +102,7 @@ class CalibrationProgress:
 
 @final
 class Watch:
-    """Looks at the calibrations of a project again and again, and reads what is new.
+    """Reader of the progress of a project's calibrations, which reads only what is new.
 
     Parameters
     ----------
@@ -115,16 +115,16 @@ class Watch:
         self._known: dict[str, JournalProgress] = {}
 
     def folder(self, name: str) -> Path:
-        """Of a calibration's job; a refusal where there is none of the name."""
+        """Return the folder of a calibration's job; raise if there is none of the name."""
         found = next((one for one in self._folders() if one.name == name), None)
         if found is None:
             raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
         return found
 
     def unfinished(self) -> tuple[list[CalibrationProgress], list[FixelError]]:
-        """Calibrations that are not stored yet, the newest first, and why others cannot be read.
+        """Return calibrations that are not stored yet, newest first, and errors of unreadable ones.
 
-        Those that are done become stored.
+        Calibrations that are done become stored.
         """
         made = {one: files.read_job(one).made_utc for one in self._folders()}
         newest = sorted(made, key=made.__getitem__, reverse=True)
@@ -135,7 +135,7 @@ class Watch:
         return None if stored_ids(folder) else self.look(folder)
 
     def look(self, folder: Path, since: int = 0) -> CalibrationProgress:
-        """How far one is; of the objective only what came after so many evaluations."""
+        """Return the progress of one; of the objective only what follows evaluation `since`."""
         status = jobs.status_of(folder)
         request, ids = request_of(folder), experiments_of(folder)
         with self._lock:
@@ -167,7 +167,7 @@ class Watch:
     def _collected(self, folder: Path) -> list[int]:
         try:
             return collected(self._project, folder)
-        except JobRefused:  # whoever ran it is about to
+        except JobRefused:  # the process that ran it is about to
             return []
 
     def _folders(self) -> list[Path]:
@@ -176,7 +176,7 @@ class Watch:
 
 
 def _read(journal: Path, progress: JournalProgress, request: CalibrationRequest, n: int) -> None:
-    """What the journal has more than last time."""
+    """Read what the journal has more than last time."""
     size = journal.stat().st_size if journal.is_file() else 0
     if size == progress.size or size == 0:
         return
@@ -206,7 +206,7 @@ def _take(
         for one in found_of(arrays):
             progress.alone[one.members[0]] = float(one.errors[0])
     elif stage == SEARCHES[0]:
-        if first:  # what a chunk that was lost has left
+        if first:  # remains of a chunk that was lost
             progress.waiting.clear()
         progress.waiting.append(arrays["error"])
         values = np.concatenate(progress.waiting)
@@ -226,7 +226,7 @@ def _combined(table: FloatArray, request: CalibrationRequest) -> FloatArray:
 
 
 def _shared(error: float, request: CalibrationRequest, n: int) -> float:
-    """A sum of errors as their mean, which can be held against those of other calibrations."""
+    """Convert a sum of errors to their mean, which is comparable with other calibrations."""
     return error / n if request.combine == "sum" else error
 
 

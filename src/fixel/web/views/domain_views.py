@@ -1,8 +1,8 @@
-"""A kept map, looked at under other thresholds at once, and along other axes after a while.
+"""Stored maps under other thresholds at once, and along other axes after a while.
 
-The fits are not made again: what was held out is read from where the analysis has kept it. How
-errors vary over other axes has to be found anew, which takes from a second to minutes: in a process
-beside, once for all who ask, until nobody does any more.
+The fits of the cross-validation are not repeated: held-out errors are read from the stored
+analysis. The variation of errors over other axes is fitted again, which takes from a second to
+minutes, in a process of its own that is shared by clients and stopped when unused.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from fixel.workflows.domain.evidence import DomainEvidence, gathered_before, mar
 from fixel.workflows.domain.request import DomainRequest, asked_again
 from fixel.workflows.domain.run import is_fitted, refuse_axes, spread_out
 
-MAX_MAPS: Final = 12  # at hand
-PATIENCE: Final = 2.0  # [s] that who asks for a map waits for it
+MAX_MAPS: Final = 12  # in memory
+PATIENCE: Final = 2.0  # [s] that a request for a map waits for it
 MAX_GROUPS: Final = 40
-MAX_ON_AXIS: Final = 60  # values of a text that may be an axis
+MAX_ON_AXIS: Final = 60  # values of a text that can be an axis
 
 
 class MapAxis(NamedTuple):
-    """A coordinate the map may go over."""
+    """Coordinate that can be an axis of the map."""
 
     name: str
     distinct: int
 
 
 class MapView(NamedTuple):
-    """A map for every threshold.
+    """Map for every threshold.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class MapView(NamedTuple):
     gathered : DomainEvidence
     domain : DomainMap
     aside : int
-        Experiments left out, since they were offset along something else.
+        Number of experiments left out, since they were offset along something else.
     table : list of list of list of int
         Cells of every strip or grid: panels, rows from below, columns.
     """
@@ -65,12 +65,12 @@ class MapView(NamedTuple):
 
     @property
     def cells(self) -> Cells:
-        """Of the map."""
+        """Cells of the map."""
         return self.domain.cells
 
     @property
     def evidence(self) -> HeldOutErrors:
-        """What the map rests on."""
+        """Held-out errors of the map."""
         return self.domain.evidence
 
     @property
@@ -79,13 +79,13 @@ class MapView(NamedTuple):
         return self.cells.arms or len(self.cells.axes) == 1
 
     def axes_of(self, panel: int) -> tuple[CellAxis, CellAxis | None]:
-        """Across and up, of one panel."""
+        """Axes of one panel: across and up."""
         axes = self.cells.axes
         return (axes[panel], None) if self.is_strips else (axes[0], axes[1])
 
     @property
     def thresholds(self) -> tuple[float, float]:
-        """Between which a slider is of use."""
+        """Smallest and largest useful threshold."""
         usual = self.domain.usual_thresholds
         low, high = float(usual[0]), float(usual[-1])
         floor = self.gathered.floor_mm
@@ -95,7 +95,7 @@ class MapView(NamedTuple):
 
     @property
     def usual_threshold(self) -> float:
-        """Where one looks first."""
+        """Threshold that is shown first."""
         asked = self.asked.threshold
         if asked is not None and self.asked.measure == self.kept.analysis.question["measure"]:
             return asked
@@ -109,9 +109,9 @@ class ThresholdMap(NamedTuple):
     ----------
     claim : Claim
     chance : (n_group, n_cell) float64
-        That the claim holds; nan without data.
+        Probability that the claim holds; nan without data.
     colour : (n_group, n_cell) int
-        Places in `COLOURS`.
+        Indices into `COLOURS`.
     inside : (n_group, n_cell) bool
         Whether a cell belongs to D(tau).
     counts : dict from colour to int
@@ -129,7 +129,7 @@ Key = tuple[str, ...]
 
 @final
 class DomainDesk:
-    """Kept maps of a project.
+    """Stored maps of a project.
 
     Parameters
     ----------
@@ -142,23 +142,23 @@ class DomainDesk:
         self._store = store
         self._views: OrderedDict[Key, MapView] = OrderedDict()
         self._fits: Fits[Key, tuple[DomainMap, int]] = Fits(_spread_out)
-        self._lock = threading.Lock()  # of the views; nothing is computed under it
+        self._lock = threading.Lock()  # protects the views; nothing is computed while it is locked
 
     def maps(self) -> tuple[list[StoredAnalysis], list[FixelError]]:
-        """The newest first, and why others cannot be read."""
+        """Return the maps, newest first, and the errors of unreadable ones."""
         return kept_and_not(self._project, "domain")
 
     def view(
         self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None
     ) -> MapView:
-        """A map along some axes, those it was made for where left out.
+        """Return a map along some axes; by default those it was made for.
 
         Raises
         ------
         NotStored
-            No such analysis.
+            There is no such analysis.
         JobRefused
-            Its held-out errors are not there any more, or it is still being fitted to these axes.
+            Its held-out errors are gone, or it is still being fitted to these axes.
         InvalidInput
             Axes or a measure that the experiments do not allow.
         """
@@ -176,15 +176,15 @@ class DomainDesk:
     def fit(
         self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None
     ) -> float | None:
-        """For how long a map has been fitted [s]; none where it is at hand.
+        """Return the time for which a map has been fitted [s]; None if it is finished.
 
-        Where nobody has, it is begun. Raises as `view` does.
+        Begins the fit if necessary. Raises as `view` does.
         """
         found = self._looked_up(name, axes, measure)
         return found.seconds if isinstance(found, BackgroundFit) else None
 
     def stop(self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None) -> None:
-        """End the fit of a map, if there is one."""
+        """Stop the fit of a map, if there is one."""
         self._fits.stop(self._key(self._named(name), axes, measure))
 
     def _named(self, name: str) -> StoredAnalysis:
@@ -199,13 +199,13 @@ class DomainDesk:
     def _looked_up(
         self, name: str, axes: tuple[str, ...], measure: Measure | None
     ) -> MapView | BackgroundFit:
-        """A map at hand, or on its way: two who ask for the same wait for one answer."""
+        """Return a finished map, or its running fit, which all requests share."""
         one = self._named(name)
         key = self._key(one, axes, measure)
         fit = self._fits.joined(key)
         if fit is not None:
             return fit
-        with self._lock:  # after the fits: what ends becomes a view before it is gone from them
+        with self._lock:  # after the fits: a finished fit becomes a view before it is removed there
             if key in self._views:
                 self._views.move_to_end(key)
                 return self._views[key]
@@ -260,7 +260,7 @@ def _spread_out(question: tuple[DomainEvidence, DomainRequest]) -> tuple[DomainM
 
 
 def shown(view: MapView, threshold: float | None, level: float, confidence: float) -> ThresholdMap:
-    """A map at a threshold; its usual one where left out."""
+    """Evaluate a map at a threshold; by default its usual one."""
     domain = view.domain
     claim = Claim(
         threshold=view.usual_threshold if threshold is None else threshold,
@@ -280,12 +280,12 @@ def shown(view: MapView, threshold: float | None, level: float, confidence: floa
 
 
 def suggested(view: MapView, claim: Claim, most: int = 3) -> list[Proposal]:
-    """Experiments that would teach most."""
+    """Propose the most informative experiments."""
     return proposals(view.domain, claim, most)
 
 
 def axes_offered(view: MapView) -> list[MapAxis]:
-    """Coordinates that differ among the experiments, and may be an axis."""
+    """Return coordinates that differ among the experiments and can be an axis."""
     found = []
     for name, column in sorted(view.gathered.evidence.coordinates.items()):
         values = {value for value in column if value is not None}
@@ -302,7 +302,7 @@ def held_out_mm(view: MapView) -> FloatArray:
 
 
 def place_of(cells: Cells, c: int) -> dict[str, str | float]:
-    """Values of a cell [SI]."""
+    """Values of a cell by axis [SI]."""
     return {
         axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
         for axis, k in zip(cells.axes, cells.index[c], strict=True)
@@ -310,7 +310,7 @@ def place_of(cells: Cells, c: int) -> dict[str, str | float]:
 
 
 def _table(cells: Cells) -> list[list[list[int]]]:
-    """A strip an axis through the nominal where experiments differ along one at a time; else one
+    """One strip per axis through the nominal if experiments differ along one at a time; else one
     grid, its rows from below."""
     number = {index: c for c, index in enumerate(cells.index)}
     if not (cells.arms or len(cells.axes) == 1):

@@ -1,4 +1,4 @@
-"""The jobs of a project as a page shows them: how far, by whom, what was lost, what was said."""
+"""Jobs of a project for a page: progress, workers, losses, log."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from fixel.jobs import link
 from fixel.workflows import jobs
 from fixel.workflows.jobs import LOST, JobStatus
 
-UNREADABLE: Final = "unreadable"  # the state of a folder that some other program wrote into
-NO_WORKERS: Final = ("scheduler", "coordinator")  # whose logs lie among those of the workers
-MAX_LOG: Final = 256 * 1024  # [byte] from the end of a log that are looked at
-MAX_WORKERS: Final = 200  # that are told of, the newest
+UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
+NO_WORKERS: Final = ("scheduler", "coordinator")  # names of other logs in the workers' folder
+MAX_LOG: Final = 256 * 1024  # [byte] that are read from the end of a log
+MAX_WORKERS: Final = 200  # that are listed, the newest
 MAX_AT_ONCE: Final = 4  # jobs of a project that pages may have running
 
 _starting = threading.Lock()
@@ -35,46 +35,46 @@ class Worker(NamedTuple):
     name: str
     host: str
     pid: int
-    state: WorkerState  # `joined` where another machine would have to be asked
+    state: WorkerState  # `joined` if only another machine could know more
     reason: str  # why it refused
 
 
 class JobSummary(NamedTuple):
-    """A job on the board."""
+    """Job with its state, for a page."""
 
     name: str
     folder: Path
     state: str
-    status: JobStatus | None  # none where it cannot be read
+    status: JobStatus | None  # None if it cannot be read
     reason: str
     maker: str
     made_utc: str
 
     @property
     def can_cancel(self) -> bool:
-        """Whether there is something to end."""
+        """Whether there is something to stop."""
         return self.status is not None and not (self.status.ended and self.state != LOST)
 
     @property
     def can_resume(self) -> bool:
-        """Whether it would go on."""
+        """Whether the job can be resumed."""
         return self.state in ("queued", "stopped", "cancelled", "failed", LOST)
 
     @property
     def command(self) -> str:
-        """What to type to go on with it, or to watch it."""
+        """Command that resumes or watches the job."""
         verb = "resume" if self.can_resume else "logs -f" if self.can_cancel else "status"
         return f"fixel jobs {verb} {shlex.quote(str(self.folder))}"
 
 
 def board(project: Path) -> list[JobSummary]:
-    """The jobs of a project, the newest first."""
+    """Return the jobs of a project, newest first."""
     found = [_posted(folder) for folder in _folders(project).values()]
     return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
 
 
 def posted(project: Path, name: str) -> JobSummary:
-    """The job of a name; names are compared with those that are there, and are never paths."""
+    """Return the job of a name, which is compared with existing ones and never used as a path."""
     folders = _folders(project)
     if name not in folders:
         raise NotStored(f"job {name!r}", hint="see what there is with: fixel jobs status")
@@ -82,7 +82,7 @@ def posted(project: Path, name: str) -> JobSummary:
 
 
 def workers(job: JobSummary) -> list[Worker]:
-    """Who computes for a job, and who did: those of now first."""
+    """Return the workers of a job, present and past; the present ones first."""
     owner = files.coordinator_of(job.folder)
     found = [_worker(job.folder, name, owner) for name in _worker_names(job.folder)]
     order = ("working", "joined", "starting", "refused", "ended")
@@ -90,7 +90,7 @@ def workers(job: JobSummary) -> list[Worker]:
 
 
 def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
-    """The last lines of a job's log, and whether these are all."""
+    """Return the last lines of a job's log, and whether these are all."""
     path = job.folder / files.LOG
     if not path.is_file():
         return [], True
@@ -100,17 +100,17 @@ def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
         text = stream.read().decode("utf-8", errors="replace")
     found = text.splitlines()
     if size > MAX_LOG:
-        found = found[1:]  # it begins somewhere in a line
+        found = found[1:]  # it begins within a line
     return found[-lines:], size <= MAX_LOG and len(found) <= lines
 
 
 def cancel(job: JobSummary) -> None:
-    """End a job and its workers; what was finished stays."""
+    """Cancel a job and its workers; finished chunks are saved."""
     jobs.cancel(job.folder)
 
 
 def resume(job: JobSummary) -> None:
-    """Go on with a job in a process of its own, as it was run before."""
+    """Resume a job in a process of its own, as it was run before."""
     if not job.can_resume:
         raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
     jobs.arrange(job.folder)
@@ -119,12 +119,12 @@ def resume(job: JobSummary) -> None:
 
 @contextmanager
 def room(project: Path) -> Iterator[None]:
-    """Start a job within: each takes a core or more, and a click costs nothing.
+    """Allow one job to be started within: each takes a core or more, and a click costs nothing.
 
     Raises
     ------
     JobRefused
-        So many run already.
+        Too many jobs are running.
     """
     with _starting:
         running = [path for path in _folders(project).values() if files.coordinator_of(path)]
@@ -137,7 +137,7 @@ def room(project: Path) -> Iterator[None]:
 
 
 def _folders(project: Path) -> dict[str, Path]:
-    """Folders of jobs by the names that are shown, which any text can hold."""
+    """Folders of jobs by the names that are shown, which any text can contain."""
     found = [path.parent for path in (project / jobs.JOBS).glob("*/job.json")]
     return {folder.name.encode("utf-8", "replace").decode(): folder for folder in sorted(found)}
 
@@ -169,7 +169,7 @@ def _worker(folder: Path, name: str, owner: Owner | None) -> Worker:
 
 
 def _state(name: str, host: str, pid: int, owner: Owner | None) -> WorkerState:
-    # Workers of this machine carry the number of the coordinator that started them.
+    # Names of local workers contain the process id of the coordinator that started them.
     if owner is None or (name.startswith("local-") and name.split("-")[1] != str(owner.pid)):
         return "ended"
     if not pid:
@@ -180,7 +180,7 @@ def _state(name: str, host: str, pid: int, owner: Owner | None) -> WorkerState:
 
 
 def _lives(pid: int, name: str) -> bool:
-    """Whether a process of this machine is still that worker, and no later one of its number."""
+    """Whether a process of this machine is still that worker, not a later one of its id."""
     try:
         return name.encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:

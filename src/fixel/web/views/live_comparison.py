@@ -1,4 +1,4 @@
-"""Sets of parameters against one experiment, again and again while somebody moves a slider."""
+"""Compare sets of parameters on one experiment, repeatedly while a slider is moved."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import Comparison, comparison
 
 DYNAMIC: Final = "dynamic"
-MOST_STEPS: Final = 20_000  # of one simulation; the thesis's runs take about a hundred
-KEPT: Final = 16  # experiments that are at hand without a look into the database
+MOST_STEPS: Final = 20_000  # of one simulation; those of the thesis take about a hundred
+KEPT: Final = 16  # experiments in memory
 MAX_SETS: Final = 40  # that are offered of one kind, the newest first
 
 SetKind = Literal["nominal", "calibration", "simulation"]
 
 
 class StoredSet(NamedTuple):
-    """Values somebody may want to look at."""
+    """Values that can be selected for comparison."""
 
     id: str  # "nominal", "calibration-3", "simulation-12"
     label: str
     kind: SetKind
     parameters: Parameters
     motion: str  # name of the motion model
-    error_mm2: float | None  # the thesis's E where it is known already
+    error_mm2: float | None  # the thesis's E, if it is known already
 
 
 class ComparedSimulation(NamedTuple):
-    """A simulation held against what was measured; no errors where it stopped early."""
+    """Simulation compared with the measurement; no errors if it stopped early."""
 
     motion: MotionView
     parameters: Parameters
@@ -58,12 +58,12 @@ class ComparedSimulation(NamedTuple):
     final_position: float | None  # [m]
     final_angle: float | None  # [rad]
     error_mm2: float | None  # the thesis's E
-    contact_mode: str  # at the end, a digit a fixel
+    contact_mode: str  # at the end, one digit per fixel
     wall_time: float | None  # of the simulation alone [s]
 
 
 class NewSimulations(NamedTuple):
-    """Experiments with a simulation that is new, and why others have none."""
+    """Experiments with a new simulation, and the reasons why others have none."""
 
     stored: list[int]
     refused: dict[int, str]
@@ -71,7 +71,7 @@ class NewSimulations(NamedTuple):
 
 @final
 class CompareDesk:
-    """Experiments at hand, and simulations of them at once.
+    """Experiments in memory, and simulations of them at once.
 
     Any thread may use it.
 
@@ -88,7 +88,7 @@ class CompareDesk:
         self._sliders: dict[int, tuple[Unknown, ...]] = {}
 
     def experiment(self, number: int) -> Experiment:
-        """The experiment of an id; it never changes, so the last few stay at hand."""
+        """Return an experiment; it never changes, so the last few stay in memory."""
         with self._lock:
             if number in self._known:
                 self._known.move_to_end(number)
@@ -102,15 +102,15 @@ class CompareDesk:
         return experiment
 
     def sliders(self, number: int) -> tuple[Unknown, ...]:
-        """Every parameter that the experiment's scene gives a meaning, with its usual bounds,
-        starting at the scene's own value; those one usually calibrates come first."""
+        """Return every parameter that has a meaning in the experiment's scene, with its usual
+        bounds, starting at the scene's own value; those usually calibrated come first."""
         if number not in self._sliders:
             self._sliders[number] = _sliders(self.experiment(number))
         return self._sliders[number]
 
     def sets(self, number: int) -> list[StoredSet]:
-        """What is offered for comparison: the scene's own values, what calibrations found, and
-        what stored simulations were made with."""
+        """Return the sets for comparison: the scene's own values, those of calibrations, and those
+        of stored simulations."""
         experiment = self.experiment(number)
         scene_of(experiment)
         found = [StoredSet("nominal", "nominal", "nominal", Parameters(), DYNAMIC, None)]
@@ -124,7 +124,7 @@ class CompareDesk:
     def compared(
         self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC
     ) -> ComparedSimulation:
-        """A new simulation of an experiment, held against what was measured."""
+        """Simulate an experiment, and compare the result with the measurement."""
         answer = self._comparison(number, parameters, motion)
         return ComparedSimulation(
             compared_motion(answer, "simulated", id="simulated"),
@@ -147,7 +147,7 @@ class CompareDesk:
         )
 
     def stored(self, number: int, simulation: int) -> ComparedSimulation:
-        """A stored simulation of an experiment, as it was when it was kept."""
+        """Return a stored simulation of an experiment, with the errors stored with it."""
         record = self._record(number, simulation)
         motion = self.simulated(number, simulation)
         known = record.error_mm2 is not None and motion.errors is not None
@@ -166,7 +166,7 @@ class CompareDesk:
         )
 
     def simulated(self, number: int, simulation: int) -> MotionView:
-        """What moved in a stored simulation of an experiment."""
+        """Return the motion of a stored simulation of an experiment."""
         record = self._record(number, simulation)
         label, name = f"simulation {simulation}", f"simulation-{simulation}"
         return stored_motion(self.experiment(number), record, label, id=name)
@@ -182,7 +182,7 @@ class CompareDesk:
         return record
 
     def keep(self, number: int, parameters: Mapping[str, float], motion: str, command: str) -> int:
-        """Store such a simulation; returns its id."""
+        """Store a simulation with these parameters; return its id."""
         answer = self._comparison(number, parameters, motion)
         return self._store.add_simulation(answer.record(number, command))
 
@@ -205,14 +205,14 @@ class CompareDesk:
 
 
 def warm_up() -> None:
-    """Load or compile the engine, so that the first slider moves as the tenth does."""
+    """Load or compile the engine, so that the first slider is as fast as the tenth."""
     from fixel.testing.scenes import grasp
 
     get_ready(grasp())
 
 
 def motion_model(name: str) -> AbstractMotionModel:
-    """A motion model by its name."""
+    """Return the motion model of a name."""
     models = {model.name: model for model in MOTION_MODELS}
     if name not in models:
         raise InvalidInput("motion", found=repr(name), expected="one of " + ", ".join(models))
@@ -222,7 +222,7 @@ def motion_model(name: str) -> AbstractMotionModel:
 def command_of(
     experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
 ) -> str:
-    """What to type for the same comparison."""
+    """Return the command for the same comparison."""
     words = ["fixel", "compare", experiment.key, "--project", str(folder)]
     for name, value in parameters.items():
         words += ["--set", f"{name}={value!r}"]
@@ -234,7 +234,7 @@ def command_of(
 def python_of(
     experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
 ) -> str:
-    """The same in Python."""
+    """Return the script for the same comparison."""
     named = {model.name: model.__name__ for model in MOTION_MODELS}
     model = named[motion]
     return "\n".join(
@@ -293,11 +293,11 @@ def _sliders(experiment: Experiment) -> tuple[Unknown, ...]:
             unknown = usual(name, scene)
             simulate(scene, Parameters({name: unknown.nominal}), duration=INSTANT)
         except InvalidInput:
-            continue  # nothing in this scene that the name could mean
+            continue  # the name has no meaning in this scene
         found.append(unknown)
     return tuple(found)
 
 
 def meaning_of(name: str) -> str:
-    """What a parameter is, in a few words."""
+    """Return the meaning of a parameter, in a few words."""
     return info_of(name).meaning

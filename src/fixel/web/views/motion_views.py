@@ -1,7 +1,7 @@
-"""Motions made ready to be shown: what lay on the plate, how it moved, what pushed on it.
+"""Motions prepared for drawing: shapes, poses, contact forces, signals, errors.
 
-A page, a film and a program of somebody else draw the same thing: outlines with a role, poses
-against time, contact forces, tactile signals, errors. Nothing here knows how they are drawn.
+Pages, films and other programs draw the same data: outlines with a role, poses against time,
+contact forces, tactile signals, errors. Nothing here depends on how they are drawn.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from fixel.workflows.project.compare import Comparison, errors_of
 Kind = Literal["measured", "simulated"]
 Role = Literal["object", "body", "pusher", "fixel"]
 
-MARGIN: Final = 0.05  # of the size of what is shown, about it
+MARGIN: Final = 0.05  # margin around the drawing, as a fraction of its size
 
 
 class Thing(NamedTuple):
-    """Something on the plate, where it is at the start."""
+    """Body, pusher or fixel, with its pose at the start."""
 
     name: str
     role: Role
@@ -37,7 +37,7 @@ class Thing(NamedTuple):
 
 
 class ContactViews(NamedTuple):
-    """Every contact of every sample; forces are those on the first of the pair."""
+    """Contacts of all samples; forces act on the first of the pair."""
 
     sample: IntArray  # (n,) not decreasing
     pair: IntArray  # (n, 2) indices into the things
@@ -46,7 +46,7 @@ class ContactViews(NamedTuple):
 
 
 class MotionErrors(NamedTuple):
-    """How far a simulation is from what was measured."""
+    """Errors of a simulation against the measurement."""
 
     time: FloatArray  # (n,) measured instants [s]
     position: FloatArray  # (n,) [m]
@@ -56,24 +56,24 @@ class MotionErrors(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionView:
-    """One way everything moved.
+    """Motion of everything in a scene, measured or simulated.
 
     Parameters
     ----------
     id : str
-        Unique in what is shown together: `"measured"`, `"simulation-12"`.
+        Identifier, unique among motions shown together: `"measured"`, `"simulation-12"`.
     label : str
     kind : str
     time : (n,) float64
-        [s], on the clock of the experiment.
+        Times on the clock of the experiment [s].
     pose : mapping from name to (n, 3) float64
-        Of what moves; angles are continuous [m, m, rad].
+        Poses of everything that moves; angles are continuous [m, m, rad].
     contacts : ContactViews, optional
     touch : Channel, optional
-        One column a fixel, 1 where it is touched.
+        One column per fixel, 1 where it is touched.
     errors : MotionErrors, optional
     status, advice : str
-        As of a `Simulation`; empty for a measured one.
+        Status and advice of a `Simulation`; empty for a measured motion.
     """
 
     id: str
@@ -91,17 +91,17 @@ class MotionView:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Story:
-    """Motions of the same things.
+    """Motions of the same things, to be drawn together.
 
     Parameters
     ----------
     title : str
     object_name : str
-        The thing whose motion is compared.
+        Name of the thing whose motion is compared.
     reference : (2,) float64
-        Its centre of mass in its own frame [m]: what leaves the trail.
+        Its centre of mass in its own frame [m], which draws the trail.
     things : tuple of Thing
-        In the order of `Scene.names`.
+        Things in the order of `Scene.names`.
     motions : tuple of MotionView
     """
 
@@ -113,8 +113,8 @@ class Story:
 
     @property
     def box(self) -> FloatArray:
-        """(4,) x and y of the lower left, x and y of the upper right of all that is ever seen
-        [m]."""
+        """(4,) box of everything that is ever visible: x and y of the lower left, x and y of the
+        upper right [m]."""
         points = [placed(thing.shape.outline, thing.pose) for thing in self.things]
         for motion in self.motions:
             for thing in self.things:
@@ -128,7 +128,7 @@ class Story:
 
 
 def story_of_scene(scene: Scene, motions: Sequence[MotionView], title: str) -> Story:
-    """Motions of a scene that is no experiment; its first body is the object."""
+    """Build the motions of a scene that is no experiment; its first body is the object."""
     body = scene.bodies[0]
     return Story(
         title=title,
@@ -140,12 +140,12 @@ def story_of_scene(scene: Scene, motions: Sequence[MotionView], title: str) -> S
 
 
 def story_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -> Story:
-    """What was measured, and simulations of it.
+    """Build the motions of an experiment: as measured, and as simulated.
 
     Raises
     ------
     InvalidInput
-        An experiment without a scene: nobody knows what it looks like.
+        The experiment has no scene, so that its shapes are unknown.
     """
     scene = scene_of(experiment)
     body = next(b for b in scene.bodies if b.name == experiment.object_name)
@@ -159,7 +159,7 @@ def story_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -
 
 
 def things_of(scene: Scene, object_name: str) -> tuple[Thing, ...]:
-    """Everything in a scene, in the order of its names."""
+    """Return everything in a scene, in the order of its names."""
     bodies = [
         Thing(b.name, "object" if b.name == object_name else "body", b.shape, b.pose)
         for b in scene.bodies
@@ -170,7 +170,7 @@ def things_of(scene: Scene, object_name: str) -> tuple[Thing, ...]:
 
 
 def measured_motion(experiment: Experiment) -> MotionView:
-    """What the camera and the fixels saw."""
+    """Return the motion that the camera and the fixels measured."""
     track = experiment.trajectory
     poses = {experiment.object_name: _continuous(track.pose)}
     pushers = scene_of(experiment).pushers
@@ -189,10 +189,10 @@ def measured_motion(experiment: Experiment) -> MotionView:
 def simulated_motion(
     simulation: Simulation, label: str = "simulated", *, id: str = "simulation", start: float = 0.0
 ) -> MotionView:
-    """A simulation, `start` [s] later than on its own clock."""
+    """Return the motion of a simulation, `start` [s] later than on its own clock."""
     poses = np.stack(list(simulation.pose.values()), axis=1)
     known = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
-    n = int(np.argmin(np.append(known, False)))  # of those before the first that fails
+    n = int(np.argmin(np.append(known, False)))  # number of samples before the first that fails
     return MotionView(
         id=id,
         label=label,
@@ -206,7 +206,7 @@ def simulated_motion(
 
 
 def compared_motion(answer: Comparison, label: str, *, id: str) -> MotionView:
-    """A simulation of an experiment, with its errors."""
+    """Return the motion of a simulation of an experiment, with its errors."""
     simulation = answer.simulation
     start = float(answer.simulated.time[0]) - float(simulation.time[0])
     return replace(
@@ -219,7 +219,7 @@ def compared_motion(answer: Comparison, label: str, *, id: str) -> MotionView:
 def stored_motion(
     experiment: Experiment, record: SimulationRecord, label: str, *, id: str
 ) -> MotionView:
-    """A simulation as a project keeps it: poses, without contacts."""
+    """Return the motion of a stored simulation: poses, without contacts."""
     track = record.trajectory
     poses = {experiment.object_name: _continuous(track.pose)}
     pushers = scene_of(experiment).pushers
@@ -237,11 +237,11 @@ def stored_motion(
 
 
 def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
-    """Contacts of the first so many samples, where they are at their sample.
+    """Return the contacts of the first samples, each at the place of its sample.
 
-    The table of a simulation says where a contact was when the equations of its step were written.
-    Samples of one step therefore share a point, which belongs to the middle of their instants: from
-    there it is carried with its body to each of them, and its force turned.
+    The table of a simulation has the place of a contact when the equations of its step were
+    written. Samples of one step therefore share a point, which belongs to the middle of their
+    instants. From there it is moved with its body to each of them, and its force is turned.
     """
     rows = simulation.contacts
     instants = simulation.time[:n_sample]
@@ -264,7 +264,7 @@ def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
 
 
 def _when_written(time: FloatArray, pair: IntArray, point: FloatArray) -> FloatArray:
-    """(n,) middle of the instants at which the same contact stands in the table [s]."""
+    """(n,) middle of the instants at which the same contact is in the table [s]."""
     keys = np.column_stack((pair.astype(np.float64), point))
     _, group = np.unique(keys, axis=0, return_inverse=True)
     group = group.ravel()
@@ -279,7 +279,7 @@ def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def _continuous(pose: FloatArray) -> FloatArray:
-    """The same poses without jumps of the angle by whole turns."""
+    """Return the same poses without jumps of the angle by whole turns."""
     return np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))
 
 

@@ -1,4 +1,4 @@
-"""Scenes that somebody makes on a page: opened, checked, simulated within bounds, written down."""
+"""Scenes of the scene page: open, check, simulate within limits, write."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ MAX_THINGS: Final = 60
 MAX_CORNERS: Final = 4_000  # of all outlines
 MAX_POINTS: Final = 4_000  # of all supports
 MAX_WAYPOINTS: Final = 20_000
-SAMPLES: Final = 440  # of a motion that is shown; 40 a second for the runs of the thesis
+SAMPLES: Final = 440  # of a motion that is shown; 40 per second for the runs of the thesis
 
 
 class SceneMotion(NamedTuple):
-    """A scene that was simulated, to be shown."""
+    """Simulated scene, ready to be drawn."""
 
     story: Story
     summary: dict[str, Any]  # as of `fixel simulate --json`
 
 
 def examples() -> list[tuple[str, str]]:
-    """Names of the scenes that come with fixel, each with what its first comment says."""
+    """Return the names of the scenes that come with fixel, each with its first comment."""
     return [(name, _first_sentence(example_text(name))) for name in example_names()]
 
 
 def example(name: str) -> dict[str, Any]:
-    """A scene that comes with fixel, as the keys of a scene file."""
+    """Return a scene that comes with fixel, as the keys of a scene file."""
     if name not in example_names():
         raise InvalidInput(
             "example", found=repr(name), expected="one of " + ", ".join(example_names())
@@ -54,19 +54,19 @@ def example(name: str) -> dict[str, Any]:
 
 
 def scene_of_experiment(experiment: Experiment) -> dict[str, Any]:
-    """The scene of an experiment, as the keys of a scene file."""
+    """Return the scene of an experiment, as the keys of a scene file."""
     from fixel.calibration.target import scene_of
 
     return scene_dict(SceneFile(scene=scene_of(experiment)))
 
 
 def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
-    """A scene file that somebody opened, checked, as its keys.
+    """Parse and check the text of a scene file; return its keys.
 
     Raises
     ------
     InvalidInput
-        Too long, not well-formed, no scene, or one that is too large for a page.
+        The text is too long, not well-formed, or no scene, or the scene is too large for a page.
     """
     if len(text.encode()) > MAX_TEXT:
         raise InvalidInput(
@@ -77,7 +77,7 @@ def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
 
 
 def check_scene(content: Any) -> SceneFile:
-    """The scene of these keys, or the first thing that is wrong with it."""
+    """Return the scene of these keys, or raise the first error in it."""
     found = scene_file_from_dict(content)
     motion_model(found.motion)
     _refuse_large(found)
@@ -85,12 +85,12 @@ def check_scene(content: Any) -> SceneFile:
 
 
 def write_scene(content: Mapping[str, Any]) -> str:
-    """The scene file of these keys, as YAML."""
+    """Return the scene file of these keys, as YAML."""
     return yaml_text(scene_dict(check_scene(content)))
 
 
 def simulated(content: Any) -> SceneMotion:
-    """Simulate a scene given by its keys, with as many steps and samples as a page can bear."""
+    """Simulate a scene given by its keys, with limited numbers of steps and samples."""
     file = check_scene(content)
     scene = file.scene
     motion, stepper, solver = parts(file, SimulationMethod())
@@ -108,7 +108,7 @@ def simulated(content: Any) -> SceneMotion:
 
 @functools.cache
 def beside() -> WorkerProcess:
-    """`simulated`, in a process of its own; one for all who ask."""
+    """Process that runs `simulated`, shared by all clients."""
     return WorkerProcess(
         simulated,
         limit=LIMIT,
@@ -118,8 +118,8 @@ def beside() -> WorkerProcess:
 
 
 def get_ready() -> None:
-    """Start that process, so that the first who simulates need not wait for it."""
-    with suppress(JobRefused):  # whoever simulates is told
+    """Start that process, so that the first simulation need not wait for it."""
+    with suppress(JobRefused):  # the simulation itself reports it
         beside().start()
 
 

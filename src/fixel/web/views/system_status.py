@@ -1,4 +1,4 @@
-"""What a project runs on: versions, the database and its schema, room on the disk, backups."""
+"""Status of an installation: versions, database and schema, disk space, backups."""
 
 from __future__ import annotations
 
@@ -27,44 +27,44 @@ from fixel.workflows.project import maintenance
 from fixel.workflows.project.maintenance import Backup, CheckResult
 
 BACKUPS: Final = "backups"  # folder of a project
-MAX_FILES: Final = 100_000  # of the media folder, that are counted
+MAX_FILES: Final = 100_000  # largest number of files of the media folder to count
 SELF_TEST_LIMIT: Final = 600.0  # [s]; with an engine to compile, it takes about two minutes
 _BACKUP_NAME: Final = re.compile(r"experiments-[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?\.db")
 
 
 class Room(NamedTuple):
-    """Files and the disk they are on."""
+    """Sizes of files, and the space on their disk."""
 
-    database: int | None  # [byte]; none where it lies on a server
+    database: int | None  # [byte]; None if it is on a server
     media: int  # [byte]
     media_files: int
-    counted: bool  # whether that is all of the media
+    counted: bool  # whether `media` contains all files
     free: int  # [byte]
     total: int  # [byte]
 
 
 class Schema(NamedTuple):
-    """The tables of a database."""
+    """Schema of a database."""
 
     engine: str  # sqlite or postgresql
-    place: str  # without a password
+    place: str  # address without a password
     version: str | None
-    newest: str  # that this program knows
+    newest: str  # newest version that this program knows
     pending: tuple[str, ...]  # migrations between the two
 
 
 class Installation(NamedTuple):
-    """What computes here."""
+    """Versions and machine of this installation."""
 
     versions: dict[str, str]
     machine: dict[str, Any]
-    cache_folder: str  # of compiled kernels
+    cache_folder: str  # folder of compiled kernels
     cache_bytes: int
     compiled: bool
 
 
 class BackupFile(NamedTuple):
-    """A backup that lies in the project."""
+    """Backup in the project's folder."""
 
     name: str
     file: Path
@@ -73,14 +73,14 @@ class BackupFile(NamedTuple):
 
 
 def installation() -> Installation:
-    """Versions and machine; runs nothing."""
+    """Return versions and machine; runs nothing."""
     return Installation(
         doctor.versions(), doctor.machine(), cache_folder(), cache_size(), not engine_is_cold()
     )
 
 
 def schema_of(project: Project) -> Schema:
-    """Which version the tables have, and what an upgrade would do."""
+    """Return the version of the tables, and the migrations that an upgrade would apply."""
     engine = open_engine(project.url)
     try:
         with reading(engine) as connection:
@@ -94,7 +94,7 @@ def schema_of(project: Project) -> Schema:
 
 
 def room(project: Project) -> Room:
-    """How large everything is, and how much more there is room for."""
+    """Measure the sizes of a project's files, and the free space on their disk."""
     url = sa.make_url(project.url)
     file = Path(url.database or "") if url.get_backend_name() == "sqlite" else None
     size = None
@@ -105,9 +105,7 @@ def room(project: Project) -> Room:
     for path in project.media.glob("??/*"):
         if files == MAX_FILES:
             break
-        with suppress(
-            FileNotFoundError
-        ):  # of somebody who is writing, and has just given it a name
+        with suppress(FileNotFoundError):  # a temporary file that its writer has just renamed
             total += path.stat(follow_symlinks=False).st_size
             files += 1
     disk = shutil.disk_usage(project.folder)
@@ -115,7 +113,7 @@ def room(project: Project) -> Room:
 
 
 def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-    """The answer of `fixel doctor --json`, from a process of its own: kernels hold others up."""
+    """Run `fixel doctor --json` in a process of its own, as kernels would delay other requests."""
     with WorkerProcess(_examined, limit=SELF_TEST_LIMIT) as beside:
         answer: dict[str, Any] = beside.call(None, nobody_waits)
     return answer
@@ -127,7 +125,7 @@ def _examined(_: None) -> dict[str, Any]:
 
 
 def checked(project: Project) -> CheckResult:
-    """What `fixel db check` finds."""
+    """Return the result of `fixel db check`."""
     return maintenance.check(project.folder)
 
 
@@ -137,7 +135,7 @@ _making = threading.Lock()
 
 
 def back_up(project: Project) -> Backup:
-    """Copy the database into the folder of backups, under a name of the time of day."""
+    """Copy the database into the folder of backups, under a name with the time."""
     folder = project.folder / BACKUPS
     with _making:  # or two might choose the same name
         folder.mkdir(exist_ok=True)
@@ -156,7 +154,7 @@ def _new_name(folder: Path) -> Path:
 
 
 def backups(project: Project) -> list[BackupFile]:
-    """The backups in the project's folder, the newest first."""
+    """Return the backups in the project's folder, newest first."""
     folder = project.folder / BACKUPS
     if not folder.is_dir():
         return []
@@ -169,7 +167,7 @@ def backups(project: Project) -> list[BackupFile]:
 
 
 def backup_named(project: Project, name: str) -> BackupFile:
-    """One of them; names are compared with those that are there, and are never paths."""
+    """Return the backup of a name, which is compared with existing ones, never used as a path."""
     for kept in backups(project):
         if kept.name == name:
             return kept

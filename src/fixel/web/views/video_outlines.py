@@ -1,4 +1,4 @@
-"""Where a measured part appears in the video of its experiment, if the bench is known."""
+"""Outlines of a measured part in the video of its experiment, if the bench is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fixel.vision.outlines import outline_pixels
 from fixel.workflows.acquisition.tracked_experiment import CAMERA
 
 RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
-MAX_OUTLINES: Final = 600  # outlines; between them the part is drawn at the nearest
+MOST: Final = 600  # outlines; in between the part is drawn at the nearest
 
 
 class VideoOutlines(NamedTuple):
@@ -29,7 +29,7 @@ class VideoOutlines(NamedTuple):
     time : (n,) float64
         [s], on the clock of the experiment, which is that of the video.
     outline : (n, m, 2) float64
-        Closed lines [px], from above on the left.
+        Closed lines [px], from the upper left.
     """
 
     size: tuple[int, int]
@@ -38,7 +38,7 @@ class VideoOutlines(NamedTuple):
 
 
 def rig_named(project: Project, name: str) -> Rig | None:
-    """The rig of this name, from the project's `rigs` folder or the examples; none if unknown."""
+    """Load the rig of a name from the project's `rigs` folder or the examples; None if unknown."""
     for path in sorted((project.folder / RIGS).glob("*.yaml")):
         try:
             rig = load_rig(path)
@@ -50,8 +50,8 @@ def rig_named(project: Project, name: str) -> Rig | None:
 
 
 def seen_in_video(project: Project, experiment: Experiment) -> VideoOutlines | None:
-    """Outlines of the measured object in its video; none without rig, scene or height, or
-    where the camera was not where the rig has it."""
+    """Return outlines of the measured object in its video; None without rig, scene or height, or
+    if the camera was not where the rig places it."""
     rig = rig_named(project, str(experiment.conditions.get("rig", "")))
     scene, part = experiment.scene, None if rig is None else rig.parts.get(experiment.object_name)
     height = experiment.height or (None if part is None else part.height)
