@@ -1,1 +1,1 @@
-"""What a page needs to know: forms, progress, details, lists."""
+"""Data for the pages: forms, progress, details, lists."""

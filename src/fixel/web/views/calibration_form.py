@@ -40,7 +40,7 @@ class ParameterOption(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """What there is to calibrate.
+    """Experiments and parameters that can be calibrated.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Offer(NamedTuple):
 
 
 def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> Offer:
-    """What can be calibrated of experiments that match a filter, or of those of some ids."""
+    """Return what can be calibrated for experiments that match a filter or have given ids."""
     found, faulty = _matching(store, filter, ids)
     step = max(1, len(found) // LOOKED_AT)
     scenes = [target.case.scene for target in _targets(store, found[::step])[0]]

@@ -47,7 +47,7 @@ class Residual(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where one of several searches ended."""
+    """End of one of several searches."""
 
     error: float  # inf where it found nothing
     point: list[float]
@@ -108,7 +108,7 @@ class CalibrationDetail(NamedTuple):
 
 
 def tell(project: Project, store: Store, number: int) -> CalibrationDetail:
-    """What there is to see of a stored calibration."""
+    """Load the detail of a stored calibration."""
     record = store.calibration(number)
     calibration = one = desk = None
     starts: list[Start] = []
@@ -142,7 +142,7 @@ def tell(project: Project, store: Store, number: int) -> CalibrationDetail:
 
 
 def starts_of(desk: CalibrationReportData, one: ParameterSet) -> list[Start]:
-    """Where several searches ended, the best first; nothing where there was one."""
+    """Return the ends of several searches, best first; empty for a single search."""
     if desk.request.starts == 1 or one.trace is None:
         return []
     traced = desk.retraced(one)
@@ -251,7 +251,7 @@ def _finite(value: float) -> float | None:
 
 
 class CalibrationSummary(NamedTuple):
-    """What came of one job, or a calibration without one.
+    """Result of one job, or a calibration without a job.
 
     Attributes
     ----------

@@ -147,7 +147,7 @@ class _Budget:
 
 
 def _timed(begun: float, **arrays: Any) -> bytes:
-    """An answer that says how long it took to compute."""
+    """Serialise an answer together with the time that it took to compute."""
     return bytes_of(**arrays, **{TIME: time.process_time() - begun})
 
 
@@ -484,7 +484,7 @@ def _judged(
 def _with_verdicts(
     request: CalibrationRequest, comparer: Comparer, one: ParameterSet, budget: _Budget
 ) -> Rounds[ParameterSet]:
-    """With a verdict on every unknown; every simulation behind them is an answer in the journal."""
+    """Add a verdict on every parameter; the journal has every simulation behind them."""
     if not np.isfinite(one.errors).all():
         return one
     members = np.array(one.members, np.int64)

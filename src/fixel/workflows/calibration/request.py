@@ -1,4 +1,4 @@
-"""What is to be calibrated and how, as plain content that a job folder keeps."""
+"""Parameters and methods of a calibration, as plain content stored in its job folder."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class CalibrationRequest(_RequestLevel):
 
     @property
     def space(self) -> ParameterSpace:
-        """Where to search."""
+        """Parameters to search, with their bounds."""
         return ParameterSpace(unknowns=tuple(Unknown(**u.model_dump()) for u in self.unknowns))
 
     @property
@@ -144,7 +144,7 @@ class CalibrationRequest(_RequestLevel):
 
     @property
     def noise(self) -> Noise | None:
-        """Of the measured poses, as stated; none where it is to be found out."""
+        """Noise of the measured poses, as stated; None if it is to be estimated."""
         if self.noise_position is None or self.noise_angle is None:
             return None
         return Noise(position_m=self.noise_position, angle_rad=self.noise_angle, source="stated")

@@ -317,7 +317,7 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
 
 
 def request_of(folder: Path) -> CalibrationRequest:
-    """What a calibration's job is to find."""
+    """Load the request of a calibration's job."""
     path = folder / "inputs" / REQUEST
     with readable(path, f"delete the folder {folder}"):
         return CalibrationRequest.model_validate_json(path.read_bytes())
@@ -331,7 +331,7 @@ def experiments_of(folder: Path) -> list[int]:
 
 
 def stored_ids(folder: Path) -> list[int]:
-    """Of the stored calibrations that came of a job so far."""
+    """Load the ids of the calibrations that a job has stored so far."""
     path = folder / STORED
     if not path.is_file():
         return []
@@ -399,7 +399,7 @@ def _record(
 
 
 def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
-    """Those that all members share; the others are among the estimates."""
+    """Return the parameters that all members share; the others are among the estimates."""
     values = request.space.values(one.point)
     return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
 

@@ -140,7 +140,7 @@ def _number(text: str) -> float | None:
     return value if np.isfinite(value) else None
 
 
-# --- what there is to filter by -----------------------------------------------------------------
+# --- values to filter by ------------------------------------------------------------------------
 
 
 class Values(NamedTuple):
