@@ -88,7 +88,7 @@ class HeldOut:
     Attributes
     ----------
     error : (n,) float64
-        E of every experiment, held out [mm^2]; inf if its simulation failed, nan if nothing fits.
+        E of every experiment, held out [mm^2]; inf if its simulation failed, nan without a fit.
     fold : (n,) int
     points : dict of label to (n_free,) list
         Parameters of every fit.
