@@ -82,7 +82,7 @@ def _without_worst(study: AxisStudy, k: int) -> str:
 
 
 def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
-    """`-2.0 to +2.5 steps`; `beyond +5.0` if the last experiment tried is still within."""
+    """Format edges: `-2.0 to +2.5 steps`; `beyond +5.0` if the last experiment is within."""
     if edges.low is None or edges.high is None:
         return None
     return f"{_ends(edges, study, 1.0, '+.1f')} steps"
