@@ -18,7 +18,8 @@ HERE = Path()
 
 Range = tuple[float, float]
 
-BELIEF_FAR = 3.0  # times the camera's noise: a larger deviation is reported
+BELIEF_FAR = 3.0  # times the camera's noise: a belief beyond it is worth a line
+NOISE_FAR = 1.5  # times the belief: ellipsoids are too small beyond it
 
 
 def filter_(
@@ -86,7 +87,7 @@ def filter_(
 
 
 def _refuse_picture(plot: Path | None) -> None:
-    """Reject an invalid file for the chart before any work."""
+    """Before any work."""
     if plot is not None:
         from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
         from fixel.io.atomic import refuse_unwritable
@@ -96,7 +97,7 @@ def _refuse_picture(plot: Path | None) -> None:
 
 
 def _interval(option: str, text: str) -> Range:
-    """Parse FROM:TO."""
+    """Of FROM:TO, or a refusal."""
     first, _, last = text.partition(":")
     try:
         return float(first), float(last)
@@ -120,7 +121,7 @@ def _command(
     prior: list[str] | None,
     seed: int,
 ) -> str:
-    """Return the command, to be run in the current folder."""
+    """What to type, from the current folder."""
     words = ["fixel", "filter", key]
     if project != HERE:
         words += ["--project", str(project)]
@@ -149,7 +150,7 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
         draw_filter(answer.experiment, answer.estimates, unfinished)
 
 
-# --- text output ------------------------------------------------------------------------------
+# --- the answer for people --------------------------------------------------------------------
 
 
 def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
@@ -176,7 +177,7 @@ def _origin(answer: "FilterAnswer") -> str:
 
 
 def _misfit(answer: "FilterAnswer") -> list[str]:
-    """Warning, printed first, of how far the intervals below can be trusted."""
+    """Said first: how far the intervals below can be trusted."""
     misfit, found = answer.estimates.misfit, answer.estimates
     if misfit.ratio is None or not misfit.warns:
         return []
@@ -255,7 +256,7 @@ def _parameters(answer: "FilterAnswer") -> list[str]:
 
 
 def _calibrated(answer: "FilterAnswer") -> list[str]:
-    """Estimates of the same parameters in calibrations with this experiment."""
+    """What calibrations with this experiment say of the same parameters."""
     from fixel.cli.screen import table
 
     rows = []
@@ -302,7 +303,7 @@ def _kept(answer: "FilterAnswer", plot: Path | None) -> list[str]:
 
 
 def _next(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
-    """Return the command that most users need next."""
+    """The command most people want after this one."""
     experiment, found = answer.experiment, answer.estimates
     if plot is None:
         return f"{command} --plot {shlex.quote(experiment.name.replace('/', '-') + '-filter.png')}"

@@ -1,4 +1,4 @@
-"""`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: long computations."""
+"""`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: work that takes long."""
 
 import json
 import shlex
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fixel.workflows.jobs import JobStatus
 
 BAR = 24  # [characters]
-BETWEEN_LINES_S = 30.0  # [s] between lines if progress goes into a file
+BETWEEN_LINES_S = 30.0  # [s] where progress goes into a file
 
 app = typer.Typer(
     help="Run a job here or on a cluster; stop and continue it at any time.",
@@ -67,7 +67,7 @@ def resume(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Go on with a job that was stopped, cancelled or lost; with the same settings by default."""
+    """Go on with a job that was stopped, cancelled or lost; run as before unless told otherwise."""
     _run(folder, site, workers, detach, coordinator, as_json, accept_version)
 
 
@@ -206,15 +206,9 @@ def _say(sentence: str) -> None:
     say(sentence)
 
 
-def job_bar(to_terminal: bool | None = None) -> "Callable[[JobProgress], None]":
-    """Print progress on standard error: a bar on a terminal, else a line every 30 s.
-
-    Parameters
-    ----------
-    to_terminal : bool, optional
-        Whether standard error is a terminal; detected by default.
-    """
-    terminal = sys.stderr.isatty() if to_terminal is None else to_terminal
+def job_bar() -> "Callable[[JobProgress], None]":
+    """Show progress on standard error: a bar on a terminal, else a line every 30 s."""
+    terminal = sys.stderr.isatty()
     last = time.monotonic()
 
     def show(progress: "JobProgress") -> None:
@@ -230,7 +224,7 @@ def job_bar(to_terminal: bool | None = None) -> "Callable[[JobProgress], None]":
 
 
 def _bar(progress: "JobProgress") -> str:
-    """Format one line; the bar stays empty while the amount of work is unknown."""
+    """One line: the bar stays empty while nobody knows how much work follows."""
     full = int(BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (BAR - full)}]"
     return "  ".join([bar, _share(progress), *_details(progress)])
@@ -275,7 +269,7 @@ def _listed(found: "list[JobStatus]") -> list[str]:
 
 
 def _total(status: "JobState") -> str:
-    """Number of chunks, if it is known."""
+    """Number of chunks, where that is known."""
     return "?" if status.share is None else str(status.total)
 
 

@@ -35,7 +35,7 @@ OFTEN: Final = 0.1
 # and less than a quarter as deep with the other, the other unit is meant.
 INSIDE: Final = 0.03
 
-FAR: Final = 1e3  # [m], distance from all bodies
+FAR_AWAY: Final = 1e3  # [m], distance from all bodies
 
 NOMINAL_FRICTION: Final = 0.25
 

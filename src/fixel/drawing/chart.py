@@ -118,8 +118,8 @@ def clean(axes: Axes) -> None:
 
 
 # Smallest and largest number on a logarithmic axis.
-LEAST: Final = 1e-100
-MOST: Final = 1e100
+MIN_DRAWN: Final = 1e-100
+MAX_DRAWN: Final = 1e100
 
 
 def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
@@ -129,7 +129,7 @@ def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
     good = values[np.isfinite(values) & (values > 0.0)]
     low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 10.0)
     # Beyond these values the limits would overflow.
-    low, high = min(max(low, LEAST), MOST), min(max(high, LEAST), MOST)
+    low, high = min(max(low, MIN_DRAWN), MAX_DRAWN), min(max(high, MIN_DRAWN), MAX_DRAWN)
     wide = high / low
     margin = max(wide**0.06, 1.15)
     getattr(axes, f"set_{which}scale")("log")

@@ -33,7 +33,7 @@ LETTER = 0.046  # mean width of a letter of a fixel's name
 MARGIN = 0.05  # share of the larger side, around all that is drawn
 MIN_SIDE = 5e-3  # [m], minimum side of a view, so that noise does not look like motion
 MAX_OUTLINES = 60  # maximum number of outlines from which the extent is computed
-FEW = 3  # up to this number of poses, draw dots: the motion between them is unknown
+FEW_POSES = 3  # up to this number of poses, draw dots: the motion between them is unknown
 DOTTED: Final = (0, (1, 1))
 MAX_NAMES = 12  # maximum number of fixels with names
 STEPS = 2  # number of outlines between start and end in a comparison
@@ -283,7 +283,7 @@ def _ends(axes: Axes, track: Trajectory, who: str) -> list[Artist]:
 
 def _draw_ghosts(axes: Axes, track: Trajectory, shape: Shape) -> None:
     # With only a few poses the motion between them is unknown.
-    if len(track.time) > FEW:
+    if len(track.time) > FEW_POSES:
         unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
         between = ghosts(unwound, shape, 4)
         outlines = [placed(shape.outline, pose) for pose in between]
@@ -330,7 +330,7 @@ def _rgb(colour: str) -> tuple[float, float, float]:
 
 def _joined(track: Trajectory) -> dict[str, Any]:
     """Style of a path: a line, or dots if there are only a few poses."""
-    if len(track.time) > FEW:
+    if len(track.time) > FEW_POSES:
         return {"linestyle": "-"}
     return {"linestyle": "none", "marker": "o", "markersize": 3.0}
 

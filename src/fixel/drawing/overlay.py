@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 MM: Final = UNITS[1]
 DASHED: Final = (0, (4, 1.6))
-FEW: Final = 3  # up to this number of poses, draw dots: the motion between them is unknown
+FEW_POSES: Final = 3  # up to this number of poses, draw dots: the motion between them is unknown
 MAX_OUTLINES: Final = 40  # maximum number of outlines from which the extent is computed
 
 # Margins and sizes of the page [inch].
@@ -41,7 +41,7 @@ TALL: Final = 3 * PANEL + 2 * GAP
 VIEW: Final = 2.75  # width of the top view
 LEGEND: Final = 0.62  # height of the legend below the view, with four rows
 LOWEST: Final = 1.0
-LEAST: Final = 0.02  # minimum range of a panel [mm or deg]
+MIN_RANGE: Final = 0.02  # minimum range of a panel [mm or deg]
 
 
 class Track(NamedTuple):
@@ -233,7 +233,7 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
 
 def _dots(track: Track) -> Style:
     """Style with dots instead of a line, for tracks with only a few poses."""
-    few = len(track.time) <= FEW
+    few = len(track.time) <= FEW_POSES
     return {"linestyle": "none", "marker": "o", "markersize": 3.5} if few else {}
 
 
@@ -244,8 +244,8 @@ def _time_axes(panels: Sequence[Axes], measured: Track) -> None:
         axes.set_xlim(-0.02 * end, 1.02 * end)
         axes.margins(y=0.10)
         low, high = axes.get_ylim()
-        if high - low < LEAST:  # do not magnify rounding errors
-            axes.set_ylim(0.5 * (low + high - LEAST), 0.5 * (low + high + LEAST))
+        if high - low < MIN_RANGE:  # do not magnify rounding errors
+            axes.set_ylim(0.5 * (low + high - MIN_RANGE), 0.5 * (low + high + MIN_RANGE))
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.tick_params(labelbottom=axes is panels[-1])
         axes.yaxis.set_label_coords(-0.25, 0.5)

@@ -1,4 +1,4 @@
-"""Certificate that a step problem has no solution because prescribed motions jam the bodies."""
+"""Is there a motion at all? Two certificates that prescribed motions squeeze the bodies."""
 
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import kernel
@@ -7,13 +7,15 @@ from fixel.kernels.linear import solve_dense
 GAIN = (
     1e-10  # a contact impulse joins the certificate where it reduces what is left at least so fast
 )
-LEFT = 1e-10  # squared distance from a certificate at which it counts as found
+LEFT = 1e-10  # squared distance from a certificate at which one counts as found
+FASTEST = 1e5  # characteristic speed: a proof rules out every motion slower than this
+ROUGHLY = 1e-9  # what the judge lets contacts overlap a step, in the same units
 PIVOTS = 4  # changes of the certificate's set of impulses, at most, for each degree of freedom
 
 
 @kernel
-def squeezed(problem: Problem, work: Workspace) -> bool:
-    """Whether contact impulses exist that move no body and against which prescribed motions work.
+def squeezed(problem: Problem, work: Workspace, rubbing: bool) -> bool:
+    """Return whether impulses exist that move nothing while prescribed motions work on them.
 
     Without friction (`rubbing` false) this proves that the step has no solution: with ``p >= 0``,
     ``rows^T p = 0`` and ``bias . p < 0``, no motion v has ``u_n = rows v + bias >= 0`` (Farkas'
@@ -31,7 +33,7 @@ def squeezed(problem: Problem, work: Workspace) -> bool:
     sides = 2 if rubbing else 1
     n_contact = problem.size[1]
     n_dof = problem.size[0]
-    z = work.contact_change  # amounts of the two edges; then those of the present fit
+    z = work.contact_change  # amounts of the two edges; then the two sought in this turn
     chosen = work.active  # edges whose amounts are free, as 2 contact + side
     n = 0
     for i in range(n_contact):
@@ -115,8 +117,8 @@ def _edge_bias(problem: Problem, i: int, side: int, rubbing: bool) -> float:
 
 
 @kernel
-def _what_is_left(problem: Problem, work: Workspace) -> float:
-    """Write ``rows^T p`` into `work.right`; returns ``bias . p + 1``."""
+def _what_is_left(problem: Problem, work: Workspace, rubbing: bool) -> float:
+    """``rows^T p`` into `work.right`; returns ``bias . p + 1``."""
     bias = 1.0
     for o in range(problem.size[0]):
         work.right[o] = 0.0
@@ -133,8 +135,8 @@ def _what_is_left(problem: Problem, work: Workspace) -> float:
 
 
 @kernel
-def _fit(problem: Problem, work: Workspace, n: int) -> bool:
-    """Fit the amounts of the chosen edges by the normal equations, and write them into the last
+def _fit(problem: Problem, work: Workspace, n: int, rubbing: bool) -> bool:
+    """Amounts of the chosen edges that leave least, by the normal equations, into the last
     columns."""
     for row in range(n):
         i = work.active[row] // 2
@@ -157,7 +159,7 @@ def _fit(problem: Problem, work: Workspace, n: int) -> bool:
                             problem, j, j_side, m, rubbing
                         )
             work.matrix[row, column] = total
-        # Regularised for two edges of one direction (no friction, or a contact twice).
+        # Two edges of one direction (no friction, or a contact twice) need telling apart.
         work.matrix[row, row] *= 1.0 + 1e-13
         work.right[row] = -_edge_bias(problem, i, i_side, rubbing)
     if not solve_dense(work.matrix, work.right, n):

@@ -1,4 +1,4 @@
-"""Solver chain of one step: the chosen solver first, then fallbacks where it fails."""
+"""The solver chain of one step: the chosen solver first, and what to do when it fails."""
 
 import math
 
@@ -69,7 +69,7 @@ def solve(
 def finish(
     problem: Problem, work: Workspace, guess: FloatArray, sweeps: int, trials: int
 ) -> tuple[float, int]:
-    """Continue the solver chain where `solve` has not tried or not succeeded."""
+    """What is left to do where `solve` has not tried or not succeeded."""
     if sweeps > 0:
         sweep(problem, work, sweeps)
         worst = residual(problem, work.right)
@@ -84,7 +84,7 @@ def finish(
 
 @large_kernel
 def sweep(problem: Problem, work: Workspace, sweeps: int) -> float:
-    """Call `gauss_seidel`, not inlined."""
+    """`gauss_seidel`, out of line."""
     return gauss_seidel(problem, work, 1e-13, sweeps)
 
 
@@ -92,7 +92,7 @@ def sweep(problem: Problem, work: Workspace, sweeps: int) -> float:
 def solve_large(
     problem: Problem, work: Workspace, guess: FloatArray, trials: int
 ) -> tuple[float, int]:
-    """Solve a large problem island by island."""
+    """Solve island by island."""
     islands = islands_of(problem, work)
     fell_back = 0
     for i in range(problem.size[1]):
@@ -116,7 +116,7 @@ def solve_large(
 def recover(
     problem: Problem, work: Workspace, guess: FloatArray, fresh: bool, trials: int
 ) -> tuple[float, int]:
-    """Solve a problem of any size by all methods in turn.
+    """Solve a problem of any size by every means there are.
 
     `fresh`: quick Newton first. Otherwise that has failed, and `work` holds what it began with.
     Profiles must be set where there are more than DENSE_LIMIT unknowns.
@@ -169,7 +169,7 @@ def recover(
 
 @large_kernel
 def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float) -> float:
-    """Iterate Newton, and restore the start where it fails; returns the last residual reached."""
+    """Newton from here, and back to here where it does not arrive; returns the residual it had."""
     worst = residual(problem, work.right)
     if worst <= TOLERANCE:
         return worst
@@ -190,7 +190,7 @@ def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float)
 
 @kernel
 def at_rest(problem: Problem) -> bool:
-    """Whether all velocities are nearly zero."""
+    """Whether nothing moves."""
     fastest = 0.0
     for i in range(problem.size[0]):
         fastest = max(fastest, abs(problem.velocity[i]))
@@ -223,7 +223,7 @@ def restore(problem: Problem, work: Workspace) -> None:
 
 @kernel
 def forget(problem: Problem, guess: FloatArray) -> None:
-    """Reset to the guessed velocities and zero impulses."""
+    """Go back to the guessed velocities and no impulses."""
     for i in range(problem.size[0]):
         problem.velocity[i] = guess[i]
     for i in range(problem.size[1]):
@@ -236,7 +236,7 @@ def forget(problem: Problem, guess: FloatArray) -> None:
 
 @kernel
 def wander(problem: Problem, turn: int) -> None:
-    """Perturb the velocities by their own size, differently for each `turn`."""
+    """Move the velocities to somewhere else of the same size, another place each turn."""
     size = 0.1
     for i in range(problem.size[0]):
         size = max(size, abs(problem.velocity[i]))
@@ -247,5 +247,6 @@ def wander(problem: Problem, turn: int) -> None:
 
 @large_kernel
 def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
-    """Whether the problem has no solution because prescribed motions jam the bodies."""
-    return squeezed(problem, work)
+    """Return whether prescribed motions and friction may squeeze the bodies, so that a solution
+    need not exist."""
+    return squeezed(problem, work, True)

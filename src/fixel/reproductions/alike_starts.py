@@ -32,7 +32,7 @@ FRICTION: Final = {
 
 MOVED: Final = 0.5e-3  # [m], displacement from which the object counts as moving
 AFTER: Final = 1.0  # [s] of motion, before any trial has met a fixel
-STILL: Final = 30  # number of frames before the motion, whose mean is the start
+START_FRAMES: Final = 30  # number of frames before the motion, whose mean is the start
 
 
 class AlikeGroup(NamedTuple):

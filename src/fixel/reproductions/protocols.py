@@ -34,7 +34,7 @@ from fixel.reproductions.splits import Split, few_of, folds, random_split
 from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
 
 SHARE: Final = 0.6  # share of the pushes for training, if there are no folds
-FEW: Final = 10
+FEW_PUSHES: Final = 10
 # Standard deviations of the loads on the net.
 FREE: Final = 1.0
 FREEDOMS: Final = (1.5, 0.3, 3.0)

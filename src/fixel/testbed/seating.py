@@ -9,7 +9,7 @@ import numpy as np
 from fixel.vision.frame import Gray
 
 STEADY: Final = 0.5  # [s] for which the fixels must report the same
-STILL: Final = 1.0  # [s] without motion, once something has moved
+REST_SECONDS: Final = 1.0  # [s] without motion, once something has moved
 LOOK: Final = 0.2  # [s] between two pictures compared
 CHANGE: Final = 6  # [grey levels] of a cell of 8 x 8 pixels: noise is less than one
 CELLS: Final = 3  # must change for motion; a part of one centimetre is about two cells wide

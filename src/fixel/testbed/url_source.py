@@ -20,7 +20,7 @@ from fixel.testbed.loopback import SIMULATED, STAMP
 
 MULTIPART: Final = "multipart/x-mixed-replace"
 MAX_LINE: Final = 4096  # [bytes] of a header
-LARGEST: Final = 32 * 1024 * 1024  # [bytes] of a picture
+MAX_PICTURE_BYTES: Final = 32 * 1024 * 1024  # [bytes] of a picture
 GARBAGE: Final = 10  # unreadable pictures in a row after which the stream ends
 OPENS_WITHIN: Final = 10.0  # [s] in which the first picture must be complete
 

@@ -15,7 +15,7 @@ from fixel.vision.tracking.edges import EdgeLine, find_edges
 from fixel.vision.tracking.tag_reader import read_tags
 
 ALONG: Final = np.linspace(0.12, 0.88, 16)  # fractions of a side at which its edge is measured
-REACH: Final = 4.0  # [px] from the rough edge
+TAG_REACH: Final = 4.0  # [px] from the rough edge
 MIN_ON_A_SIDE: Final = 6
 
 

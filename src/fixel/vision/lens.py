@@ -15,7 +15,7 @@ from fixel.typing import FloatArray
 # From a start without distortion Newton's method needs four or five steps wherever a direction
 # exists; elsewhere it wanders.
 MAX_ITERATIONS = 50
-CLOSE = 1e-13  # [-] of directions; 1e-10 px at a focal length of 1000 px
+CONVERGED_DIRECTION = 1e-13  # [-] of directions; 1e-10 px at a focal length of 1000 px
 LOST = 1e-11  # [-] residual from which no direction was found
 FARTHEST_STEP = 0.5  # [-] of Newton's method, for lens models that fold the picture nearby
 

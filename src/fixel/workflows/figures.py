@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
-LONGEST: Final = 80  # characters of a banner that fit across a chart one column wide
+MAX_BANNER: Final = 80  # characters of a banner that fit across a chart one column wide
 
 
 class Picture(NamedTuple):

@@ -44,7 +44,7 @@ MAX_STROKE_ERROR = 1e-3
 # Quantiles of the error at which pushes are drawn as examples.
 EXAMPLES_AT = (0.25, 0.5, 0.75, 0.9)
 
-FAR = 1.0  # place of the template's pusher, clear of the object [m]
+CLEAR_DISTANCE = 1.0  # place of the template's pusher, clear of the object [m]
 
 
 def replay_pushes(

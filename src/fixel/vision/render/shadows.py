@@ -21,7 +21,7 @@ _LAMP = [(0.42 + 0.16 * np.cos(a), -0.37 + 0.16 * np.sin(a)) for a in np.arange(
 _ROOM = [(0.75 * np.cos(a), 0.75 * np.sin(a)) for a in 0.3 + np.arange(5) * 0.4 * np.pi]
 RAYS: Final = np.array(_LAMP + _ROOM)
 SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
-REACH: Final = float(np.abs(RAYS).max())  # longest shadow per unit of height
+SHADOW_REACH: Final = float(np.abs(RAYS).max())  # longest shadow per unit of height
 
 
 def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:

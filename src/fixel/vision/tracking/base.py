@@ -19,7 +19,7 @@ Thing = Body | Pusher
 
 FORGET: Final = 0.25  # [s] without a sighting after which a prediction is invalid
 COUNTED: Final = 3  # frames likewise, for predictions by number of frames
-SAME: Final = 0.05  # of the motion since the last sighting: smaller differences are ignored
+SAME_PREDICTION: Final = 0.05  # of the motion since the last sighting: below, two are one
 
 SEARCH_EVERY: Final = 2  # frames between two searches for a part lost for a while
 MARGIN: Final = 40  # [px] around the last place that is searched at first

@@ -15,17 +15,17 @@ from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, f
 from fixel.vision.tracking.tracked import FoundFixel
 
 REACH_FIRST: Final = 10.0  # [px] from its place in the scene
-REACH: Final = 4.0
+FIXEL_REACH: Final = 4.0
 # Radii of visible rings as shares of the fixel's radius: a turned end has concentric rings. The
 # radius of the clearest one is fitted with its place, since a wrong radius would bias the place
 # where the side of the cylinder hides part of the ring.
 RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
 WIDEST, NARROWEST = 1.1, 0.5
 LOOKS: Final = 4  # fits of a ring, each with the radius of the one before
-SAME: Final = 0.02  # [px] change of radius at which the fits have converged
+SAME_RADIUS: Final = 0.02  # [px] change of radius at which the fits have converged
 MIN_SHARE: Final = 0.45  # of a ring
 MAX_RESIDUAL: Final = 0.5  # [px]
-LEAST: Final = 3  # least number of frames for a place
+MIN_FRAMES: Final = 3  # least number of frames for a place
 
 Ring = tuple[float, bool]  # share of the radius, and whether it is dark inside
 

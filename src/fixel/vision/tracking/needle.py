@@ -19,11 +19,11 @@ from fixel.vision.tracking.edges import EdgeLine, find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are measured
 NEAREST, FARTHEST = 5.0, 75.0  # [px] distances of these from the tip
-REACH: Final = 5.0  # [px] from the expected side
+SIDE_REACH: Final = 5.0  # [px] from the expected side
 REACH_TIP: Final = 12.0  # [px] from the expected tip
 ACROSS: Final = (-1.0, 0.0, 1.0)  # [px] offsets from the axis at which the end is measured
 TOUCHING: Final = 1.0  # [px] gaps below this cannot be seen: blur fills them
-LEAST: Final = 8  # stations that must be visible
+MIN_STATIONS: Final = 8  # stations that must be visible
 MAX_RESIDUAL: Final = 0.6  # [px]
 BRIGHT: Final = 0.6  # of the contrast at the sides, least contrast of the end
 

@@ -32,7 +32,7 @@ from fixel.vision.tracking.outline import OutlineEdges, fit_spread
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] left out near corners, which are never sharp
-REACH: Final = 8.0  # [px] from the expected outline
+OUTLINE_REACH: Final = 8.0  # [px] from the expected outline
 REACH_FIRST: Final = 20.0  # [px] from the start by moments
 MAX_RESIDUAL: Final = 0.7  # [px]
 MIN_SHARE: Final = 0.3

@@ -15,7 +15,7 @@ LEVEL = 0.35  # largest deviation of brightness from the median, as a share of t
 MIN_LEVELS = 4  # edges that a group needs for a median
 
 ROUNDS = 12  # largest number of weightings
-SAME = 0.005  # [px] change between them at convergence
+CONVERGED_PX = 0.005  # [px] change between them at convergence
 OPEN = 1e-3  # least over largest pivot, below which the pose is undetermined
 
 

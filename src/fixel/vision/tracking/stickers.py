@@ -27,7 +27,7 @@ from fixel.vision.tracking.base import (
 from fixel.vision.tracking.colour import find_patches, fit_sticker
 from fixel.vision.tracking.tags import rigid
 
-REACH: Final = 6.0  # [px] from the expected sticker
+STICKER_REACH: Final = 6.0  # [px] from the expected sticker
 APART: Final = 0.6e-3  # [m] at 0.55 mm per pixel: largest error of distances between stickers
 MAX_RESIDUAL: Final = 0.7  # [px]
 SEARCH_ALL: Final = 16  # lost frames between two searches of the whole picture

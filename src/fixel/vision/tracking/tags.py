@@ -33,7 +33,7 @@ from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, re
 
 POINTS: Final = 12  # on each side of a tag
 FROM_CORNERS: Final = 0.08  # of a side, left out at either end: corners are rounded
-REACH: Final = 7.0  # [px] from the expected tag
+TAG_REACH: Final = 7.0  # [px] from the expected tag
 REACH_READ: Final = 5.0  # [px] from the tag as read
 AGREES: Final = 0.72  # of the cells of a tag; half of them agree by chance
 # For a tag that is half covered, and was seen a moment ago:

@@ -10,7 +10,7 @@ from fastapi import Path
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-LARGEST = 2**31 - 1  # largest integer of a database
+MAX_ID = 2**31 - 1  # largest integer of a database
 MOST_KEYS = 100  # keys of a request's body; those that are known are about ten
 
 # Ids, as they stand in addresses and in bodies.

@@ -14,7 +14,7 @@ from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
 
-MOST: Final = 3  # fits at a time
+MAX_FITS: Final = 3  # fits at a time
 LIMIT: Final = 3600.0  # [s]
 FORGOTTEN: Final = 120.0  # [s] without a request that stop a fit; browsers suspend hidden pages
 ENDS_WITHIN: Final = 2.0  # [s]

@@ -16,7 +16,7 @@ from fixel.vision.outlines import outline_pixels
 from fixel.workflows.acquisition.tracked_experiment import CAMERA
 
 RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
-MOST: Final = 600  # outlines; in between the part is drawn at the nearest
+MAX_OUTLINES: Final = 600  # outlines; in between the part is drawn at the nearest
 
 
 class VideoOutlines(NamedTuple):

@@ -31,7 +31,7 @@ from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 MAX_APART: Final = 1.5e-3  # [m] largest displacement of a start out of an overlap
 MAX_GAPS: Final = 0.5  # fraction of the frames, beyond which an object counts as lost
-STILL: Final = 0.1e-3  # [m] largest apparent motion of a resting object
+REST_DISTANCE: Final = 0.1e-3  # [m] largest apparent motion of a resting object
 STARTS: Final = 5  # frames that decide whether an object rests
 LAST: Final = 0.5  # [s] of readings that decide the contact mode
 CAMERA: Final = "camera"  # condition of a film whose camera is not where the rig places it

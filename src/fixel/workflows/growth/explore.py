@@ -30,7 +30,7 @@ THRESHOLD: Final = 5.0
 
 # A stored error that differs from a repeated simulation by more than this share comes from other
 # data or from another simulator.
-SAME: Final = 0.01
+SAME_ERROR: Final = 0.01
 
 # Share of an experiment's own best error: if another set does better, its search failed.
 STUCK: Final = 0.5

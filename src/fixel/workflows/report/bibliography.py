@@ -1,4 +1,4 @@
-"""Works that a report may cite, with their BibTeX entries."""
+"""What a report may cite, as BibTeX."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 class Work(NamedTuple):
     """A work that can be cited."""
 
-    kind: str  # type of the BibTeX entry
+    kind: str  # of the BibTeX entry
     author: str
     title: str
     year: str
@@ -18,8 +18,10 @@ class Work(NamedTuple):
 
 
 WORKS: Final = {
-    # Both title pages: vdocuments.net (exploring-the-domain-of-applicability-of-simulated) and
-    # moam.info (detc2006-99687). The keys predate this information, and projects store them.
+    # From copies of the title pages: vdocuments.net (exploring-the-domain-of-applicability-of-
+    # simulated) and moam.info (detc2006-99687). The texts that fixel follows have no title page:
+    # they confirm ASME and 2006, and that the thesis was finished after 11 November 2011, no more.
+    # Calibrations store the keys, so these remain although the thesis is of 2012.
     "rpi2011": Work(
         "mastersthesis",
         "Macaluso, W.",
@@ -198,12 +200,12 @@ WORKS: Final = {
 }
 
 
-# Plain text for the markup of BibTeX.
+# How people read what BibTeX writes.
 READ: Final = {'{\\"u}': "ü", "{\\`e}": "è", "{": "", "}": ""}
 
 
 def fixel() -> Work:
-    """Entry of fixel itself, in the running version."""
+    """The program itself, in the version that runs."""
     return Work(
         "misc",
         "{The fixel authors}",
@@ -214,13 +216,13 @@ def fixel() -> Work:
 
 
 def works(keys: Sequence[str]) -> dict[str, Work]:
-    """Return fixel and the cited works, each once; unknown keys are left out."""
+    """The program, and what is cited, each once; keys that nobody knows are left out."""
     known = {key: WORKS[key] for key in dict.fromkeys(keys) if key in WORKS}
     return {"fixel": fixel(), **known}
 
 
 def bibtex(cited: dict[str, Work]) -> str:
-    """Return the entries of a `.bib` file."""
+    """Entries of a `.bib` file."""
     return "\n".join(_entry(key, work) for key, work in cited.items())
 
 
@@ -231,7 +233,7 @@ def _entry(key: str, work: Work) -> str:
 
 
 def line(work: Work) -> str:
-    """Format a work for people to read."""
+    """As people read it."""
     authors = work.author.replace(" and others", " et al.").replace(" and ", ", ")
     for written, read in READ.items():
         authors = authors.replace(written, read)

@@ -22,7 +22,7 @@ from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 
 # Factor of the median error beyond which an experiment is named in a warning.
-FAR: Final = 3.0
+FAR_RATIO: Final = 3.0
 MAX_NAMED: Final = 5
 READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
 SUSPECT: Final = {

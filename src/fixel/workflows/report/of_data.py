@@ -17,7 +17,7 @@ from fixel.workflows.analysis import TextTable
 from fixel.workflows.report.content import Section
 
 MAX_VALUES: Final = 8  # values of one condition that are written out
-FEW: Final = 10  # number of experiments below which little can be concluded
+FEW_EXPERIMENTS: Final = 10  # number of experiments below which little can be concluded
 
 
 @final

@@ -26,7 +26,7 @@ _WORD: Final = re.compile(r"[^\W\d_]{2,}")
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
 BIBLIOGRAPHY: Final = "cite.bib"
-LARGEST: Final = 10_000_000  # largest size of the page [byte]
+MAX_PAGE_BYTES: Final = 10_000_000  # largest size of the page [byte]
 PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
 WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF has full detail
 
