@@ -86,9 +86,9 @@ def test_it_ends_with_the_program_that_started_it_also_in_the_middle_of_a_call(t
     script = tmp_path / "program.py"
     script.write_text(
         "import os, threading, time\n"
-        "from fixel.jobs.worker_process import Bounded\n"
+        "from fixel.jobs.worker_process import WorkerProcess\n"
         "if __name__ == '__main__':\n"
-        "    sleep = Bounded(time.sleep, limit=60.0)\n"
+        "    sleep = WorkerProcess(time.sleep, limit=60.0)\n"
         "    sleep.start()\n"
         "    threading.Thread(target=sleep.call, args=(60.0,), daemon=True).start()\n"
         "    time.sleep(0.2)\n"

@@ -239,8 +239,8 @@ def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypat
     folder = run.prepare(project, chosen, request)
     command = f"""
 from pathlib import Path
-from fixel.workflows.calibration import run, work
-work.MEMBERS_A_CHUNK = 2
+from fixel.workflows.calibration import job, run
+job.MEMBERS_A_CHUNK = 2
 run.run(Path({str(folder)!r}))
 """
     with subprocess.Popen([sys.executable, "-c", command]) as running:

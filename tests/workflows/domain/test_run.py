@@ -88,7 +88,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
     def never(self):
         raise AssertionError("a fit before the refusal")
 
-    monkeypatch.setattr("fixel.workflows.domain.held_out._Fit.__call__", never)
+    monkeypatch.setattr("fixel.workflows.domain.held_out._FoldFit.__call__", never)
     with pytest.raises(InvalidInput, match="no simulation at it: even"):
         held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path))
 
