@@ -1,16 +1,16 @@
-"""What can go wrong, as exceptions.
+"""Exceptions of fixel.
 
     FixelError
-    ├── InvalidInput(ValueError)        a shape, scene, parameter or option that cannot be
-    ├── SolveFailed(RuntimeError)       a simulation did not finish and the caller asked to raise
-    ├── DatasetMissing(LookupError)     a folder of recorded data is not where it was looked for
+    ├── InvalidInput(ValueError)        a shape, scene, parameter or option is invalid
+    ├── SolveFailed(RuntimeError)       a simulation did not finish, and raising was requested
+    ├── DatasetMissing(LookupError)     a folder of recorded data is missing
     ├── NotStored(LookupError)          a project has no such record
     ├── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
     ├── JobRefused(RuntimeError)        a job cannot be started, continued or read, and why
     └── DeviceFailed(RuntimeError)      a device on the bench stopped, or was stopped, and why
 
-Numerical failure is a value first: `simulate(...)` records a status, and raises `SolveFailed` only
-when asked.
+A numerical failure is not raised by default: `simulate(...)` records a status, and raises
+`SolveFailed` only on request.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import Any, Final, final
 
 
 class FixelError(Exception):
-    """Root of everything fixel raises on purpose."""
+    """Base class of the exceptions of fixel."""
 
 
 class _Absent:
-    """Marks an argument nobody gave, since `None` can be a value that was found."""
+    """Default of an argument for which `None` is a value."""
 
     def __repr__(self) -> str:
         return "ABSENT"
@@ -40,20 +40,20 @@ _ABSENT: Final = _Absent()
 
 @final
 class InvalidInput(FixelError, ValueError):
-    """A shape, scene, parameter or option that cannot be.
+    """Exception raised for an invalid shape, scene, parameter or option.
 
     Parameters
     ----------
     where : str
-        Path of the thing, as one would write it in a scene file: `bodies[0].shape.polygon`.
-        Alone, it may be the whole sentence.
+        Path of the value, as in a scene file: `bodies[0].shape.polygon`. Without `found` and
+        `expected` it may be the whole sentence.
     found : object
-        What stands there. A string is shown as it is (`"two vertices"`), anything else as its
+        Value that was found. A string is shown as it is (`"two vertices"`), anything else as its
         shortened `repr`.
     expected : str
-        What could stand there.
+        Description of allowed values.
     hint : str
-        The next move, when there is an obvious one.
+        Advice, if there is an obvious one.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class InvalidInput(FixelError, ValueError):
         super().__init__(self._sentence())
 
     def within(self, parent: str) -> InvalidInput:
-        """The same complaint seen from further out: `mass` within `bodies[0]`: `bodies[0].mass`."""
+        """Return the error with a longer path: `mass` within `bodies[0]` is `bodies[0].mass`."""
         joint = "" if self.where.startswith("[") else "."
         return InvalidInput(
             f"{parent}{joint}{self.where}", found=self.found, expected=self.expected, hint=self.hint
@@ -97,12 +97,12 @@ class InvalidInput(FixelError, ValueError):
 
 @final
 class SolveFailed(FixelError, RuntimeError):
-    """A simulation did not finish and the caller asked to raise.
+    """Exception raised on request when a simulation does not finish.
 
     Parameters
     ----------
     message : str
-        What happened and what to try, in one sentence.
+        Cause and advice, in one sentence.
     status : str
         Name of the status, as in the record of the simulation: `jammed`, `max_iterations`, ...
     stopped_at : float
@@ -123,16 +123,16 @@ class SolveFailed(FixelError, RuntimeError):
 
 @final
 class DatasetMissing(FixelError, LookupError):
-    """A folder of recorded data is not where it was looked for.
+    """Exception raised when a folder of recorded data is missing.
 
     Parameters
     ----------
     folder : str or path
-        Where it was looked for.
+        Path of the folder.
     expected : str
-        What should be in it: `"an inputs.csv"`.
+        Expected content: `"an inputs.csv"`.
     hint : str
-        Where to get it.
+        Source of the data.
     """
 
     def __init__(
@@ -151,14 +151,14 @@ class DatasetMissing(FixelError, LookupError):
 
 @final
 class NotStored(FixelError, LookupError):
-    """A project has no such record.
+    """Exception raised when a project has no such record.
 
     Parameters
     ----------
     what : str
-        What was asked for: `"experiment 12"`.
+        Requested record: `"experiment 12"`.
     hint : str
-        How to see what there is.
+        Command that lists the records.
     """
 
     def __init__(self, what: str, hint: str | None = None) -> None:
@@ -173,12 +173,12 @@ class NotStored(FixelError, LookupError):
 
 @final
 class StoreRefused(FixelError, RuntimeError):
-    """A project cannot be opened, read or written.
+    """Exception raised when a project cannot be opened, read or written.
 
     Parameters
     ----------
     reason : str
-        What is in the way: locked by another process, read-only, too new, on a network file system.
+        Cause: locked by another process, read-only, too new, on a network file system.
     hint : str
         The command that helps.
     """
@@ -194,12 +194,12 @@ class StoreRefused(FixelError, RuntimeError):
 
 @final
 class JobRefused(FixelError, RuntimeError):
-    """A job cannot be started, continued or read.
+    """Exception raised when a job cannot be started, continued or read.
 
     Parameters
     ----------
     reason : str
-        What is in the way: held by another process, begun with another version, no such command.
+        Cause: run by another process, begun with another version, no such command.
     hint : str
         The command that helps.
     """
@@ -215,14 +215,14 @@ class JobRefused(FixelError, RuntimeError):
 
 @final
 class DeviceFailed(FixelError, RuntimeError):
-    """A device on the bench stopped, or was stopped, before it had done its work.
+    """Exception raised when a device stopped, or was stopped, before it had finished.
 
     Parameters
     ----------
     reason : str
-        What happened: `"hard limit: a limit switch was hit"`.
+        Cause: `"hard limit: a limit switch was hit"`.
     hint : str
-        What to do.
+        Advice.
     """
 
     def __init__(self, reason: str, hint: str | None = None) -> None:
@@ -234,7 +234,7 @@ class DeviceFailed(FixelError, RuntimeError):
         return DeviceFailed, (self.reason, self.hint)
 
 
-# Of the machine, not of fixel: full disk, read-only, no permission, a name that is too long.
+# Errors of the machine, not of fixel: full disk, read-only, no permission, too long a name.
 _MACHINE: Final = frozenset(
     getattr(errno, name)
     for name in (
@@ -251,7 +251,7 @@ def os_reason(problem: OSError) -> str:
 
 
 def machine_failure(problem: OSError) -> FixelError | None:
-    """Return what the machine refuses as a sentence; None where the fault is the program's."""
+    """Return the error for a failure of the machine; None if the program is at fault."""
     if problem.errno not in _MACHINE:
         return None
     reason = os_reason(problem)

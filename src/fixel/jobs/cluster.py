@@ -1,4 +1,4 @@
-"""A Dask scheduler in a process of its own, and the client that talks to it."""
+"""Dask scheduler in a process of its own, and its client."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from fixel.jobs.scheduler import CONFIG
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Answer, unframed
 
-MAX_STRANGE: Final = 20  # answers in a row that got lost, though nobody died
+MAX_STRANGE: Final = 20  # lost answers in a row, although no worker died
 START_S: Final = 60.0  # [s] for a scheduler to listen; a cold file system is slow
 FETCHERS: Final = 8  # answers fetched at once
 ANSWER_S: Final = 30.0  # [s] for the scheduler to answer
 
 
 class ClusterLost(Exception):
-    """The scheduler is gone, or does not answer."""
+    """Exception raised when the scheduler has ended or does not answer."""
 
 
 class Task(NamedTuple):
-    """A chunk on its way to a worker."""
+    """Chunk that is sent to a worker."""
 
     name: str
     function: str
@@ -39,13 +39,13 @@ class Task(NamedTuple):
 
 
 class WorkerKilled(NamedTuple):
-    """The worker died."""
+    """Outcome of a chunk whose worker died."""
 
     worker: str
 
 
 class OtherVersion(NamedTuple):
-    """The worker is another fixel."""
+    """Outcome of a chunk whose worker runs another version of fixel."""
 
     found: str
 
@@ -54,14 +54,14 @@ Outcome = Answer | WorkerKilled | OtherVersion | None  # None: to be tried again
 
 
 class ChunkReturn(NamedTuple):
-    """A chunk is with no worker any more."""
+    """Event: a worker has finished a chunk or lost it."""
 
     name: str
     future: Any
 
 
 class ChunkEnd(NamedTuple):
-    """How a chunk that has landed has ended."""
+    """Event: the outcome of a returned chunk is known."""
 
     name: str
     outcome: Outcome
@@ -72,23 +72,23 @@ Event = ChunkReturn | ChunkEnd
 
 @final
 class Cluster:
-    """One scheduler's life.
+    """Connection to one Dask scheduler, from its start to its end.
 
     Parameters
     ----------
     folder : Path
-        Of the job.
+        Folder of the job.
     interface : str
-        What it listens on.
+        Network interface that the scheduler listens on.
     lease_s : float
-        A worker silent for so long is taken for dead [s].
+        Time after which a silent worker counts as dead [s].
     """
 
     def __init__(self, folder: Path, interface: str, lease_s: float) -> None:
         self._folder = folder
         self._lease_s = lease_s
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        # Not by the loop that keeps workers busy: a worker that hangs would hold up all others.
+        # In threads: one worker that hangs would delay the others in the loop that feeds them.
         self._fetchers = ThreadPoolExecutor(FETCHERS)
         self._count = self._strange = 0
         self._client: Any = None
@@ -107,7 +107,7 @@ class Cluster:
             raise
 
     def capacity(self) -> int:
-        """Chunks that can be computed at once.
+        """Return the number of chunks that can be computed at once.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class Cluster:
         """
         self._refuse_dead()
         try:
-            # `nthreads()` would wait for ever where a scheduler hangs.
+            # `nthreads()` has no time limit: it would never return if the scheduler hangs.
             cores = self._client.sync(
                 self._client.scheduler.ncores, workers=None, callback_timeout=ANSWER_S
             )
@@ -124,7 +124,7 @@ class Cluster:
             raise ClusterLost(f"the scheduler does not answer: {problem!r}") from None
 
     def submit(self, task: Task) -> Any:
-        """Send a chunk to whoever is free; keep what is returned until it is done."""
+        """Send a chunk to a free worker; the caller must store the future until it is done."""
         self._count += 1
         try:
             future = self._client.submit(
@@ -145,7 +145,7 @@ class Cluster:
         return future
 
     def events(self, timeout_s: float) -> list[Event]:
-        """What has happened, waiting so long for something to happen.
+        """Return the events that have happened; wait for the first for at most `timeout_s`.
 
         Raises
         ------
@@ -161,21 +161,21 @@ class Cluster:
         return happened
 
     def fetch(self, landed: ChunkReturn) -> None:
-        """Get an answer from the worker that has it; an event when it is here."""
+        """Fetch an answer from its worker; an event reports its arrival."""
         self._fetchers.submit(self._fetch, landed)
 
     def _fetch(self, landed: ChunkReturn) -> None:
         try:
             outcome = self._outcome(landed.future)
-        # Lost on the way, cancelled with the scheduler, unreadable for a worker or for us: whatever
-        # it is, a chunk whose end nobody hears of would be waited for for ever.
+        # Lost on the way, cancelled with the scheduler, or unreadable: without an event for it, the
+        # coordinator would wait for this chunk without end.
         except BaseException:
             outcome = None
         self._strange = self._strange + 1 if outcome is None else 0
         self._events.put(ChunkEnd(landed.name, outcome))
 
     def _outcome(self, future: Any) -> Outcome:
-        """How a chunk has ended."""
+        """Return the outcome of a chunk."""
         from distributed import KilledWorker
 
         try:
@@ -187,7 +187,7 @@ class Cluster:
         return unframed(framed)
 
     def _fetched(self, future: Any) -> bytes:
-        """An answer, from the worker that has it; not waiting for one that died with it."""
+        """Return an answer from its worker; do not wait if the worker died with it."""
         patience_s = 1.0
         while True:
             try:
@@ -196,11 +196,11 @@ class Cluster:
             except TimeoutError:
                 if future.status != "finished" or patience_s > ANSWER_S:
                     raise
-                # A long answer by a slow way: it starts anew each time, so give it longer.
+                # A large answer on a slow network: each attempt starts again, so wait longer.
                 patience_s *= 2.0
 
     def close(self) -> None:
-        """End the scheduler; workers wait for another for a while."""
+        """End the scheduler; workers wait some time for another one."""
         link.forget_address(self._folder)
         self.process.kill()
         self.process.wait()
@@ -234,7 +234,7 @@ class Cluster:
         link.write_address(self._folder, address)
 
     def _first_line(self) -> str:
-        """What the scheduler says: its address."""
+        """Return the address, which is the first line that the scheduler prints."""
         stream = self.process.stdout
         assert stream is not None
         ready, _, _ = select.select([stream], [], [], START_S)
@@ -252,7 +252,7 @@ class Cluster:
 
 
 def _quieten() -> None:
-    """Dask's words of lost connections are expected here, and said in ours."""
+    """Silence Dask's messages about lost connections: fixel reports these itself."""
     for name, logger in list(logging.root.manager.loggerDict.items()):
         if name.split(".")[0] == "distributed" and isinstance(logger, logging.Logger):
             logger.handlers.clear()

@@ -1,6 +1,6 @@
-"""The coordinator: the one process that runs a job, `python -m fixel.jobs.coordinator FOLDER`.
+"""Coordinator, the only process that runs a job: `python -m fixel.jobs.coordinator FOLDER`.
 
-It may die at any moment. What is in the journal stays; running it again goes on from there.
+It may die at any moment: the journal stays, and the next run continues from it.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 from fixel.typing import Notify
 
-BETWEEN_WORDS_S: Final = 1.0  # [s] state.json is written at most so often
+BETWEEN_WORDS_S: Final = 1.0  # [s] shortest time between two writes of state.json
 
 
 def coordinate(
     folder: Path, *, progress: Show | None = None, say: Notify | None = None
 ) -> JobState:
-    """Run a job until it is done, or has to stop.
+    """Run a job until it is done or has to stop.
 
     Parameters
     ----------
     folder : Path
-        Of the job.
+        Folder of the job.
     progress, say : callable, optional
-        Shown how far it is; called with a sentence when something happens.
+        Called with the progress; called with a sentence when something happens.
 
     Returns
     -------
     JobState
-        `done`, or `cancelled` if somebody asked for that meanwhile.
+        `done`, or `cancelled` if that was requested meanwhile.
 
     Raises
     ------
     JobRefused
-        It cannot be run, and the state says why; another process runs it already.
+        The job cannot be run, for the reason in its state, or another process runs it already.
     KeyboardInterrupt
         Ctrl-C or SIGTERM; the state is `stopped`.
     """
@@ -82,7 +82,7 @@ def coordinate(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a job without anybody watching; its words are in the log and the state."""
+    """Run a job in the background; messages go to its log and its state."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     given = parser.parse_args(arguments)
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def interrupt_on_termination() -> None:
-    """Take SIGTERM as Ctrl-C, so that the state says what happened and workers are ended."""
+    """Treat SIGTERM as Ctrl-C, so that the state is written and workers are ended."""
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -165,7 +165,7 @@ def _write_result(folder: Path, result: bytes) -> None:
 
 @final
 class _Clerk:
-    """Writes down how far the job is."""
+    """Writer of the state and the log of a job."""
 
     def __init__(self, folder: Path, progress: Show | None, say: Notify | None) -> None:
         self._folder = folder
@@ -182,7 +182,7 @@ class _Clerk:
         )
 
     def enter(self, state: files.State, reason: str = "") -> None:
-        """The job is in another state."""
+        """Store and log a new state of the job."""
         self.say(f"{state}: {reason}" if reason else state)
         still: dict[str, Any] = {}
         if state in files.ENDED:
@@ -192,13 +192,13 @@ class _Clerk:
         self._write(state=state, reason=reason, **still)
 
     def say(self, sentence: str) -> None:
-        """Something happened."""
+        """Log a sentence and pass it on."""
         files.log(self._folder, sentence)
         if self._say is not None:
             self._say(sentence)
 
     def show(self, progress: JobProgress) -> None:
-        """The job has got on."""
+        """Pass on the progress; store it at most once per `BETWEEN_WORDS_S`."""
         if self._progress is not None:
             self._progress(progress)
         if time.monotonic() - self._written > BETWEEN_WORDS_S or progress.share == 1.0:

@@ -1,9 +1,9 @@
-"""Chunks on workers of Dask, whatever dies meanwhile.
+"""Computation of chunks on Dask workers, robust to the death of workers and schedulers.
 
-Dask brings a chunk to a free worker and its answer back. What it does not do is done here: a
-chunk whose worker died is tried again, one that kills every worker is given up; a dead
-scheduler is replaced and told what is missing; a late answer is taken once; a worker of another
-fixel is refused.
+Dask brings a chunk to a free worker and its answer back. The rest is done here: a chunk whose
+worker died is tried again, and one that kills every worker is given up. A dead scheduler is
+replaced and receives the missing chunks. A late answer is taken once. A worker of another
+version of fixel is refused.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fixel.jobs.pool import AbstractPool
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure, block_name, unframed
 
-TICK_S: Final = 0.5  # [s] between two looks at workers and files
+TICK_S: Final = 0.5  # [s] between two checks of workers and files
 MAX_REBUILDS: Final = 20  # schedulers that died one after the other without an answer
 MAX_BACK_OFF_S: Final = 60.0
 MAX_REFUSALS: Final = 3
@@ -38,19 +38,19 @@ MAX_REFUSALS: Final = 3
 
 @final
 class DaskEngine(AbstractEngine):
-    """Answers chunks on several workers.
+    """Engine that answers chunks on several workers.
 
     Parameters
     ----------
     folder : Path
-        Of the job; on a cluster, on a file system that the workers see too.
+        Folder of the job; on a cluster, on a file system that the workers share.
     pool : AbstractPool
-        Who starts the workers.
+        Pool that starts the workers.
     lease_s : float
-        A worker silent for so long is taken for dead; its chunk is tried elsewhere, and its own
-        answer still taken if it comes first [s].
+        Time after which a silent worker counts as dead [s]. Its chunk is tried elsewhere; its own
+        answer is still taken if it comes first.
     max_deaths : int
-        A chunk that has killed so many workers is given up.
+        Number of workers that a chunk may kill before it is given up.
     say : callable
         Called with a sentence when something happens.
     """
@@ -89,12 +89,12 @@ class DaskEngine(AbstractEngine):
 
     @property
     def note(self) -> str:
-        """What the workers are waiting for, if they are."""
+        """Reason why workers wait; empty if they do not."""
         return self._pool.note
 
     @property
     def scheduler_pid(self) -> int | None:
-        """The scheduler's process, for tests that kill it."""
+        """Process id of the scheduler, for tests that kill it."""
         return None if self._cluster is None else self._cluster.process.pid
 
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
@@ -113,14 +113,14 @@ class DaskEngine(AbstractEngine):
             yield batch
 
     def _turn(self, desk: _RoundState) -> Batch:
-        """Send what can be computed now, take what has been."""
+        """Submit the chunks that workers are free for, and return the answers that have arrived."""
         cluster = self._cluster or self._start()
         self._tick(cluster)
         desk.top_up(cluster, self.workers)
         events = cluster.events(timeout_s=TICK_S)
         landed = [e for e in events if isinstance(e, ChunkReturn) and desk.lands(e.name, e.future)]
         if all(event.future.status == "finished" for event in landed):
-            # Before their answers are fetched and on disk: the workers wait for this.
+            # Before their answers are fetched and stored: the workers wait for this.
             desk.top_up(cluster, self.workers)
         for arrival in landed:
             cluster.fetch(arrival)
@@ -132,7 +132,7 @@ class DaskEngine(AbstractEngine):
         return batch
 
     def _judged(self, desk: _RoundState, name: str, outcome: Outcome) -> Answer | None:
-        """The answer of a chunk, or None if it is to be tried again."""
+        """Return the answer of a chunk, or None if it is to be tried again."""
         if isinstance(outcome, WorkerKilled):
             return self._survived(desk, name, outcome)
         if isinstance(outcome, OtherVersion):
@@ -160,7 +160,7 @@ class DaskEngine(AbstractEngine):
         self.again += 1
 
     def _tick(self, cluster: Cluster) -> None:
-        """Look after workers, at most so often."""
+        """Check and replace workers, at most once per `TICK_S`."""
         now = time.monotonic()
         if now < self._next_tick:
             return
@@ -175,7 +175,7 @@ class DaskEngine(AbstractEngine):
             raise _other_version(reasons[-1])
 
     def _late(self, desk: _RoundState) -> Batch:
-        """Answers that workers have left in the folder."""
+        """Return the answers that workers have left in the folder."""
         batch = []
         for late in link.late_answers(self._folder):
             name = desk.name_of.get(late.block)
@@ -208,7 +208,7 @@ class DaskEngine(AbstractEngine):
 
 @final
 class _RoundState:
-    """The chunks of a round: which wait, which are with workers, which still miss an answer."""
+    """Chunks of a round: waiting ones, those with workers, and those without an answer."""
 
     def __init__(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> None:
         self._function = function
@@ -221,9 +221,9 @@ class _RoundState:
         self.deaths: Counter[str] = Counter()
 
     def top_up(self, cluster: Cluster, capacity: int) -> None:
-        """As many with workers as can be computed at once.
+        """Submit waiting chunks until `capacity` of them are with workers.
 
-        No more: then a chunk that is with a worker is running there, and a death is its own.
+        No more: then every submitted chunk is running, and the death of a worker is due to it.
         """
         while self._waiting and len(self._flying) < capacity:
             name = self._waiting.popleft()
@@ -234,7 +234,7 @@ class _RoundState:
                 )
 
     def lands(self, name: str, future: Any) -> bool:
-        """Whether an ended future is the one that flies for a chunk; it does no longer."""
+        """Whether an ended future is the current one of a chunk, which then has none."""
         if self._flying.get(name) is not future:
             return False
         del self._flying[name]
@@ -245,12 +245,12 @@ class _RoundState:
         self._waiting.appendleft(name)
 
     def close(self, name: str) -> bool:
-        """A chunk has its answer; False if it had one."""
+        """Mark a chunk as answered; return False if it was answered before."""
         self._flying.pop(name, None)
         return self.open.pop(name, None) is not None
 
     def forget_flights(self) -> int:
-        """All that was with workers is to be tried again; how many these are."""
+        """Mark all chunks with workers to be tried again, and return their number."""
         flying = len(self._flying)
         self._waiting = deque(self.open)
         self._flying.clear()

@@ -1,4 +1,4 @@
-"""Engines: who answers chunks."""
+"""Engine that answers chunks in this process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure
 
 @final
 class LocalEngine(AbstractEngine):
-    """One chunk after the other in this process; the functions use all cores by themselves."""
+    """Engine that computes one chunk after the other in this process; functions use all cores."""
 
     workers = 1
 
@@ -30,7 +30,7 @@ class LocalEngine(AbstractEngine):
 
 
 def answer_of(call: ChunkFunction, inputs: Path, payload: bytes) -> Answer:
-    """What a chunk function answers; what it raises is an answer too."""
+    """Return the answer of a chunk function; an exception becomes a `Failure`."""
     try:
         answer: object = call(inputs, payload)
     except (Exception, SystemExit) as problem:

@@ -1,16 +1,16 @@
-"""A job is a folder.
+"""Folder of a job: its files, and functions that read and write them.
 
     job.json        what to run: the function that makes the work, options, checksum of the inputs,
-                    which fixel; never changed
+                    version of fixel; never changed
     inputs/         files the work and its chunks read; never changed
-    run.json        how it is run: workers, site; of the last `submit` or `resume`
-    journal         every answer; what counts
-    state.json      how far it is, for those who look
-    log.txt         what happened
-    result          what the work returned
-    cancel          there if somebody wants it to end
+    run.json        settings of the last `submit` or `resume`: workers, site
+    journal         every answer; a job continues from it alone
+    state.json      progress, for display only
+    log.txt         messages with their time
+    result          bytes that the work returned
+    cancel          exists if the job is to end
 
-Besides them those of `link.py`, while several processes work.
+The files of `link.py` are there too while several processes work.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ RESULT: Final = "result"
 LOG: Final = "log.txt"
 CANCEL: Final = "cancel"
 STATE: Final = "state.json"
-UNFINISHED: Final = ".inputs."  # how the name of a folder of inputs begins until it has all
+UNFINISHED: Final = ".inputs."  # prefix of the name of a folder of inputs until it is complete
 
 
 class _JobRecord(BaseModel):
@@ -57,19 +57,19 @@ class _JobRecord(BaseModel):
 
 
 class Job(_JobRecord):
-    """What `job.json` says.
+    """Content of `job.json`.
 
     Attributes
     ----------
     name : str
     label : str
-        Unique, of its SLURM jobs.
+        Unique name of its SLURM jobs.
     maker : str
         `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
     options : dict
     inputs_sha256 : str
     stamp : str
-        Which fixel began it.
+        Stamp of the fixel that began it.
     made_utc : str
     """
 
@@ -84,20 +84,20 @@ class Job(_JobRecord):
 
 
 class RunSettings(_JobRecord):
-    """What `run.json` says: how the job is run.
+    """Content of `run.json`: settings with which the job is run.
 
     Attributes
     ----------
     workers : int
-        Processes; 0 for this one alone.
+        Number of worker processes; 0 to compute in the coordinator.
     site : Site, optional
-        The cluster they run on, else this machine.
+        Cluster that they run on; None for this machine.
     lease_s : float
-        A worker silent for so long is taken for dead [s].
+        Time after which a silent worker counts as dead [s].
     max_deaths : int
-        A chunk that has killed so many workers is given up.
+        Number of workers that a chunk may kill before it is given up.
     stamp : str, optional
-        The fixel that may go on with the job, if not the one that began it.
+        Stamp of the fixel that may continue the job, if not that of the one that began it.
     """
 
     workers: int = Field(default=0, ge=0)
@@ -108,26 +108,26 @@ class RunSettings(_JobRecord):
 
 
 class JobState(_JobRecord):
-    """What `state.json` says: written by the coordinator, read by anybody.
+    """Content of `state.json`, which only the coordinator writes.
 
     Attributes
     ----------
     state : str
     reason : str
-        Of a failure; what is being waited for.
+        Reason of a failure, or what the job is waiting for.
     done, total, failed : int
-        Chunks.
+        Number of chunks.
     rate, left_s : float
-        Chunks a second; time left [s], None where nobody knows.
+        Chunks per second; time left [s], None if unknown.
     share : float, optional
-        Part of the work that is done; None where nobody knows how much work follows.
+        Part of the work that is done; None if the amount of work is unknown.
     note : str
-        What the work says of itself.
+        Note of the current round.
     workers : int
     deaths, again : int
-        Workers that died while they computed; chunks that were given out once more.
+        Workers that died while they computed; chunks that were submitted again.
     host, pid : str, int
-        Of the coordinator.
+        Host name and process id of the coordinator.
     started_utc, updated_utc : str
     """
 
@@ -152,12 +152,12 @@ class JobState(_JobRecord):
 def prepare(
     folder: Path, maker: str, inputs: Mapping[str, bytes | Path], options: Mapping[str, Any]
 ) -> Job:
-    """Make a job folder, whole or not at all.
+    """Create a job folder, complete or not at all.
 
     Raises
     ------
     InvalidInput
-        The folder is there, the maker is no function of fixel, or an input cannot be.
+        The folder is not empty, the maker is unknown, or the name of an input is not allowed.
     """
     named_function(maker)
     _clear_half_made(folder)
@@ -183,13 +183,13 @@ def prepare(
         stamp=stamp(),
         made_utc=utc(),
     )
-    # Last, since this is what makes it a job.
+    # Last: a folder with this file counts as a job.
     _write(folder / "job.json", job)
     return job
 
 
 def read_job(folder: Path) -> Job:
-    """The job of a folder, or a refusal."""
+    """Load the job of a folder; raise `InvalidInput` if it has none."""
     if not (folder / "job.json").is_file():
         raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
     job: Job = _read(folder / "job.json", Job)
@@ -197,7 +197,7 @@ def read_job(folder: Path) -> Job:
 
 
 def made_by(folder: Path, maker: str) -> bool:
-    """Whether a folder holds a job of a maker; one that cannot be read is of none."""
+    """Whether a folder contains a job of this maker; False if it cannot be read."""
     try:
         return read_job(folder).maker == maker
     except InvalidInput:
@@ -205,36 +205,36 @@ def made_by(folder: Path, maker: str) -> bool:
 
 
 def read_run(folder: Path) -> RunSettings:
-    """How the job was run last, or as jobs are run unless told otherwise."""
+    """Load the settings of the last run, or the default settings."""
     path = folder / "run.json"
     run: RunSettings = _read(path, RunSettings) if path.is_file() else RunSettings()
     return run
 
 
 def write_run(folder: Path, run: RunSettings) -> None:
-    """Keep how the job is run, for `resume`."""
+    """Store the settings of a run, for `resume`."""
     _write(folder / "run.json", run)
 
 
 def read_status(folder: Path) -> JobState:
-    """How far the job says it is."""
+    """Load the state of a job."""
     path = folder / STATE
     status: JobState = _read(path, JobState) if path.is_file() else JobState()
     return status
 
 
 def write_status(folder: Path, status: JobState) -> None:
-    """Say how far the job is."""
+    """Store the state of a job with the present time."""
     _write(folder / STATE, status.model_copy(update={"updated_utc": utc()}))
 
 
 def coordinator_of(folder: Path) -> Owner | None:
-    """The process that runs the job now, if there is one; no clock is asked."""
+    """Return the process that runs the job now, or None; decided by its lock, not by times."""
     return writer_of(folder / JOURNAL)
 
 
 def inputs_digest(inputs: Path) -> str:
-    """Checksum of all inputs and their names."""
+    """Return the SHA-256 checksum of all inputs and their names."""
     digest = hashlib.sha256()
     for path in sorted(inputs.iterdir()):
         with path.open("rb") as stream:
@@ -250,13 +250,13 @@ def log(folder: Path, sentence: str) -> None:
 
 
 def utc() -> str:
-    """The time of day, for people; nothing is decided by it."""
+    """Return the present UTC time as text; for display only."""
     now = datetime.datetime.fromtimestamp(time.time(), datetime.UTC)
     return now.isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 def _clear_half_made(folder: Path) -> None:
-    """Away with what a crash has left before there was a job; nothing where anything else is."""
+    """Remove the remains of an interrupted `prepare`; leave other folders alone."""
     left = list(folder.iterdir()) if folder.is_dir() else []
     ours = [path for path in left if path.name == STATE or path.name.startswith(UNFINISHED)]
     if ours and all(path in ours or path.name == "inputs" for path in left):
@@ -280,7 +280,7 @@ def _write(path: Path, record: BaseModel) -> None:
     with written_whole(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(json.dumps(record.model_dump(), indent=1) + "\n")
         stream.flush()
-        # Else a power cut may leave the new name on an empty file.
+        # Otherwise a power cut may leave an empty file under the new name.
         os.fsync(stream.fileno())
 
 

@@ -1,8 +1,8 @@
-"""Functions by name: what a job folder may make a worker call.
+"""Registry of the functions that files of a job may name.
 
 A folder may come from elsewhere, so a name in it reaches only functions that are marked with
-`callable_by_jobs`, in the modules listed here. The names are stored; they outlive the place of a
-module in the package.
+`callable_by_jobs`, in the modules listed here. Stored names do not contain module paths, so
+modules can be moved.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from fixel.errors import InvalidInput
 ChunkFunction = Callable[[Path, bytes], bytes]
 F = TypeVar("F", bound=Callable[..., Any])
 
-THREADS: Final = "FIXEL_THREADS"  # environment of a worker: cores that are its own
+THREADS: Final = "FIXEL_THREADS"  # environment variable with the number of cores of a worker
 
 _MODULES: Final = {
     "calibration": "fixel.workflows.calibration.job",
     "domain": "fixel.workflows.domain.job",
     "toy": "fixel.testing.toy_work",
 }
-# Before kinds had names, folders held the module.
+# Older folders contain the module instead of the kind.
 _FORMER: Final = {
     "fixel.workflows.calibration.work": "calibration",
     "fixel.workflows.domain.work": "domain",
@@ -34,19 +34,19 @@ _ALLOWED: set[tuple[str, str]] = set()  # module and name
 
 
 def callable_by_jobs(function: F) -> F:
-    """Mark a function that files of a job may name: a maker of work, or one that answers chunks."""
+    """Mark a function that files of a job may name: a maker of work or a chunk function."""
     _ALLOWED.add((function.__module__, function.__name__))
     return function
 
 
 def chunk_function(name: str) -> ChunkFunction:
-    """Return the function `(inputs, payload) -> bytes` of a name, say `"calibration:evaluate"`."""
+    """Return the function `(inputs, payload) -> bytes` of a name like `"calibration:evaluate"`."""
     function: ChunkFunction = named_function(name)
     return function
 
 
 def current_name(name: str) -> str:
-    """Return the name of a function as it is stored now; older folders hold the module's path."""
+    """Return the name of a function as it is stored now; older folders contain module paths."""
     kind, colon, attribute = name.partition(":")
     return _FORMER.get(kind, kind) + colon + attribute
 
@@ -78,6 +78,6 @@ def named_function(name: str) -> Any:
 
 
 def threads() -> int | None:
-    """How many threads a chunk function should use; None for as many as there are cores."""
+    """Return the number of threads that a chunk function should use; None for all cores."""
     said = os.environ.get(THREADS, "")
     return int(said) if said.isdecimal() and int(said) > 0 else None

@@ -1,11 +1,11 @@
-"""What the processes of a job tell each other by files in its folder.
+"""Files in the folder of a job by which its processes communicate.
 
-    connection.json     where the scheduler listens now; gone when there is nothing to connect to
-    tls/                key and certificate that all processes of the job show each other
-    workers/            a file a worker, once it has joined or refused; its log beside it
+    connection.json     address of the scheduler; missing while there is none
+    tls/                key and certificate that all processes of the job share
+    workers/            one file per worker that has joined or refused, and its log
     late/               answers of workers whose scheduler was lost
 
-Also on a cluster these are all the workers need: they read the folder on a shared file system.
+On a cluster the workers read them on a shared file system and need nothing else.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from fixel.errors import InvalidInput, JobRefused
 from fixel.io.atomic import written_whole
 
 LOOPBACK: Final = "lo"
-# Clocks of nodes differ by up to hours; a certificate is valid from a day ago on.
+# Clocks of nodes may differ by hours, so a certificate is valid from one day ago.
 _VALID_FROM: Final = datetime.timedelta(days=-1)
 _VALID_UNTIL: Final = datetime.timedelta(days=365)
 _CRC_BYTES: Final = 4
 
 
 class WorkerLink(NamedTuple):
-    """A worker that has joined."""
+    """Worker that has joined."""
 
     name: str
     host: str
@@ -41,7 +41,7 @@ class WorkerLink(NamedTuple):
 
 
 class Late(NamedTuple):
-    """An answer that a worker could not give to a scheduler."""
+    """Answer that a worker could not send to a scheduler."""
 
     block: str
     framed: bytes
@@ -49,7 +49,7 @@ class Late(NamedTuple):
 
 
 def refuse_without_dask() -> None:
-    """Refuse work in several processes where the packages for it are not installed."""
+    """Raise `JobRefused` if the packages for several workers are not installed."""
     if sys.platform == "win32":
         raise JobRefused("several workers need Linux or macOS", hint="leave --workers out")
     for package in ("distributed", "dask_jobqueue", "cryptography"):
@@ -61,7 +61,7 @@ def refuse_without_dask() -> None:
 
 
 def listening(interface: str) -> dict[str, Any]:
-    """Arguments that bind a Dask process to one interface, never to all."""
+    """Return the arguments that bind a Dask process to one network interface."""
     if interface == LOOPBACK:
         return {"host": "127.0.0.1"}
     known = sorted(name for _, name in socket.if_nameindex())
@@ -74,13 +74,13 @@ def listening(interface: str) -> dict[str, Any]:
 
 
 def write_address(folder: Path, address: str) -> None:
-    """Tell workers where the scheduler is."""
+    """Publish the address of the scheduler to the workers."""
     with written_whole(folder / "connection.json") as path:
         path.write_text(json.dumps({"address": address}))
 
 
 def read_address(folder: Path) -> str | None:
-    """Where the scheduler is, if there is one."""
+    """Load the address of the scheduler; None if there is none."""
     try:
         return str(json.loads((folder / "connection.json").read_text())["address"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -88,7 +88,7 @@ def read_address(folder: Path) -> str | None:
 
 
 def answers(address: str) -> bool:
-    """Whether anybody listens at an address; Dask would try for long to find out."""
+    """Whether a process listens at an address, within 2 s; Dask would try for longer."""
     host, _, port = address.removeprefix("tls://").rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=2.0).close()
@@ -98,7 +98,7 @@ def answers(address: str) -> bool:
 
 
 def forget_address(folder: Path) -> None:
-    """Tell workers that nobody expects them."""
+    """Remove the published address of the scheduler."""
     (folder / "connection.json").unlink(missing_ok=True)
 
 
@@ -106,13 +106,13 @@ def forget_address(folder: Path) -> None:
 
 
 def say_joined(folder: Path, name: str, host: str) -> None:
-    """A worker's word that the scheduler has accepted it."""
+    """Record that the scheduler has accepted a worker."""
     with written_whole(folder / "workers" / f"{name}.json") as path:
         path.write_text(json.dumps({"host": host, "pid": os.getpid()}))
 
 
 def joined(folder: Path, name: str) -> WorkerLink | None:
-    """A worker that has joined, now or earlier."""
+    """Load a worker that has joined, now or earlier; None if it has not."""
     try:
         said = json.loads((folder / "workers" / f"{name}.json").read_text())
         return WorkerLink(name, str(said["host"]), int(said["pid"]))
@@ -121,18 +121,18 @@ def joined(folder: Path, name: str) -> WorkerLink | None:
 
 
 def say_refused(folder: Path, name: str, reason: str) -> None:
-    """A worker's word that it does not take part, and why."""
+    """Record that a worker does not take part, and the reason."""
     with written_whole(folder / "workers" / f"{name}.refused") as path:
         path.write_text(reason)
 
 
 def refusals(folder: Path) -> list[str]:
-    """Why workers did not take part."""
+    """Return the reasons of workers that did not take part."""
     return [path.read_text() for path in sorted((folder / "workers").glob("*.refused"))]
 
 
 def clear_workers(folder: Path) -> None:
-    """Make room for the words of new workers."""
+    """Create the folder of workers; remove refusals of earlier ones."""
     workers = folder / "workers"
     workers.mkdir(exist_ok=True)
     for path in workers.glob("*.refused"):
@@ -143,7 +143,7 @@ def clear_workers(folder: Path) -> None:
 
 
 def save_late(folder: Path, block: str, framed: bytes) -> None:
-    """Leave an answer for the next coordinator."""
+    """Store an answer for the next coordinator."""
     body = json.dumps(block).encode() + b"\n" + framed
     name = f"{zlib.crc32(block.encode()):08x}-{os.getpid()}"
     with written_whole(folder / "late" / name) as path, path.open("wb") as stream:
@@ -153,7 +153,7 @@ def save_late(folder: Path, block: str, framed: bytes) -> None:
 
 
 def late_answers(folder: Path) -> Iterator[Late]:
-    """Answers that wait; what cannot be read is removed."""
+    """Yield the late answers; remove files that cannot be read."""
     for path in sorted((folder / "late").glob("[!.]*")):
         try:
             data = path.read_bytes()
@@ -173,7 +173,7 @@ def late_answers(folder: Path) -> Iterator[Late]:
 
 
 def make_tls(folder: Path) -> None:
-    """A key and a certificate for this job, unless it has them; readable by its owner alone."""
+    """Create the key and certificate of a job, readable by the owner only, if missing."""
     tls = folder / "tls"
     if (tls / "certificate.pem").exists() and (tls / "key.pem").exists():
         return
@@ -187,12 +187,12 @@ def make_tls(folder: Path) -> None:
 
 
 def remove_tls(folder: Path) -> None:
-    """Nobody is to join any more."""
+    """Remove the key and certificate, so that no worker can join any more."""
     shutil.rmtree(folder / "tls", ignore_errors=True)
 
 
 def security(folder: Path) -> Any:
-    """What Dask needs to encrypt, and to talk to nobody without this job's key."""
+    """Return Dask's security settings: encrypted, and only for processes with the job's key."""
     from distributed.security import Security
 
     key, certificate = (str(folder / "tls" / f"{n}.pem") for n in ("key", "certificate"))
@@ -206,7 +206,7 @@ def security(folder: Path) -> Any:
 
 
 def _pair() -> tuple[bytes, bytes]:
-    """A key, and a certificate that it has signed itself: all the authority there is."""
+    """Return a private key and its self-signed certificate, as PEM."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec

@@ -1,4 +1,4 @@
-"""Pools: who starts workers, and starts others in their place."""
+"""Pools, which start the workers of a job and replace those that end."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from fixel.jobs.stamp import stamp
 from fixel.jobs.worker import REFUSED
 
 MAX_STILLBORN: Final = 3  # workers in a row that end before they have joined
-TAIL: Final = 12  # lines of a log that a refusal shows
+TAIL: Final = 12  # lines of a log in an error message
 
 
 class AbstractPool(abc.ABC):
-    """Keeps so many workers running."""
+    """Pool that keeps `size` workers running."""
 
     size: int  # workers that are wanted
     interface: str = link.LOOPBACK
 
     @abc.abstractmethod
     def keep(self) -> None:
-        """Look after the workers; called about once a second, returns soon.
+        """Replace workers that have ended; called about once a second, returns soon.
 
         Raises
         ------
         JobRefused
-            Workers cannot be had, and waiting does not help.
+            Workers cannot be started, and waiting does not help.
         """
 
     @abc.abstractmethod
@@ -41,22 +41,22 @@ class AbstractPool(abc.ABC):
 
     @property
     def note(self) -> str:
-        """What the workers are waiting for, if they are."""
+        """Reason why workers wait; empty if they do not."""
         return ""
 
 
 @final
 class LocalPool(AbstractPool):
-    """Workers as processes of this machine; they end with this process.
+    """Pool of worker processes on this machine; they end with this process.
 
     Parameters
     ----------
     folder : Path
-        Of the job.
+        Folder of the job.
     size : int
-        How many.
+        Number of workers.
     python : str, optional
-        Another interpreter.
+        Interpreter of the workers; by default the one that runs.
     """
 
     def __init__(self, folder: Path, size: int, python: str | None = None) -> None:
@@ -70,7 +70,7 @@ class LocalPool(AbstractPool):
         )
         self._stillborn = 0
         self._started = 0
-        # Names of earlier sessions must not look as if they had joined this one.
+        # Workers of earlier sessions must not count as joined to this one.
         self._session = f"{os.getpid()}-{time.time_ns() % 10**6:06d}"
 
     def keep(self) -> None:
@@ -113,14 +113,14 @@ class LocalPool(AbstractPool):
             self._stillborn = 0
             return
         if process.returncode == REFUSED:
-            return  # it has said why, and the engine reads it
+            return  # the engine reads the reason that the worker has stored
         self._stillborn += 1
         if self._stillborn >= MAX_STILLBORN:
             raise stillborn(self._folder / "workers" / f"{name}.log")
 
 
 def worker_command(folder: Path, name: str, interface: str, cores: int) -> list[str]:
-    """The command of a worker, but for the interpreter."""
+    """Return the arguments of the interpreter that start a worker."""
     return [
         "-m", "fixel.jobs.worker", str(folder.resolve()),
         "--name", name,
@@ -131,7 +131,7 @@ def worker_command(folder: Path, name: str, interface: str, cores: int) -> list[
 
 
 def stillborn(*logs: Path) -> JobRefused:
-    """The refusal after workers that ended before they had joined."""
+    """Return the error for workers that ended before they had joined, with lines of logs."""
     said = "\n".join(
         line
         for log in logs

@@ -1,6 +1,6 @@
-"""What runs in a worker: one chunk.
+"""Computation of one chunk in a worker.
 
-Apart from `worker.py`, which is a program: a program's module is not the one others import.
+Separate from `worker.py`, which runs as `__main__`: an import would load a second copy of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fixel.jobs.functions import chunk_function
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Failure, framed
 
-OTHER_VERSION: Final = b"V"  # first byte of an answer, beside those of `fixel.jobs.work.framed`
+OTHER_VERSION: Final = b"V"  # first byte of an answer; not used by `fixel.jobs.work.framed`
 
 running = threading.Event()  # a chunk is being computed
 lost = threading.Event()  # no scheduler listens
@@ -31,7 +31,7 @@ def run_chunk(
     payload: bytes,
     lease_s: float,
 ) -> bytes:
-    """What Dask runs: one chunk, its answer framed, or the stamp of another fixel."""
+    """Compute a chunk; return its framed answer, or our stamp if another one is expected."""
     if stamp() != expected:
         return OTHER_VERSION + stamp().encode()
     begun = time.monotonic()
@@ -39,7 +39,7 @@ def run_chunk(
     try:
         answer = framed(answer_of(chunk_function(function), Path(inputs), payload))
         if lost.is_set() or time.monotonic() - begun > lease_s:
-            # Nobody may be waiting any more.
+            # The coordinator may have given this chunk up.
             link.save_late(Path(folder), block, answer)
     except Exception as problem:
         return framed(Failure(f"{type(problem).__name__}: {problem}"))

@@ -1,7 +1,7 @@
-"""The Dask scheduler of a job, as a process of its own: `python -m fixel.jobs.scheduler FOLDER`.
+"""Dask scheduler of a job, in a process of its own: `python -m fixel.jobs.scheduler FOLDER`.
 
-It ends with the coordinator that started it, whose end of the standard input closes; nothing is
-lost with it. Apart from the coordinator, so that whatever happens here happens to nobody else.
+It ends with its coordinator, when its standard input closes; no answer is lost with it. It is
+separate from the coordinator so that an error here cannot end the job.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 from fixel.jobs.link import listening, security
 
-# A worker's death is reported at once; the coordinator counts deaths itself, and tries again.
+# Deaths of workers are reported at once: the coordinator counts them itself and tries again.
 CONFIG = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-saturation": 1.0,
@@ -52,13 +52,13 @@ def _scheduler(given: argparse.Namespace) -> Any:
     from distributed import Scheduler
 
     class JobScheduler(Scheduler):
-        """Dask's, but for two things."""
+        """Dask's scheduler without a web server, and with another treatment of silent workers."""
 
         def start_http_server(self, *_: Any, **__: Any) -> None:
-            """No web server: it would be one more door."""
+            """Start no web server, which could be attacked."""
 
         async def remove_worker(self, address: str, *, stimulus_id: str, **given: Any) -> Any:
-            """A worker that was silent for too long has not died of its chunk."""
+            """Remove a worker; its death is not due to its chunk if it was silent too long."""
             if stimulus_id.startswith("check-worker-ttl"):
                 given[expected] = True
             return await super().remove_worker(address, stimulus_id=stimulus_id, **given)

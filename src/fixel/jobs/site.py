@@ -1,4 +1,4 @@
-"""Site templates: what a cluster wants to know of a job, as a small YAML file."""
+"""Site templates: settings for the jobs of a cluster, as a small YAML file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fixel.errors import InvalidInput
 from fixel.io.document import read_document, yaml_text
 
-# One directive, one line: nothing in a template reaches the script but where it is meant to.
+# One directive, one line: a value in a template cannot add other lines to the script.
 _LINE: Final = r"[^\r\n]*"
 _WORD: Final = r"[^\s%]+"
 _MEMORY: Final = r"\d+(\.\d+)? ?[KMGT]i?B"
@@ -42,26 +42,26 @@ submit_interval_s: 1.0   # at least so long between two submissions
 
 
 class Site(BaseModel):
-    """What a cluster wants to know.
+    """Settings for the jobs of a cluster.
 
     Attributes
     ----------
     queue, account : str, optional
     walltime : str
-        Of one worker: `HH:MM:SS` or `D-HH:MM:SS`.
+        Time limit of one worker: `HH:MM:SS` or `D-HH:MM:SS`.
     cores : int
     memory : str
-        Of one worker: `4 GB`.
+        Memory of one worker: `4 GB`.
     interface : str
-        Network interface that all processes listen on, and no other.
+        Only network interface that the processes listen on.
     max_jobs : int
-        Most workers in the queue.
+        Maximum number of workers in the queue.
     submit_interval_s : float
         Shortest time between two submissions [s].
     directives, skip_directives, prologue : list of str
         Lines for the scheduler; directives to leave out; shell lines before the worker.
     python : str, optional
-        Interpreter on the nodes, if it is another than here.
+        Interpreter on the nodes, if it is not the same as here.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -82,7 +82,7 @@ class Site(BaseModel):
 
     @property
     def walltime_s(self) -> float:
-        """The walltime [s]."""
+        """Time limit of one worker [s]."""
         match = _WALLTIME.fullmatch(self.walltime)
         if match is None:
             raise InvalidInput(
@@ -93,23 +93,23 @@ class Site(BaseModel):
 
     @property
     def lifetime_s(self) -> float:
-        """When a worker ends by itself: early enough for the chunk that runs [s]."""
+        """Time after which a worker ends by itself, before the limit so that its chunk ends [s]."""
         return self.walltime_s - min(120.0, 0.2 * self.walltime_s)
 
 
 def load_site(path: Path) -> Site:
-    """The site of a file.
+    """Load a site template.
 
     Raises
     ------
     InvalidInput
-        It cannot be read, or says something it should not.
+        The file cannot be read, or has a value that is not allowed.
     """
     return site_of(read_document(path), str(path))
 
 
 def site_of(content: object, where: str) -> Site:
-    """A site from what a file says."""
+    """Return the site that the content of a file describes; `where` names it in errors."""
     try:
         site = Site.model_validate(content)
     except ValidationError as problem:
@@ -120,7 +120,7 @@ def site_of(content: object, where: str) -> Site:
 
 
 def site_text(site: Site) -> str:
-    """A site as YAML."""
+    """Return a site as YAML."""
     return yaml_text(site.model_dump(exclude_none=True))
 
 

@@ -1,7 +1,7 @@
-"""Workers as jobs of SLURM, submitted from where the coordinator runs: no SSH, no accounting.
+"""Workers as SLURM jobs, submitted from the machine of the coordinator: no SSH, no accounting.
 
-One job is one worker that stays: no arrays, few submissions. Dask-jobqueue writes the head of the
-script; submitting, watching and replacing are done here, since all of them fail on real clusters.
+One job is one worker for many chunks: no arrays, few submissions. Dask-jobqueue writes the head
+of the script. Submission, polling and replacement are done here, since each may fail on clusters.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ACTIVE: Final = frozenset(
      "REQUEUED", "REQUEUE_HOLD", "REQUEUE_FED", "SIGNALING", "STAGE_OUT", "SPECIAL_EXIT",
      "RESV_DEL_HOLD")
 )  # fmt: skip
-# What no waiting helps against, in the words of sbatch.
+# Messages of sbatch about errors that do not disappear by waiting.
 _HOPELESS: Final = (
     "invalid partition",
     "invalid account",
@@ -52,7 +52,7 @@ _HOPELESS: Final = (
 
 
 class SlurmJob(NamedTuple):
-    """A job as SLURM lists it."""
+    """Job as SLURM lists it."""
 
     id: str
     state: str
@@ -60,12 +60,12 @@ class SlurmJob(NamedTuple):
 
     @property
     def active(self) -> bool:
-        """Whether it waits or runs."""
+        """Whether the job waits or runs."""
         return self.state in _ACTIVE
 
 
 class SlurmTrouble(Exception):
-    """A command of SLURM failed; `hopeless` if it always will."""
+    """Exception raised when a SLURM command fails; `hopeless` if it always will."""
 
     def __init__(self, said: str, hopeless: bool = False) -> None:
         self.hopeless = hopeless
@@ -73,7 +73,7 @@ class SlurmTrouble(Exception):
 
 
 def refuse_without_slurm() -> None:
-    """Refuse a cluster where the commands for it are missing."""
+    """Raise `InvalidInput` if the commands of SLURM are missing."""
     for command in ("sbatch", "squeue", "scancel"):
         if shutil.which(command) is None:
             raise InvalidInput(
@@ -85,7 +85,7 @@ def refuse_without_slurm() -> None:
 
 
 def submit(script: Path) -> str:
-    """Submit a script; the number of its job."""
+    """Submit a script and return the id of its job."""
     said = _call("sbatch", "--parsable", str(script)).strip()
     number = said.splitlines()[-1].split(";")[0] if said else ""
     if not number.isdecimal():
@@ -94,7 +94,7 @@ def submit(script: Path) -> str:
 
 
 def listed(name: str) -> list[SlurmJob]:
-    """My jobs of a name, ended ones too as far as SLURM remembers them."""
+    """Return the user's jobs of a name, also ended ones that SLURM still lists."""
     answer = _call(
         "squeue", "--noheader", "--states=all",
         f"--user={getpass.getuser()}", f"--name={name}", "--format=%i|%T|%r",
@@ -104,7 +104,7 @@ def listed(name: str) -> list[SlurmJob]:
 
 
 def cancel(name: str) -> None:
-    """Cancel my jobs of a name."""
+    """Cancel the user's jobs of a name."""
     _call("scancel", f"--user={getpass.getuser()}", f"--name={name}")
 
 
@@ -124,7 +124,7 @@ def _call(*command: str) -> str:
 
 
 def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
-    """A script for sbatch; `command` is Python's arguments, in shell words."""
+    """Return a script for sbatch; `command` are the arguments of Python, quoted for the shell."""
     job = _slurm_job()(
         scheduler="none",
         name=name,
@@ -139,7 +139,7 @@ def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
         job_directives_skip=list(site.skip_directives),
         log_directory=str(logs),
         interface=None,
-        # Given here, so that a configuration of Dask's cannot change what a template says.
+        # Given here, so that a configuration of Dask cannot change the template.
         config_name="slurm",
         job_script_prologue=list(site.prologue),
         worker_extra_args=[],
@@ -151,7 +151,7 @@ def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
 
 
 def _slurm_job() -> Any:
-    """dask-jobqueue's job; importing it would have Ctrl-C end this process its own way."""
+    """Import dask-jobqueue's job class without its handler of Ctrl-C."""
     here = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT)
     from dask_jobqueue.slurm import SLURMJob
@@ -163,25 +163,25 @@ def _slurm_job() -> Any:
 
 @final
 class SlurmPool(AbstractPool):
-    """Workers as SLURM jobs of one name; those of an interrupted session are taken over.
+    """Pool of workers as SLURM jobs of one name; takes over those of an interrupted session.
 
     Parameters
     ----------
     folder : Path
-        Of the job, on a file system that the nodes see too.
+        Folder of the job, on a file system that the nodes share.
     size : int
-        How many workers.
+        Number of workers.
     site : Site
     name : str
-        Of the jobs, unique: by it they are found again.
+        Unique name of the jobs, by which they are found again.
     say : callable
         Called with a sentence when something happens.
     poll_s : float
-        How often SLURM is asked [s].
+        Time between two calls of `squeue` [s].
     back_off_s : float
-        How long to wait after a refused submission; twice as long after each further one [s].
+        Waiting time after a refused submission, doubled after each further one [s].
     patience_s : float
-        How long a worker waits for a scheduler when the one it had is gone [s].
+        Time that a worker waits for another scheduler when its own is gone [s].
     """
 
     def __init__(
@@ -238,14 +238,14 @@ class SlurmPool(AbstractPool):
             self._say(f"the workers could not be cancelled, and end by themselves: {trouble}")
 
     def _look(self, now: float) -> bool:
-        """Ask SLURM; False where it does not answer."""
+        """Update the jobs from SLURM; return False if it does not answer."""
         try:
             jobs = listed(self._name)
         except SlurmTrouble as trouble:
             self._note_trouble(f"squeue: {trouble}")
             return False
         if self._first:
-            # Those that have ended before are none of this session's business.
+            # Jobs that ended before this session do not count.
             self._ended |= {job.id for job in jobs if not job.active}
             self._first = False
         self._jobs = {job.id: job for job in jobs if job.active}
@@ -258,7 +258,7 @@ class SlurmPool(AbstractPool):
         return True
 
     def _top_up(self, now: float) -> None:
-        """Submit as many as are missing, one an interval."""
+        """Submit missing workers, one per `submit_interval_s`."""
         while (
             len(self._jobs) + len(self._submitted) < self.size
             and time.monotonic() >= self._next_submit
@@ -291,7 +291,7 @@ class SlurmPool(AbstractPool):
         self._trouble = sentence
 
     def _note_end(self, job: SlurmJob) -> None:
-        """Count workers that never worked: a hopeless template is not submitted for ever."""
+        """Count workers that never joined; raise `JobRefused` after several in a row."""
         self._say(f"worker {job.id} has ended: {job.state.lower()}")
         if link.joined(self._folder, f"slurm-{job.id}"):
             self._in_a_row = {"stillborn": 0, "cancelled": 0}

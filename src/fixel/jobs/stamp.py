@@ -1,7 +1,7 @@
-"""Which fixel this is: its version and a digest of its sources.
+"""Stamp of the running fixel: its version and a digest of its sources.
 
-Two processes of one job must be the same fixel to the byte, else their answers may differ in the
-last bits.
+All processes of a job must have exactly the same sources; otherwise their answers may differ in
+the last bits.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import fixel
 
 @cache
 def stamp() -> str:
-    """Version and digest of the sources: `"0.1.0+3f8a0c2b91d4e670"`."""
+    """Return version and digest of the sources: `"0.1.0+3f8a0c2b91d4e670"`."""
     digest = hashlib.sha256()
     root = Path(fixel.__file__).parent
     for path in sorted(root.rglob("*.py")):

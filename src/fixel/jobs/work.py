@@ -1,9 +1,9 @@
-"""What there is to do: rounds of chunks, and the loop that gets them answered.
+"""Rounds of chunks, and the loop that has them computed.
 
 A `Work` is a generator. It yields a `Round` of chunks, is sent the answers by name, yields the next
-round, and in the end returns the result as bytes. It must depend on nothing but its inputs and
-the answers: continuing an interrupted job means running the generator again and answering
-from the journal what has been answered before.
+round, and in the end returns the result as bytes. It must depend only on its inputs and the
+answers: to resume an interrupted job, the generator is run again, and the journal answers all
+chunks that were computed before.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from typing import Final, NamedTuple, Self, final
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 
-# [s] The rate is that of this long ago until now: workers come and go.
+# [s] The rate is an average over this time, since workers come and go.
 RATE_WINDOW_S: Final = 60.0
-# Largest share of a work that has not ended: its result is still to be made.
+# Largest share before the end, since the result is still to be computed.
 ALMOST: Final = 0.99
 
 
 class Chunk(NamedTuple):
-    """A piece of work worth seconds.
+    """Piece of a job that one worker computes within seconds.
 
     Attributes
     ----------
     name : str
         Unique within the work: `"round-3/chunk-17"`.
     payload : bytes
-        What the chunk function is given.
+        Argument of the chunk function.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Chunk(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """The answer of a chunk that has none: its function raised, or its worker died every time."""
+    """Answer of a chunk whose function raised, or whose worker died every time."""
 
     reason: str
 
@@ -56,10 +56,10 @@ class Round(NamedTuple):
     ----------
     function : str
         `"module:function"` in fixel, called as `function(inputs: Path, payload: bytes) -> bytes`.
-        It may be called again for the same payload, and must then answer the same.
+        It may be called again for the same payload, and must then return the same.
     chunks : sequence of Chunk
     note : str
-        What a progress bar says: `"best 2.31 mm"`.
+        Text of a progress bar: `"best 2.31 mm"`.
     left : int, optional
         Chunks of the rounds after this one, known or estimated; None where the work may grow by
         any number. Without it a progress bar shows no share and no time left.
@@ -76,23 +76,23 @@ Work = Generator[Round, Answers, bytes]
 
 
 class JobProgress(NamedTuple):
-    """How far the work is.
+    """Progress of the work.
 
     Attributes
     ----------
     done, total, failed : int
-        Chunks, in this and in earlier sessions; `total` is what is known of so far.
+        Number of chunks, in this and in earlier sessions; `total` counts those known so far.
     rate : float
-        Chunks a second, lately.
+        Chunks per second in the last minute.
     left_s : float or None
         Time left at that rate [s].
     note : str
-        What the work says of itself.
+        Note of the current round.
     workers : int
-        Processes that compute now.
+        Number of processes that compute now.
     share : float or None
-        Part of the whole work that is done, 1 only at its end; None while nobody knows how much
-        work follows.
+        Part of the whole work that is done, 1 only at its end; None while the amount of work is
+        unknown.
     """
 
     done: int
@@ -109,17 +109,17 @@ Batch = list[tuple[str, Answer]]
 
 
 class AbstractEngine(abc.ABC):
-    """Answers chunks, in any order; a context manager, so that processes end with it."""
+    """Engine that answers chunks in any order; a context manager that ends its processes."""
 
     workers: int = 0  # processes that compute now
-    deaths: int = 0  # of workers while they computed
-    again: int = 0  # chunks that were given out once more
+    deaths: int = 0  # workers that died while they computed
+    again: int = 0  # chunks that were submitted again
 
     @abc.abstractmethod
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        """Names and answers as they come, each chunk once.
+        """Yield names and answers as they arrive, each chunk once.
 
-        A batch may be empty: there is one every second or so, so that who waits can do
+        A batch may be empty: one comes about every second, so that the caller can do
         something else, such as stop.
         """
 
@@ -131,7 +131,7 @@ class AbstractEngine(abc.ABC):
 
 
 class StopRequest(Exception):
-    """Somebody asked to stop; the journal has all that was finished."""
+    """Exception raised when a stop is requested; finished chunks are in the journal."""
 
 
 Show = Callable[[JobProgress], None]
@@ -147,17 +147,17 @@ def run_work(
     progress: Show | None = None,
     stop: Stop | None = None,
 ) -> bytes:
-    """Get all rounds of a work answered; the only writer of its journal.
+    """Compute all rounds of a work; the only function that writes its journal.
 
     Returns
     -------
     bytes
-        What the work returned.
+        Result of the work.
 
     Raises
     ------
     StopRequest
-        `stop()` said so.
+        `stop()` returned True.
     """
     tally = _Tally(progress, engine)
     try:
@@ -173,18 +173,18 @@ def run_work(
 
 
 def block_name(function: str, chunk: Chunk) -> str:
-    """Under which name the journal keeps the answer of a chunk: another payload, another name."""
+    """Return the name of a chunk's answer in the journal, which depends on the payload."""
     digest = hashlib.sha256(function.encode() + b"\0" + chunk.payload).hexdigest()[:32]
     return f"{chunk.name} {digest}"
 
 
 def framed(answer: Answer) -> bytes:
-    """An answer as bytes, for the journal and for the way from the worker."""
+    """Return an answer as bytes, for the journal and the network."""
     return b"F" + answer.reason.encode() if isinstance(answer, Failure) else b"A" + answer
 
 
 def unframed(data: bytes) -> Answer:
-    """The inverse of `framed`."""
+    """Inverse of `framed`."""
     return data[1:] if data[:1] == b"A" else Failure(data[1:].decode())
 
 
@@ -196,7 +196,7 @@ def _answered(
     tally: _Tally,
     stop: Stop | None,
 ) -> Answers:
-    """The answers of a round, from the journal or else from the engine."""
+    """Return the answers of a round, from the journal or else from the engine."""
     names = {chunk.name: block_name(turn.function, chunk) for chunk in turn.chunks}
     if len(names) < len(turn.chunks):
         raise InvalidInput("chunks of a round", found="a name twice", expected="each name once")
@@ -225,7 +225,7 @@ def _refuse_stop(stop: Stop | None) -> None:
 
 @final
 class _Tally:
-    """Counts chunks, and the rate at which they come."""
+    """Counter of chunks and of the rate at which they are answered."""
 
     def __init__(self, show: Show | None, engine: AbstractEngine) -> None:
         self._show = show
@@ -254,7 +254,7 @@ class _Tally:
         self._say()
 
     def finish(self) -> None:
-        """All rounds are answered."""
+        """Report that all rounds are answered."""
         self._total, self._open, self._ended = self._done, False, True
         self._say()
 

@@ -1,8 +1,8 @@
-"""A worker of a job, as a process of its own: `python -m fixel.jobs.worker FOLDER ...`.
+"""Worker of a job, in a process of its own: `python -m fixel.jobs.worker FOLDER ...`.
 
-It takes part only if it is the same fixel as the coordinator. When the scheduler is lost it
-finishes its chunk, leaves the answer in the folder, and waits for another scheduler: a place in the
-queue of a cluster is not given up because one process died.
+It takes part only if its fixel is that of the coordinator. When the scheduler is lost, the worker
+finishes its chunk, stores the answer in the folder, and waits for another scheduler, so that
+its place in the queue of a cluster is not lost.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from fixel.jobs.scheduler import CONFIG, end_with_parent
 from fixel.jobs.stamp import stamp
 
 REFUSED: Final = 3  # exit code
-GRACE_S: Final = 20.0  # [s] for a chunk that runs when the worker is asked to end; SLURM gives 30
+GRACE_S: Final = 20.0  # [s] for a running chunk when the worker has to end; SLURM gives 30
 CONNECT_S: Final = 10.0
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Work until asked to end, or until no scheduler has been there for a while."""
+    """Work until SIGTERM, the end of the lifetime, or too long without a scheduler."""
     given = _parser().parse_args(arguments)
     if given.watch_parent:
         end_with_parent()
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
             if joined:
                 alone_since = time.monotonic()
         now = time.monotonic()
-        over = not (given.folder / "tls").exists()  # the coordinator has taken its key away
+        over = not (given.folder / "tls").exists()  # the coordinator has removed its key
         if over or now - alone_since > given.patience_s or now > until:
             print("no scheduler; ending", flush=True)
             return 0
@@ -80,7 +80,7 @@ def _refuse(given: argparse.Namespace) -> int:
 
 
 async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple[bool, bool]:
-    """Work for one scheduler; whether it was joined, and whether it was for somebody to end it."""
+    """Work for one scheduler; return whether it was joined and whether the worker has to end."""
     worker = _worker(given, address)
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -88,8 +88,8 @@ async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple
     timer = loop.call_later(max(0.0, until - time.monotonic()), asked.set)
     try:
         await asyncio.wait_for(worker, 2 * CONNECT_S)
-    # RuntimeError is Dask's for a refusal: of a name, say, whose lost connection the scheduler
-    # still holds open.
+    # Dask raises RuntimeError for a refusal, e.g. of a name whose lost connection is still open
+    # at the scheduler.
     except (OSError, TimeoutError, RuntimeError, asyncio.CancelledError) as problem:
         print(f"no connection to {address}: {problem!r}", flush=True)
         return False, asked.is_set()
@@ -112,21 +112,21 @@ async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple
 
 
 async def _watch(worker: Any) -> None:
-    """Notice at once that answers reach nobody: closing waits for the chunk that runs."""
+    """Notice the loss of the scheduler at once: closing waits for the running chunk."""
     while worker.status.name in ("running", "paused", "closing_gracefully"):
         await asyncio.sleep(0.05)
     remote.lost.set()
 
 
 async def _end_gracefully(worker: Any) -> None:
-    """Take no more chunks, finish the one that runs if that is soon, leave."""
+    """Take no more chunks, wait up to `GRACE_S` for the running one, then close."""
     from distributed.core import Status
 
     worker.status = Status.paused
     deadline = time.monotonic() + GRACE_S
     while remote.running.is_set() and time.monotonic() < deadline:
         await asyncio.sleep(0.05)
-    await asyncio.sleep(0.2)  # for the answer to get away
+    await asyncio.sleep(0.2)  # for the answer to be sent
     await worker.close_gracefully()
 
 
@@ -137,7 +137,7 @@ def _worker(given: argparse.Namespace, address: str) -> Any:
     dask.config.set(CONFIG | {"distributed.comm.timeouts.connect": f"{CONNECT_S} s"})
 
     class QuietWorker(Worker):
-        """A worker without a web server, which would be one more door."""
+        """Dask's worker without a web server, which could be attacked."""
 
         def start_http_server(self, *_: Any, **__: Any) -> None:
             pass
@@ -156,14 +156,14 @@ def _worker(given: argparse.Namespace, address: str) -> Any:
 
 
 def _await_chunk(until: float) -> None:
-    """Wait for the chunk that runs; it leaves its answer in the folder."""
+    """Wait for the running chunk, whose answer is stored in the folder."""
     remote.lost.set()
     while remote.running.is_set() and time.monotonic() < until:
         time.sleep(0.05)
 
 
 if __name__ == "__main__":
-    # Threads of the engine may hold on; nothing of theirs is needed any more.
+    # Do not wait for threads of the engine: their results are not needed any more.
     code = main()
     sys.stdout.flush()
     os._exit(code)

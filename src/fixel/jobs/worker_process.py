@@ -1,7 +1,7 @@
-"""A function in a process of its own, which can be ended: at a time limit, or when nobody waits.
+"""Calls of a function in a process of its own, with a time limit and cancellation.
 
-Compiled kernels cannot be interrupted. What a stranger's scene makes of them must not hold up a
-server, so it runs beside it.
+Compiled kernels cannot be interrupted. A scene from a stranger must not block a server, so it is
+simulated in another process.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from typing import Any, Final, final
 
 from fixel.errors import JobRefused
 
-GLANCE: Final = 0.02  # [s] between two looks whether somebody still waits
+GLANCE: Final = 0.02  # [s] between two checks whether the caller still waits
 STARTS_WITHIN: Final = 120.0  # [s], with an engine to compile
 
 
 class CallCancellation(Exception):
-    """Nobody waits for the answer any more."""
+    """Exception raised when the caller does not wait for the answer any more."""
 
 
 @final
 class WorkerProcess:
-    """Calls a function of a module, one call at a time, each within a time limit.
+    """Process that calls a function, one call at a time, each within a time limit.
 
-    The process starts with the first call and stays for the next ones; one that was ended is
-    replaced.
+    The process starts with the first call and stays for the next ones. It is replaced after it
+    was ended.
 
     Parameters
     ----------
     function : callable
-        Takes one argument; both it and the answer can be pickled.
+        Function of one argument; both it and the answer can be pickled.
     limit : float
-        Of one call [s].
+        Time limit of one call [s].
     ready : callable, optional
-        Called in the process when it starts, outside the time limit: compiles, loads.
+        Called in the process when it starts, outside the time limit, to compile or load.
     hint : str
-        What to do where the time limit is too short.
+        Advice in the error if the time limit is too short.
 
     Examples
     --------
     >>> from math import sqrt
-    >>> with Bounded(sqrt, limit=30.0) as root:
+    >>> with WorkerProcess(sqrt, limit=30.0) as root:
     ...     root.call(9.0)
     3.0
     """
@@ -66,14 +66,14 @@ class WorkerProcess:
         self._pipe: Connection | None = None
 
     def call(self, argument: Any, nobody_waits: Callable[[], bool] = lambda: False) -> Any:
-        """The function's answer, or what it raised.
+        """Return the answer of the function, or raise its exception.
 
         Raises
         ------
         JobRefused
-            The time limit, or a process that died.
+            The time limit was exceeded, or the process died.
         CallCancellation
-            `nobody_waits` said so.
+            `nobody_waits()` returned True.
         """
         with self._my_turn(nobody_waits):
             pipe = self._running(nobody_waits)
@@ -114,7 +114,7 @@ class WorkerProcess:
         return _HeldLock(self._turn)  # type: ignore[return-value]
 
     def _running(self, nobody_waits: Callable[[], bool]) -> Connection:
-        """The pipe to a process that is ready."""
+        """Return the pipe to the process; start it and wait until it is ready, if necessary."""
         if self._pipe is not None and self._process.is_alive():
             return self._pipe
         self._end()
@@ -134,7 +134,7 @@ class WorkerProcess:
         return ours
 
     def _hand_over(self, pipe: Connection, argument: Any) -> None:
-        """Send the argument; a process that hangs would never read a large one."""
+        """Send the argument; end a process that hangs and does not read it."""
         hung = threading.Timer(self.limit, self._process.kill)
         hung.start()
         try:
@@ -182,7 +182,7 @@ class WorkerProcess:
 
 @final
 class _HeldLock:
-    """A lock that is held already, to be let go."""
+    """Context manager that releases a lock acquired before."""
 
     def __init__(self, lock: threading.Lock) -> None:
         self._lock = lock
@@ -197,8 +197,8 @@ class _HeldLock:
 def _serve(
     pipe: Connection, function: Callable[[Any], Any], ready: Callable[[], object] | None
 ) -> None:
-    """What the process does: answer until nobody asks."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    """Call the function for each argument until the pipe is closed; runs in the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if ready is not None:
         ready()
@@ -214,7 +214,7 @@ def _serve(
 
 
 def _end_with_parent() -> None:
-    """Nobody hears the end of a computation whose server is gone."""
+    """End this process when its parent ends."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
