@@ -1,1 +1,1 @@
-"""What measurements leave open of parameters, and what follows from it for predictions."""
+"""Uncertainty of parameters after a calibration, and its effect on predictions."""

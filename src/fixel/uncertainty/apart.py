@@ -1,7 +1,7 @@
-"""Bodies that a start error puts inside their neighbours, set beside them again.
+"""Removal of overlaps between a body and its neighbours that are due to start errors.
 
-A body that rests against a pusher overlaps it in half of all errors. No body really stands there;
-the error is of the measurement. So it is moved out the shortest way, without turning.
+A body that rests against a pusher overlaps it for half of all start errors. This is impossible in
+reality, so the body is moved out along the shortest way, without rotation.
 """
 
 from __future__ import annotations
@@ -14,47 +14,47 @@ from fixel.model import Disk, Shape, placed
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
 
-ROUNDS: Final = 8  # of moving out of one neighbour, perhaps into another
-ROUNDING: Final = 1e-9  # of the size of a body, that still counts as touching
+ROUNDS: Final = 8  # moves out of one neighbour, perhaps into another
+ROUNDING: Final = 1e-9  # overlap that still counts as touching, over the size of a body
 
 
 class Overlap(NamedTuple):
-    """How deep n placed bodies lie in another; negative where they are apart."""
+    """Depth of the overlap of n placed bodies with another; negative for a gap."""
 
     depth: FloatArray  # (n,) [m]
-    way: FloatArray  # (n, 2) direction in which the body leaves soonest, in the world
+    way: FloatArray  # (n, 2) direction of the shortest way out, in the world
 
 
 class Neighbour(NamedTuple):
-    """Something in the way."""
+    """Fixel or pusher that a body may overlap."""
 
     name: str
     shape: Shape
     pose: FloatArray  # (3,)
-    moved: FloatArray | None = None  # (n, 3) motion of the world that takes it to where it is
+    moved: FloatArray | None = None  # (n, 3) world motions that take it to its poses
 
 
 def set_apart(
     shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
 ) -> tuple[FloatArray, list[str]]:
-    """Poses without overlap.
+    """Move poses out of their neighbours.
 
     Parameters
     ----------
     shape : Shape
-        Of the body.
+        Shape of the body.
     poses : (n, 3) float64
-        [m, m, rad].
+        Poses of the body [m, m, rad].
     neighbours : list of Neighbour
     most : float
-        How far a body may be moved [m].
+        Largest distance by which a body may be moved [m].
 
     Returns
     -------
     (n, 3) float64
         Poses, moved where they overlapped.
     list of str
-        Why a pose cannot be had; empty where it can.
+        Reason why a pose is impossible; empty otherwise.
     """
     moved = np.array(poses)
     reasons = [""] * len(poses)
@@ -89,9 +89,9 @@ def _overlaps(shape: Shape, poses: FloatArray, other: Neighbour) -> Overlap:
 
 
 def overlaps(a: Shape, poses: FloatArray, b: Shape, pose: FloatArray) -> Overlap:
-    """Overlap of a shape at poses (n, 3) with another at one pose (3,).
+    """Return the overlap of a shape at poses (n, 3) with another at one pose (3,).
 
-    Exact for convex shapes that overlap; for others of their deepest pair of convex pieces.
+    Exact for convex shapes that overlap; for other shapes, that of their deepest convex pieces.
     """
     if isinstance(a, Disk) and isinstance(b, Disk):
         apart = poses[:, :2] - pose[:2]
@@ -124,7 +124,7 @@ def _deepest(found: list[Overlap]) -> Overlap:
 
 
 def _disk(radius: float, centre: FloatArray, piece: FloatArray) -> Overlap:
-    """Of disks about centres (n, 2) with one convex polygon (k, 2)."""
+    """Return the overlap of disks with centres (n, 2) and one convex polygon (k, 2)."""
     edge = np.roll(piece, -1, axis=0) - piece
     normal = _normals(piece)
     from_corner = centre[:, None] - piece
@@ -142,7 +142,7 @@ def _disk(radius: float, centre: FloatArray, piece: FloatArray) -> Overlap:
 
 
 def _polygons(mine: FloatArray, other: FloatArray) -> Overlap:
-    """Of placed convex polygons (n, k, 2) with another (m, 2), along the normals of all edges."""
+    """Return the overlap of convex polygons (n, k, 2) with another (m, 2), by edge normals."""
     normal = _normals(other)
     own = np.einsum("nki,nki->nk", (turned := _normals(mine)), mine)
     from_other = (normal * other).sum(axis=1) - (mine @ normal.T).min(axis=1)  # (n, m)
@@ -155,14 +155,14 @@ def _polygons(mine: FloatArray, other: FloatArray) -> Overlap:
 
 
 def _normals(piece: FloatArray) -> FloatArray:
-    """Outward, of the edges of counter-clockwise polygons (..., k, 2)."""
+    """Return the outward normals of the edges of counter-clockwise polygons (..., k, 2)."""
     edge = np.roll(piece, -1, axis=-2) - piece
     right = np.stack((edge[..., 1], -edge[..., 0]), axis=-1)
     return np.asarray(right / np.linalg.norm(edge, axis=-1, keepdims=True))
 
 
 def _turned(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
-    """(n, ..., 2) vectors turned by n angles."""
+    """Return vectors (n, ..., 2) rotated by n angles."""
     shape = (len(c), *([1] * (vector.ndim - 2)))
     c, s = c.reshape(shape), s.reshape(shape)
     x, y = vector[..., 0], vector[..., 1]

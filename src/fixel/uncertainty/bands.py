@@ -1,8 +1,8 @@
-"""What uncertain parameters mean for a path and its end: bands, bounds, and what they are made of.
+"""Predictive bands of a path and bounds of its end, and their contributions.
 
-A draw of the future is one posterior sample simulated from one start, plus one walk of the model's
-own error with that sample's standard deviation, plus the camera's noise. Its parts are kept
-separate, so that it can be told whether better parameters, a better placed start, a better model or
+A draw is the simulation of one posterior sample from one start, plus one random walk of the model
+error with that sample's standard deviation, plus the noise of the camera. The contributions are
+reported separately, to show whether better parameters, a better placed start, a better model or
 a better camera would narrow the prediction.
 """
 
@@ -40,7 +40,7 @@ class Band(NamedTuple):
 
 
 class Ellipse(NamedTuple):
-    """A region of positions."""
+    """Elliptic region of positions."""
 
     level: float
     centre: FloatArray  # (2,) [m]
@@ -49,7 +49,7 @@ class Ellipse(NamedTuple):
 
 
 class EndBounds(NamedTuple):
-    """Where a push ends, with a probability."""
+    """Bounds that contain the end of a push with a given probability."""
 
     level: float
     position: Ellipse
@@ -59,22 +59,22 @@ class EndBounds(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PushPrediction:
-    """Draws of how an experiment goes.
+    """Predictive draws of an experiment.
 
     Attributes
     ----------
     time : (n_frame,) float64
-        [s]
+        Times of the frames [s].
     best : (n_frame, 3) float64
-        Simulated with the likeliest sample.
+        Path simulated with the likeliest sample.
     draws : (k, n_frame, 3) float64
-        Poses as a camera would see them; angles near those of `best`.
+        Poses with camera noise; angles near those of `best`.
     truths : (k, n_frame, 3) float64
-        The same without the camera's noise.
+        The same poses without camera noise.
     shares : mapping of str to (3,) float64
         Standard deviation at the end of each of `PARTS` alone, and of `"all"` [m, m, rad].
     failed : int
-        Draws that could not be simulated, and are left out.
+        Number of draws that could not be simulated and are left out.
     """
 
     time: FloatArray
@@ -85,18 +85,18 @@ class PushPrediction:
     failed: int
 
     def bands(self, levels: tuple[float, ...] = LEVELS) -> tuple[Band, ...]:
-        """Pointwise bands: each frame's own quantiles."""
+        """Return pointwise bands: quantiles of each frame."""
         return tuple(
             Band(level, *np.quantile(self.draws, (0.5 - level / 2, 0.5 + level / 2), axis=0))
             for level in levels
         )
 
     def bounds(self, level: float = 0.9) -> EndBounds:
-        """Of the last pose as a camera would see it."""
+        """Return the bounds of the last pose, with camera noise."""
         return bounds_of(self.draws[:, -1], level)
 
     def levels_of(self, pose: FloatArray) -> tuple[float, float]:
-        """The levels of the smallest bounds that hold a last pose (3,): position, angle."""
+        """Return levels of the smallest bounds that contain a last pose (3,): position, angle."""
         return levels_of(self.draws[:, -1], np.asarray(pose, np.float64))
 
 
@@ -111,24 +111,24 @@ def predict(
     draws: int = 400,
     seed: int = 0,
 ) -> PushPrediction:
-    """Draws of how an experiment goes when it is done once more, from the same measured start.
+    """Predict a repetition of an experiment from the same measured start.
 
     Parameters
     ----------
     comparer : Comparer
     member : int
-        Number of the experiment among its targets.
+        Index of the experiment among its targets.
     posterior : Posterior
-        Of the comparer's space.
+        Posterior of the comparer's space.
     prior : ParameterPrior
-        That the posterior was found with.
+        Prior of this posterior.
     noise : Noise
-        The camera's.
+        Noise of the camera.
     start_sd : (3,) array, optional
-        Standard deviations of the measured first pose [m, m, rad]; the camera's where left out.
-        Where a start error was among the unknowns, that one is not drawn again.
+        Standard deviations of the measured first pose [m, m, rad]; by default the camera noise.
+        Start errors that are among the unknowns are not drawn again.
     draws : int
-        At most as many as there are samples.
+        Number of draws, at most the number of samples.
     seed : int
     """
     rng = np.random.default_rng([seed, member])
@@ -177,8 +177,8 @@ def predict(
 def _simulated(
     comparer: Comparer, member: int, points: FloatArray, errors: FloatArray
 ) -> tuple[FloatArray, np.ndarray]:
-    """Paths (k, n_frame, 3) under points (k, n_free) from starts that are off, and which came to
-    their end."""
+    """Return paths (k, n_frame, 3) of points (k, n_free) from perturbed starts, and which
+    simulations converged."""
     target = comparer.targets[member]
     values = comparer.space.columns(points, target.conditions)
     for name, error in zip(START, errors.T, strict=True):
@@ -192,7 +192,7 @@ def _simulated(
 
 
 def _near(paths: FloatArray, centre: FloatArray) -> FloatArray:
-    """Angles on the side of the middle path."""
+    """Return the paths with angles within half a turn of the central path."""
     turned = paths.copy()
     turned[..., 2] = centre[:, 2] + wrapped(paths[..., 2] - centre[:, 2])
     return turned
@@ -206,8 +206,8 @@ def _spread(paths: FloatArray) -> FloatArray:
 
 
 def bounds_of(poses: FloatArray, level: float) -> EndBounds:
-    """The smallest ellipse of the draws' shape, and the shortest interval of angles, that hold a
-    share of poses (k, 3)."""
+    """Return the smallest ellipse of the draws' shape and the shortest interval of angles that
+    contain a share of poses (k, 3)."""
     if not 0.0 < fraction(level, "level") < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")
     centre, spread = _shape(poses[:, :2])
@@ -223,7 +223,7 @@ def bounds_of(poses: FloatArray, level: float) -> EndBounds:
 
 
 def shortest(values: FloatArray, level: float) -> tuple[float, float]:
-    """The shortest interval that holds a share of values (k,)."""
+    """Return the shortest interval that contains a share of values (k,)."""
     ordered = np.sort(values)
     inside = min(len(ordered) - 1, max(1, math.ceil(level * len(ordered)) - 1))
     width = ordered[inside:] - ordered[: len(ordered) - inside]
@@ -232,8 +232,8 @@ def shortest(values: FloatArray, level: float) -> tuple[float, float]:
 
 
 def levels_of(poses: FloatArray, pose: FloatArray) -> tuple[float, float]:
-    """Share of poses (k, 3) that lie closer to the middle than a pose (3,), in the measure of their
-    own spread: the level of the smallest region that holds it. For positions, and for angles."""
+    """Return levels of the smallest regions of positions and of angles that contain a pose (3,):
+    the share of poses (k, 3) closer to the centre, measured in units of their spread."""
     centre, spread = _shape(poses[:, :2])
     others = _distances(poses[:, :2], centre, spread)
     own = float(_distances(pose[None, :2], centre, spread)[0])
@@ -244,7 +244,7 @@ def levels_of(poses: FloatArray, pose: FloatArray) -> tuple[float, float]:
 
 
 def _shape(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middle and covariance; never flat, so that distances are numbers."""
+    """Return mean and covariance, which is never singular, so that distances are finite."""
     spread = np.cov(positions.T)
     least = 1e-12 * max(float(np.trace(spread)), 1e-18)
     return positions.mean(axis=0), spread + least * np.eye(2)

@@ -1,4 +1,4 @@
-"""Whether bounds hold what they promise: how often real outcomes lie in bounds of each level."""
+"""Coverage of predicted bounds: the share of real outcomes inside the bounds of each level."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 
 class CoverageCurve(NamedTuple):
-    """Share of outcomes that lay in the bounds of each level."""
+    """Share of outcomes inside the bounds of each level."""
 
     levels: FloatArray  # (n,)
     held: FloatArray  # (n,)
@@ -23,14 +23,15 @@ class CoverageCurve(NamedTuple):
 
     @property
     def largest_gap(self) -> float:
-        """Largest difference between what was promised and what was held."""
+        """Largest difference between a level and the share of outcomes inside its bounds."""
         return float(np.abs(self.held - self.levels).max())
 
 
 def coverage_curve(found: FloatArray, levels: tuple[float, ...] = LEVELS) -> CoverageCurve:
-    """The curve of outcomes, each given by the level (n,) of the smallest bounds that hold it.
+    """Return the coverage curve of outcomes.
 
-    The range in which true levels would lie takes outcomes to be independent of each other.
+    Each outcome is given by the level (n,) of the smallest bounds that contain it. The range `low`
+    to `high` assumes independent outcomes.
     """
     from scipy.stats import binom
 

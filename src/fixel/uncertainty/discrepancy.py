@@ -1,17 +1,16 @@
-"""Model error as a term of its own: how far a right simulation with the best values still goes
-astray.
+"""Model error as a separate term: the error that remains with the best values of all
+parameters.
 
-A simulation starts at the measured first pose, so there its error is zero; what it gets wrong of
-each stretch of the way adds up. The error is therefore taken for a random walk in the distance that
-the object has travelled: between two frames its variance grows by tau^2 times the share of the way
-that lies between them, independently in x, y and L theta. At the end of the way its standard
-deviation is tau.
+A simulation starts at the measured first pose, so its error is zero there; errors of each part of
+the way add up. The error is therefore modelled as a random walk over the distance travelled by the
+object: between two frames its variance grows by tau^2 times the share of the way between them,
+independently in x, y and L theta. At the end of the way its standard deviation is tau.
 
-Against the alternatives: an error that is the same in all frames would be largest where there is
-none, at the start; one that grows in proportion to the way has one shape only, and whatever else
-the model gets wrong would still have to be explained by parameters. A walk has all shapes. How much
-it costs a drift of the size d to be explained by it depends on d / tau alone, not on how often the
-camera looked: hundreds of frames of a wrong model no longer make parameters look certain.
+
+Alternatives are worse. A constant error would not vanish at the start. An error proportional to
+the way has only one shape, so parameters would have to explain all other errors. A walk has all
+shapes. The likelihood of a drift of size d depends on d / tau only, not on the number of frames:
+hundreds of frames of a wrong model do not make parameters appear certain.
 """
 
 from __future__ import annotations
@@ -30,24 +29,24 @@ from fixel.typing import FloatArray
 LABEL: Final = "model_error"
 MEANING: Final = "standard deviation of the model's own error at the end of the way"
 
-# Range of its standard deviation: from what a camera cannot see to what nobody would call a model.
-MIN_DISCREPANCY: Final = 5e-5  # [m]
-MAX_DISCREPANCY: Final = 2e-2  # [m]
+# Range of its standard deviation: from below the camera's resolution to a useless model.
+SMALLEST: Final = 5e-5  # [m]
+LARGEST: Final = 2e-2  # [m]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelError:
-    """What is believed of the standard deviation tau of model error before looking.
+    """Prior of the standard deviation tau of model error.
 
     Its logarithm is uniform between two ends: as likely 0.1 to 0.2 mm as 1 to 2 mm.
 
     Parameters
     ----------
     low, high : float
-        Ends [m], at the end of the way.
+        Bounds of tau, the standard deviation at the end of the way [m].
     angle_scale : float
-        A radian counts as this [m/rad]: the angle's standard deviation is tau over it.
+        Length that a radian counts as; the angle's standard deviation is tau over it [m/rad].
     """
 
     low: float = MIN_DISCREPANCY
@@ -62,29 +61,29 @@ class ModelError:
             raise InvalidInput("model_error", found=found, expected="the lower one first")
 
     def transform(self, unit: FloatArray) -> FloatArray:
-        """Quantiles (k,) in [0, 1] to standard deviations [m]."""
+        """Return the standard deviations at probabilities (k,) in [0, 1] [m]."""
         return np.asarray(self.low * (self.high / self.low) ** np.asarray(unit, np.float64))
 
     @property
     def sides(self) -> FloatArray:
-        """(3,) of x, y, theta: by which tau is divided [-, -, m/rad]."""
+        """(3,) divisors of tau for x, y, theta [-, -, m/rad]."""
         return np.array([1.0, 1.0, self.angle_scale])
 
 
 class WalkAxes(NamedTuple):
     """Principal axes of a random walk over the frames of one experiment."""
 
-    axes: FloatArray  # (n_frame, n_frame) a column each
+    axes: FloatArray  # (n_frame, n_frame) one column each
     variance: FloatArray  # (n_frame,) along them, of a walk with tau = 1
     share: FloatArray  # (n_frame,) of the way that lies behind each frame
 
 
 def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> FloatArray:
-    """Share (n,) of the way that an object has travelled at poses (n, 3), from the first (3,).
+    """Return the share (n,) of the way travelled at poses (n, 3) from the first (3,).
 
-    The way is that of the origin, and of turning by `angle_scale` metres a radian. A camera's noise
-    would make way where nothing moves, so what counts is the largest distance from the start that
-    was reached so far. Shares grow strictly: each frame adds a thousandth of an even share.
+    The way includes rotation, at `angle_scale` metres per radian. It is the largest distance from
+    the start so far, since camera noise would add to the length of a path at rest. Shares increase
+    strictly: each frame adds a thousandth of an even share.
     """
     moved = (poses - first) * np.array([1.0, 1.0, angle_scale])
     distance = np.maximum.accumulate(np.sqrt(np.sum(moved**2, axis=1)))
@@ -96,7 +95,7 @@ def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> F
 
 
 def walk_over(share: FloatArray) -> WalkAxes:
-    """Principal axes of a walk whose variance at frames is their share (n,) of the way."""
+    """Return the axes of a walk whose variance at each frame is its share (n,) of the way."""
     variance, axes = np.linalg.eigh(np.minimum(share[:, None], share[None, :]))
     return WalkAxes(np.ascontiguousarray(axes), np.maximum(variance, 0.0), share)
 
@@ -104,7 +103,7 @@ def walk_over(share: FloatArray) -> WalkAxes:
 def draw_walks(
     share: FloatArray, tau: FloatArray, sides: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Model errors (k, n_frame, 3) of x, y, theta [m, m, rad] for standard deviations tau (k,)."""
+    """Draw model errors (k, n_frame, 3) in x, y, theta for standard deviations tau (k,) [m]."""
     steps = np.sqrt(np.diff(share, prepend=0.0))
     walks = np.cumsum(steps[:, None] * rng.standard_normal((len(tau), len(share), 3)), axis=1)
     return np.asarray(walks * tau[:, None, None] / sides)
@@ -113,16 +112,16 @@ def draw_walks(
 def log_density(
     rotated: FloatArray, variance: FloatArray, tau: FloatArray, white: FloatArray
 ) -> FloatArray:
-    """Gaussian log density (k,) of residuals along the axes of a walk, white noise beside it.
+    """Return the Gaussian log density (k,) of residuals that are a walk plus white noise.
 
     Parameters
     ----------
     rotated : (k, n, 3) array
         Residuals along the axes [m, m, rad].
     variance : (n,) array
-        Of the walk with tau = 1.
+        Variance of the walk with tau = 1.
     tau : (k, 3) array
-        Of the walk in x, y, theta [m, m, rad].
+        Standard deviations of the walk in x, y, theta [m, m, rad].
     white : (3,) array
         Variances of the white noise.
     """

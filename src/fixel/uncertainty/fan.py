@@ -1,4 +1,4 @@
-"""The fan of outcomes: where a body ends whose start is not quite known."""
+"""Ensemble of simulations of one push from perturbed starts."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from fixel.uncertainty.starts import StartError
 Values = Mapping[str, FloatArray]
 
 INSTANTS: Final = 12
-PORTION: Final = 1000  # starts between two words of progress
+PORTION: Final = 1000  # starts between two calls of the progress callback
 START: Final = ("start_x", "start_y", "start_theta")
 
 # Gap up to which a body counts as touching a fixel, as a share of the body's size. A simulated
 # contact is closed to about 1e-6 of it.
 TOUCHING: Final = 1e-3
 
-# How much farther than its own error a start may have to be moved to have room.
+# Largest distance by which a start may be moved out of neighbours, over the size of its error.
 ROOM: Final = 2.0
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fan:
-    """Outcomes of n perturbed starts of one scene.
+    """Ensemble of the outcomes of n perturbed starts of one scene.
 
     Attributes
     ----------
@@ -47,19 +47,19 @@ class Fan:
     drawn : (n, 3) float64
         Errors of the start [m, m, rad].
     start : (n, 3) float64
-        Where the body started: set apart from what it would have overlapped.
+        Start poses, moved out of neighbours that they overlapped [m, m, rad].
     times : (n_time,) float64
-        [s].
+        Instants of the poses [s].
     pose : (n, n_time, 3) float64
-        Of the body at these, the angle continuous; only rows with `ended` mean anything.
+        Poses of the body at these, with continuous angles; valid only in rows with `ended`.
     nominal : (n_time, 3) float64
-        Without an error.
+        Poses of the simulation without a start error.
     ended : (n,) bool
-        Which came to an end: the planned one, or a grasp that jams a rigid drive.
+        Simulations that ended: as planned, or because a rigid drive was jammed.
     reasons : tuple of str
-        Why there is no end, or that it jammed; empty for the planned one.
+        Reason why a simulation did not end, or that it jammed; empty for a planned end.
     mode : (n,) str
-        Which fixels touch at the end, a digit each; empty without fixels.
+        Contacts with the fixels at the end, one digit (0 or 1) each; empty without fixels.
     motion : str
         Name of the motion model.
     seed : int
@@ -80,18 +80,18 @@ class Fan:
 
     @property
     def end(self) -> FloatArray:
-        """(k, 3) end poses of those that ended [m, m, rad]."""
+        """End poses (k, 3) of the simulations that ended [m, m, rad]."""
         return np.asarray(self.pose[self.ended, -1])
 
     @property
     def moved_apart(self) -> float:
-        """Share of starts that would have overlapped something."""
+        """Share of starts that were moved out of a neighbour."""
         asked = self.scene.bodies[0].pose + self.drawn
         return float(np.mean(np.hypot(*(self.start - asked)[:, :2].T) > 1e-12))
 
     @property
     def arm(self) -> float:
-        """Radius of gyration of the body: what a turn is counted as [m/rad]."""
+        """Radius of gyration of the body, by which rotations are counted as lengths [m/rad]."""
         return float(np.sqrt(self.scene.bodies[0].shape.unit_inertia))
 
 
@@ -114,26 +114,26 @@ def fan_of(
     Parameters
     ----------
     scene : Scene
-        With one free body and at most one pusher.
+        Scene with one free body and at most one pusher.
     error : StartError
     n : int
-        How many starts.
+        Number of starts.
     drawn : (n, 3) float64, optional
-        Their errors [m, m, rad], where they were drawn elsewhere; `n` does not count then.
+        Errors of the starts, if drawn elsewhere; `n` is then ignored [m, m, rad].
     values : mapping of name to float or (n,) array_like, optional
-        Parameters; one value for all starts, or one a start for what is uncertain itself.
+        Parameters: one value for all starts, or one per start.
     times : (n_time,) array_like, optional
-        Instants to look at [s]; twelve up to the scene's end where left out.
+        Instants to record [s]; by default twelve up to the end of the scene.
     motion, stepper, threads : optional
         As for `Ensemble`.
     seed : int
     progress : callable, optional
-        Told how many starts of how many are done.
+        Called with the number of starts done and in all.
 
     Raises
     ------
     InvalidInput
-        A scene with several free bodies or pushers, or parameters it does not have.
+        The scene has several free bodies or pushers, or lacks a parameter.
     """
     drawn = error.samples(n, seed) if drawn is None else drawn
     n = len(drawn)
@@ -155,7 +155,7 @@ def fan_of(
         reasons[k] = refused[k]
     ended = good & np.isin(status, (codes.CONVERGED, codes.JAMMED))
     nominal = pose[-1]
-    # Against the nominal way, angles are small; a body that turns round stays comparable.
+    # Relative to the nominal motion, angles are small, also for a body that turns by full turns.
     pose[:, :, 2] = nominal[:, 2] + wrapped(pose[:, :, 2] - nominal[:, 2])
     if not ended[-1]:
         raise InvalidInput(
@@ -185,7 +185,7 @@ def _instants(scene: Scene, times: ArrayLike | None) -> FloatArray:
 
 
 def _given(values: Mapping[str, ArrayLike], n: int) -> dict[str, FloatArray]:
-    """(n + 1,) a name; the nominal rollout has the mean."""
+    """Return (n + 1,) values per parameter; those of the nominal rollout are means."""
     found = {}
     for name, value in values.items():
         column = np.asarray(value, np.float64)
@@ -200,7 +200,7 @@ def _given(values: Mapping[str, ArrayLike], n: int) -> dict[str, FloatArray]:
 
 
 def _starts(given: dict[str, FloatArray], errors: FloatArray) -> dict[str, FloatArray]:
-    """Parameters with the errors of the start on top of a start that was calibrated."""
+    """Return the parameters, with the start errors added to a calibrated start."""
     own = {
         name: np.array(given.get(name, np.zeros(len(errors))) + error)
         for name, error in zip(START, errors.T, strict=True)
@@ -209,7 +209,7 @@ def _starts(given: dict[str, FloatArray], errors: FloatArray) -> dict[str, Float
 
 
 def _placed(scene: Scene, values: Values) -> tuple[Shape, FloatArray, list[Neighbour]]:
-    """The body's shape, where its outline starts (n, 3), and what stands about it."""
+    """Return the shape of the body, the start poses of its outline (n, 3), and its neighbours."""
     body = scene.bodies[0]
     starts = varied_start(scene, None, values)
     assert starts is not None
@@ -219,7 +219,7 @@ def _placed(scene: Scene, values: Values) -> tuple[Shape, FloatArray, list[Neigh
 
 
 def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
-    """The pusher as large and where it stands at the start of each rollout."""
+    """Return the pusher with its size and its pose at the start of each rollout."""
     shape, grown = pusher.shape, grown_by(scene, values)
     if grown is not None and isinstance(shape, Disk):
         shape = Disk(shape.radius + float(grown.mean()))
@@ -234,7 +234,7 @@ def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
 def _set_apart(
     shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
 ) -> tuple[FloatArray, list[str]]:
-    """As `set_apart`, without neighbours that no start comes near."""
+    """Call `set_apart` with only those neighbours that a start may reach."""
     radius = _radius(shape)
     middle = poses[:, :2].mean(axis=0)
     wander = float(np.hypot(*(poses[:, :2] - middle).T).max()) + most
@@ -272,7 +272,7 @@ def _simulated(
 
 
 def _modes(scene: Scene, poses: FloatArray) -> np.ndarray:
-    """(n,) which fixels the body touches at poses, a digit each."""
+    """Return (n,) contacts of the body with the fixels at poses, one digit per fixel."""
     shape = scene.bodies[0].shape
     gap = TOUCHING * float(np.ptp(shape.outline, axis=0).max())
     digits = [

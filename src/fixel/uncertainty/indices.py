@@ -1,4 +1,4 @@
-"""Sobol indices: which uncertain input the spread of an outcome comes from."""
+"""Sobol indices: shares of the variance of an outcome due to each uncertain input."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ UNITS: Final = ("m", "m", "rad")
 RESAMPLES: Final = 200
 CONFIDENCE: Final = 0.95
 
-# Share of rollouts that may be without an outcome; the mean stands for theirs.
+# Largest share of rollouts without an outcome; they are replaced by the mean.
 MAX_FAILED: Final = 0.02
-# Spread of an outcome below which there is nothing to share out [m], [rad].
+# Standard deviation of an outcome below which its indices are zero [m], [rad].
 NO_SPREAD: Final = 1e-9
 
 
 class Factor(NamedTuple):
-    """An uncertain input."""
+    """Uncertain input of a model."""
 
     name: str
-    low: float  # of a normal one, the mean less one standard deviation
-    high: float  # of a normal one, the mean and one standard deviation
+    low: float  # for a normal one, the mean minus one standard deviation
+    high: float  # for a normal one, the mean plus one standard deviation
     kind: Kind = "uniform"
 
     def at(self, share: FloatArray) -> FloatArray:
-        """Values at shares (n,) of the probability."""
+        """Return the quantiles (n,) at probabilities (n,)."""
         from scipy.special import ndtri
 
         if self.kind == "uniform":
@@ -53,22 +53,22 @@ class Factor(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Indices:
-    """Shares of the variance of outcomes.
+    """Sobol indices of the outcomes of a model.
 
     Attributes
     ----------
     factors : tuple of Factor
     outcomes, units : tuple of str
     first, total : (n_outcome, n_factor) float64
-        First order: the share that goes away on average once the factor is known. Total: the share
-        that stays while it alone is not. Where an outcome does not vary, zero.
+        First order: mean share of the variance that disappears if the factor is known. Total:
+        share that remains if all other factors are known. Zero if an outcome does not vary.
     first_error, total_error : (n_outcome, n_factor) float64
         Half-widths of 95 % intervals, by bootstrap.
     deviation : (n_outcome,) float64
         Standard deviation of each outcome [its unit].
     evaluations : int
     failed : int
-        Rollouts without an outcome, counted as its mean.
+        Number of rollouts without an outcome, replaced by the mean.
     """
 
     factors: tuple[Factor, ...]
@@ -83,7 +83,7 @@ class Indices:
     failed: int
 
     def summary(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "evaluations": self.evaluations,
             "failed": self.failed,
@@ -115,25 +115,25 @@ def sobol_indices(
     units: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Indices:
-    """First-order and total Sobol indices of a model.
+    """Compute first-order and total Sobol indices of a model.
 
     Parameters
     ----------
     model : callable
-        Of (m, n_factor) points gives (m, n_outcome) outcomes; NaN for none.
+        Function of points (m, n_factor) -> outcomes (m, n_outcome); NaN for a failure.
     factors : sequence of Factor
     outcomes : sequence of str
-        What the columns are.
+        Names of the columns.
     n : int
-        Base samples, a power of two; the model is asked for ``n (n_factor + 2)`` points.
+        Base samples, a power of two; the model is evaluated at ``n (n_factor + 2)`` points.
     units : sequence of str, optional
     seed : int
 
     Raises
     ------
     InvalidInput
-        No factor, an `n` that is no power of two, more than 2 % of points without an outcome, or
-        SALib not installed.
+        There is no factor, `n` is not a power of two, more than 2 % of the points have no outcome,
+        or SALib is not installed.
 
     Source
     ------
@@ -165,7 +165,7 @@ def sobol_indices(
                 calc_second_order=False,
                 num_resamples=RESAMPLES,
                 conf_level=CONFIDENCE,
-                seed=seed + 1,  # SALib takes a seed of zero for none
+                seed=seed + 1,  # SALib ignores a seed of zero
             )
         tables[:, k] = [answer[name] for name in ("S1", "ST", "S1_conf", "ST_conf")]
     return Indices(
@@ -195,25 +195,25 @@ def indices_of(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Indices:
-    """Sobol indices of where a push ends: to parameters, and to each error of the start.
+    """Compute Sobol indices of the end of a push, for parameters and errors of the start.
 
     Parameters
     ----------
     scene : Scene
     error : StartError
     ranges : mapping of name to (low, high)
-        Uncertain parameters, uniform.
+        Ranges of uniformly distributed parameters.
     n : int
         Base samples, a power of two.
     values : mapping of name to float, optional
-        Parameters that are certain.
+        Parameters without uncertainty.
     motion, stepper, seed, threads, progress
         As for `fan_of`.
 
     Returns
     -------
     Indices
-        Of the end along and across the nominal way of the body [m], and of its angle [rad].
+        Indices of the end along and across the nominal way [m], and of the angle [rad].
     """
     factors = [_ranged(name, *interval) for name, interval in ranges.items()]
     sizes = zip(START, error.size.tolist(), strict=True)
@@ -240,8 +240,8 @@ def indices_of(
 
 
 def scalars(fan: Fan) -> FloatArray:
-    """(n, 3) how far ends are from the nominal one: along and across the nominal way, angle; NaN
-    for starts without an end."""
+    """Return deviations (n, 3) of ends from the nominal one: along and across the nominal way, and
+    angle; NaN for starts without an end."""
     off = fan.pose[:, -1] - fan.nominal[-1]
     way = fan.nominal[-1, :2] - fan.scene.bodies[0].pose[:2]
     length = float(np.hypot(*way))
@@ -280,7 +280,7 @@ def _refuse(factors: Sequence[Factor], n: int) -> None:
 
 
 def _filled(found: FloatArray) -> tuple[FloatArray, int]:
-    """Outcomes with the mean in place of what is missing, and how many were."""
+    """Return the outcomes with missing ones replaced by the mean, and their number."""
     missing = ~np.isfinite(found).all(axis=1)
     if missing.mean() > MAX_FAILED:
         raise InvalidInput(

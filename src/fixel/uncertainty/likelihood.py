@@ -1,12 +1,12 @@
-"""How probable measured paths are under values of parameters, a batch of points at a time.
+"""Log likelihood of measured paths given parameters, computed for batches of points.
 
-A measured frame is the simulated one, plus the model's own error (`discrepancy.py`), plus the
-camera's noise. Both are Gaussian, so that the probability of a whole path is a product over the
-principal axes of the model error's walk:
+A measured frame is the sum of the simulated one, the model error (`discrepancy.py`) and the
+camera noise. Both are Gaussian, so the probability of a whole path is a product over the
+principal axes of the random walk of the model error:
 
     log p = sum over axes i, channels c of log N(z_ic; 0, T s_c^2 + tau_c^2 w_i)
 
-with z the residuals along the axes, w the walk's variances, s the noise and T its correlation time:
+with z the residuals along the axes, w the variances of the walk, s the noise, T its correlation:
 N correlated frames count as N / T independent ones (docs/theory/identifiability.md).
 """
 
@@ -32,10 +32,10 @@ from fixel.uncertainty.discrepancy import (
 )
 from fixel.uncertainty.prior import ParameterPrior
 
-# Where a simulation failed: what dynesty takes for impossible, and still a number.
+# Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
 FLOOR: Final = -1e300
 
-# Frames of one experiment that are looked at; of more, every second, third, ... from the last.
+# Maximum number of frames per experiment; of more, every second, third, ... from the last is used.
 MAX_FRAMES: Final = 400
 
 # Standard deviation over the median absolute value of a normal variable.
@@ -44,25 +44,25 @@ _SD_OF_MEDIAN: Final = 1.4826
 
 @final
 class LogLikelihood:
-    """Log likelihood of points for one or several experiments together.
+    """Log likelihood of points for one or several experiments.
 
     Parameters
     ----------
     comparer : Comparer
     members : sequence of int
-        Numbers of its experiments.
+        Indices of its experiments.
     noise : Noise
-        Of the camera alone where model error is a term; else of all that simulations cannot say.
+        Noise of the camera alone if model error is given; else of all unexplained deviations.
     model_error : ModelError, optional
-        ParameterPrior of its standard deviation, which becomes the last unknown, the same for all
+        Prior of its standard deviation, which becomes the last unknown and is the same for all
         experiments; their errors are independent.
 
     Attributes
     ----------
     prior : ParameterPrior
-        Of all unknowns, in the order of the columns of points.
+        Prior of all unknowns, in the order of the columns of points.
     evaluations, failed : int
-        Points looked at so far, and those where an experiment could not be simulated.
+        Points evaluated so far, and those for which an experiment could not be simulated.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class LogLikelihood:
         self._walks = [self._walk(k) for k in range(len(self.members))]
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """(k,) of points (k, n); `FLOOR` where an experiment cannot be simulated."""
+        """Return (k,) values at points (k, n); `FLOOR` where an experiment cannot be simulated."""
         table = np.ascontiguousarray(points, np.float64)
         most = max(1, MAX_ROLLOUTS // len(self.members))
         parts = [self._some(table[k : k + most]) for k in range(0, len(table), most)]
@@ -94,7 +94,7 @@ class LogLikelihood:
         return found
 
     def _some(self, points: FloatArray) -> FloatArray:
-        """All experiments under some points, in one batch."""
+        """Return (k,) values at a few points, computed in one batch with all experiments."""
         k, n = len(points), len(self.members)
         free = np.ascontiguousarray(points[:, : len(self.comparer.space.labels)])
         difference, good, _ = self.comparer.differences(
@@ -108,18 +108,18 @@ class LogLikelihood:
         return np.where(fine, np.maximum(total, FLOOR), FLOOR)
 
     def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
-        """(k,) of one experiment, from residuals (k, n_seen, 3)."""
+        """Return the log likelihood (k,) of one experiment from residuals (k, n_seen, 3)."""
         walk = self._walks[own]
         if walk is None:
             n = difference.shape[1]
             scale = n * float(np.log(2.0 * math.pi * self._white).sum())
             return np.asarray(-0.5 * (np.sum(difference**2 / self._white, axis=(1, 2)) + scale))
-        # (n, n) x (n, 3) for each point: the same bits for any number of points at a time.
+        # (n, n) x (n, 3) for each point: the same bit for bit for any number of points in a batch.
         rotated = np.matmul(walk.axes.T, difference)
         return log_density(rotated, walk.variance, tau, self._white)
 
     def _tau(self, points: FloatArray) -> FloatArray:
-        """(k, 3) standard deviations of model error in x, y, theta."""
+        """Return standard deviations (k, 3) of model error in x, y, theta."""
         error = self.prior.model_error
         if error is None:
             return np.zeros((len(points), 3))
@@ -132,7 +132,7 @@ class LogLikelihood:
         return walk_over(share[self._seen[own]])
 
     def shares(self, own: int) -> FloatArray:
-        """(n_sample,) of the way of one of the members, by number among them."""
+        """Return the shares of the way (n_sample,) of one experiment, by its index in `members`."""
         error = self.prior.model_error or ModelError()
         return expected_shares(self.comparer, int(self.members[own]), error)
 
@@ -140,16 +140,16 @@ class LogLikelihood:
 def expected_shares(
     comparer: Comparer, member: int, error: ModelError, path: FloatArray | None = None
 ) -> FloatArray:
-    """Share (n_sample,) of the way behind each frame of an experiment.
+    """Return the share (n_sample,) of the way travelled up to each frame of an experiment.
 
-    The mean of two: of the simulation at the space's nominal values, and of the measured poses. The
-    first alone would leave a walk no room where the object really moves and the simulation is at
-    rest already; the second alone would let the data say how they are to be believed.
+    It is the mean of the shares of the simulation at nominal values and of the measured poses. The
+    first alone would allow no model error where the object still moves but the simulation is at
+    rest. With the second alone, the prior would depend on the data.
 
     Parameters
     ----------
     path : (n_sample, 3) float64, optional
-        In place of the measured poses.
+        Poses to use instead of the measured ones.
     """
     target = comparer.targets[member]
     start = target.case.scene.bodies[0].pose
@@ -167,15 +167,15 @@ def expected_shares(
 
 
 def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) -> Noise:
-    """The camera's noise alone, from how much residuals differ from frame to frame.
+    """Estimate the noise of the camera from the differences of residuals between frames.
 
-    Second differences of white noise have six times its variance; a smooth error of the model has
-    next to none. The median absolute value keeps out the frames where a contact came or went.
+    Second differences of white noise have six times its variance; those of a smooth model error are
+    almost zero. The median absolute value ignores frames in which a contact closed or opened.
 
     Parameters
     ----------
     point : (n_free,) float64
-        Of a fit; a rough one will do.
+        Fitted values of the free unknowns; a rough fit is sufficient.
     """
     series = comparer.residuals_at(members, point)
     rows = [np.diff(one, n=2, axis=0) for one in series if len(one) >= 3]
@@ -197,6 +197,6 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
 
 
 def _seen(length: int) -> np.ndarray:
-    """Frames that are looked at, counted from the last."""
+    """Return the indices of the frames that are used."""
     stride = max(1, math.ceil(length / MAX_FRAMES))
     return np.asarray(np.arange(length)[(length - 1 - np.arange(length)) % stride == 0])

@@ -1,18 +1,18 @@
-"""Predictive distributions of many unknowns: a fit's covariance, and model error learned from what
-the fit leaves.
+"""Predictive distributions for many unknowns: covariance of a fit, and model error from its
+residuals.
 
-For dozens of unknowns and hundreds of short experiments sampling is out of reach and not needed:
-near its best a fit by least squares is a normal distribution with the inverse of Gauss and Newton's
-matrix as covariance. What a new experiment adds is larger: the model's own error, whose size the
-residuals tell once each is corrected for the pull it had on the fit.
+For dozens of unknowns and hundreds of short experiments, sampling is too expensive and not needed:
+near the optimum of a least-squares fit, the posterior is normal and its covariance is the inverse
+of the Gauss-Newton matrix. The model error of a new experiment is larger. Its size is estimated
+from the residuals, each corrected for its influence on the fit.
 
-An outcome's error has the covariance
+The error of an outcome has the covariance
 
     S_i = J_i C J_i'  +  c^2 B_i B_i'  +  diag(a)^2
 
-with C the covariance of the parameters, J_i what an outcome makes of them, B_i what it makes of an
-error of the start (a push that tips over an edge makes much of it), and c, a fitted to the
-residuals by the likelihood of Student's t, whose tails are as heavy as they need to be.
+with C the covariance of the parameters, J_i and B_i the derivatives of the outcome with respect to
+parameters and start errors, and c, a fitted to the residuals by the likelihood of Student's t,
+whose freedom is fitted too.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
-# Steps of fitting model error and covariance to each other; the third changes nothing to speak of.
+# Alternating fits of model error and covariance; the third changes almost nothing.
 ROUNDS: Final = 3
-# Leverage of an outcome on its own prediction, at most.
+# Largest leverage of an outcome on its own prediction.
 MAX_LEVERAGE: Final = 0.9
 # Degrees of freedom of Student's t: from "a mean exists" to "normal".
 FREEDOM: Final = (1.5, 50.0)
 
 
 class Outcomes(NamedTuple):
-    """Experiments and what their outcomes depend on; k outcomes of c numbers, n unknowns."""
+    """Residuals and derivatives of k outcomes of c numbers, for n unknowns."""
 
-    residual: FloatArray  # (k, c) measured less predicted
+    residual: FloatArray  # (k, c) measured minus predicted
     columns: FloatArray  # (k, c, n) change of the prediction with each unknown
     start: FloatArray  # (k, c, m) change with each error of the start, in standard deviations
 
 
 class Spreads(NamedTuple):
-    """Covariances (k, c, c) that the parts of a prediction contribute."""
+    """Contributions (k, c, c) to the covariance of a prediction."""
 
     parameters: FloatArray
     start: FloatArray
@@ -50,29 +50,29 @@ class Spreads(NamedTuple):
 
     @property
     def total(self) -> FloatArray:
-        """All together."""
+        """Sum of the contributions."""
         return self.parameters + self.start + self.model
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinearPredictive:
-    """What the training outcomes say of others.
+    """Predictive distribution learned from training outcomes.
 
     Attributes
     ----------
     covariance : (n, n) float64
-        Of the unknowns.
+        Covariance of the unknowns.
     error : (c,) float64
-        Standard deviations of model error (of Student's t: its scale).
+        Standard deviations of model error: the scale of Student's t.
     start : float
-        Factor on what an error of the start does.
+        Factor on the effect of start errors.
     freedom : float
-        Of Student's t.
+        Degrees of freedom of Student's t.
     left : (k, c) float64
         Training residuals, each as if its outcome had not been fitted.
     distance : tuple of arrays
-        Of these, for each block of numbers: in standard deviations.
+        Lengths of these residuals for each block of numbers, in standard deviations.
     blocks : tuple of tuple of int
         Numbers of an outcome that are bounded together.
     """
@@ -86,14 +86,14 @@ class LinearPredictive:
     blocks: tuple[tuple[int, ...], ...]
 
     def spreads(self, outcomes: Outcomes) -> Spreads:
-        """Parts of the covariance of other outcomes; their residuals are not looked at."""
+        """Return the contributions to the covariance of other outcomes, without their residuals."""
         return _spreads(outcomes, self.covariance, self.error, self.start)
 
     def levels_of(self, outcomes: Outcomes) -> FloatArray:
-        """(k, n_block) levels of the smallest bounds that hold each outcome.
+        """Return levels (k, n_block) of the smallest bounds that contain each outcome.
 
-        The share of training outcomes that lay closer to their prediction, in standard deviations:
-        empirical quantiles, so that tails need no shape.
+        A level is the share of training outcomes closer to their prediction, in standard
+        deviations: an empirical quantile, which assumes no shape of the tails.
         """
         total = self.spreads(outcomes).total
         found = []
@@ -109,13 +109,13 @@ def fit_predictive(
     prior_sd: FloatArray,
     blocks: tuple[tuple[int, ...], ...],
 ) -> LinearPredictive:
-    """Covariance of the unknowns and size of model error, from the outcomes a fit was made to.
+    """Estimate the covariance of unknowns and the size of model error from fitted outcomes.
 
     Parameters
     ----------
     training : Outcomes
     prior_sd : (n,) float64
-        Standard deviations of what was known of the unknowns before; inf where nothing was.
+        Standard deviations of the priors of the unknowns; inf without a prior.
     blocks : tuple of tuple of int
         Numbers of an outcome that are bounded together: `((0, 1), (2,))` for a position and an
         angle.
@@ -148,15 +148,15 @@ def fit_predictive(
 
 
 def error_of(outcomes: Outcomes, error: FloatArray, start: float) -> FloatArray:
-    """(k, c, c) covariance of outcomes under known parameters."""
+    """Return the covariance (k, c, c) of outcomes for known parameters."""
     away = start * outcomes.start
     return np.asarray(np.matmul(away, away.transpose(0, 2, 1)) + np.diag(error**2))
 
 
 def effective_unknowns(outcomes: Outcomes, prior_sd: FloatArray) -> float:
-    """How many unknowns a fit takes from the outcomes; those the prior holds count for little.
+    """Return the effective number of fitted unknowns; those fixed by a prior count little.
 
-    With every outcome's error as large as its median residual.
+    Errors of outcomes are assumed as large as the median residual.
     """
     scale = 1.4826 * np.median(np.abs(outcomes.residual), axis=0) + 1e-12
     table = (outcomes.columns / scale[:, None]).reshape(-1, outcomes.columns.shape[2])
@@ -176,7 +176,7 @@ def _spreads(
 
 
 def _weights(residual: FloatArray, own: FloatArray, freedom: float) -> FloatArray:
-    """(k,) how much outcomes count under Student's t: far ones little."""
+    """Return weights (k,) of outcomes under Student's t, small for outliers."""
     square = np.einsum("ki,kij,kj->k", residual, np.linalg.inv(own), residual)
     return np.asarray((freedom + residual.shape[1]) / (freedom + square))
 
@@ -188,8 +188,8 @@ def _covariance(
     residual: FloatArray,
     freedom: float,
 ) -> FloatArray:
-    """(n, n) inverse of Gauss and Newton's matrix; far outcomes count less, as under Student's
-    t."""
+    """Return the inverse (n, n) of the Gauss-Newton matrix; outliers count less, as under
+    Student's t."""
     weight = _weights(residual, own, freedom)
     weighted = np.matmul(np.linalg.inv(own), outcomes.columns) * weight[:, None, None]
     matrix = np.einsum("kcn,kcm->nm", outcomes.columns, weighted) + np.diag(prior_sd**-2.0)
@@ -199,11 +199,11 @@ def _covariance(
 def _corrected(
     outcomes: Outcomes, covariance: FloatArray, own: FloatArray, freedom: float, power: float
 ) -> FloatArray:
-    """(k, c) residuals without the pull that their outcomes had on the fit.
+    """Return residuals (k, c) corrected for the influence of their outcomes on the fit.
 
-    (1 - leverage) to the power of -1 gives what each would be, had it not been fitted; -1/2 gives
-    the variance back that fitting took from the errors themselves. Far outcomes count little in
-    the fit, and have little leverage.
+    A factor (1 - leverage)^-1 gives the residual as if the outcome had not been fitted; a power of
+    -1/2 restores the variance that the fit removed from the errors. Outliers have little weight in
+    the fit, and so little leverage.
     """
     columns = outcomes.columns
     pull = np.matmul(np.matmul(columns, covariance), columns.transpose(0, 2, 1))
@@ -213,7 +213,7 @@ def _corrected(
     weight = _weights(outcomes.residual, own, freedom)[:, None, None]
     leverage = weight * np.matmul(np.matmul(white, pull), white.transpose(0, 2, 1))
     values, vectors = np.linalg.eigh(leverage)
-    # An outcome that decides an unknown alone has no residual to speak of.
+    # The residual of an outcome that determines an unknown alone is almost zero.
     keep = 1.0 - np.clip(values, 0.0, MAX_LEVERAGE)
     residual = np.matmul(white, outcomes.residual[:, :, None])
     turned = np.matmul(vectors.transpose(0, 2, 1), residual) / keep[:, :, None] ** power
@@ -227,7 +227,7 @@ def _fitted(
     start: float,
     freedom: float,
 ) -> tuple[FloatArray, float, float]:
-    """Model error, factor on the start, and freedom that make the residuals likeliest."""
+    """Return model error, start factor and freedom of the largest likelihood of the residuals."""
     from scipy.optimize import minimize
 
     unit = np.matmul(outcomes.start, outcomes.start.transpose(0, 2, 1))
@@ -245,7 +245,7 @@ def _fitted(
 
 
 def _log_t(residual: FloatArray, scale: FloatArray, freedom: float) -> float:
-    """Log likelihood of residuals (k, c) under Student's t with scales (k, c, c)."""
+    """Return the log likelihood of residuals (k, c) under Student's t with scales (k, c, c)."""
     from scipy.special import gammaln
 
     k, c = residual.shape
@@ -258,7 +258,7 @@ def _log_t(residual: FloatArray, scale: FloatArray, freedom: float) -> float:
 
 
 def _distance(residual: FloatArray, total: FloatArray, block: tuple[int, ...]) -> FloatArray:
-    """(k,) of some numbers of each outcome, in standard deviations."""
+    """Return lengths (k,) of the residuals of a block of numbers, in standard deviations."""
     own = list(block)
     spread = total[:, own][:, :, own]
     away = residual[:, own]

@@ -1,11 +1,11 @@
-"""A pool for dynesty whose workers take their steps together, so that their likelihoods are one
+"""Pool for dynesty whose proposals advance together, so that likelihoods are computed in one
 compiled batch.
 
-dynesty hands a pool a queue of proposals to evolve, each with random numbers of its own, and asks
-for one likelihood at a time. Here all proposals take one step, the likelihoods of all of them are
-computed in one call, and those that have arrived leave the round. What a proposal does depends on
-its own random numbers only: the bits are the same for any number of threads of the simulation, and
-on every run.
+dynesty passes a pool a queue of proposals, each with its own random numbers, and expects one
+likelihood at a time. Here all proposals take one step, their likelihoods are computed in one call,
+and those that are finished leave the queue. A proposal depends only on its own random numbers, so
+results are the same bit for bit in every run and for any number of threads of the
+simulation.
 
 The steps are those of `dynesty.internal_samplers`: uniform in the cube, uniform in the bound, and
 random walks in an ellipsoid of the bound.
@@ -22,20 +22,20 @@ from fixel.typing import FloatArray
 
 Batched = Callable[[FloatArray], FloatArray]
 
-# Points that are worth a call: where fewer proposals are left in a round, each tries several.
+# Smallest batch: if fewer proposals are left, each tries several points.
 WORTH: Final = 16
 
 
 @final
 class Lockstep:
-    """What dynesty takes for a pool.
+    """Pool with the interface that dynesty expects.
 
     Parameters
     ----------
     log_likelihood : callable
-        Points (k, n) -> (k,).
+        Function of points (k, n) -> (k,).
     transform : callable
-        Quantiles (k, n) in [0, 1] -> points (k, n).
+        Function of quantiles (k, n) in [0, 1] -> points (k, n).
     tell : callable, optional
         Called with the number of points after each batch.
     """
@@ -51,7 +51,7 @@ class Lockstep:
         self._tell = tell
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
-        """What dynesty asks for; answers in the order of the arguments."""
+        """Return the results of a function of dynesty, in the order of the arguments."""
         from dynesty import internal_samplers as own
         from dynesty.utils import LogLikelihood
 
@@ -75,7 +75,7 @@ class Lockstep:
     def _uniform(
         self, waiting: list[Any], drawn: Callable[[Any, np.random.Generator], FloatArray]
     ) -> list[Any]:
-        """Draw until a point is likelier than the limit, for each proposal."""
+        """Draw points for each proposal until one is likelier than the limit."""
         rng = [_dice(one) for one in waiting]
         tries = [0] * len(waiting)
         found: list[Any] = [None] * len(waiting)
@@ -97,7 +97,7 @@ class Lockstep:
         ]
 
     def _walked(self, waiting: list[Any]) -> list[Any]:
-        """Walk a number of steps in the region likelier than the limit, for each proposal."""
+        """Let each proposal walk a number of steps in the region likelier than the limit."""
         walkers = [_Walker(one) for one in waiting]
         for _ in range(waiting[0].kwargs["walks"]):
             moved = [(walker, step) for walker in walkers if (step := walker.step()) is not None]
@@ -112,7 +112,7 @@ class Lockstep:
         return [walker.answer() for walker in walkers]
 
     def _stayed(self, walkers: list[_Walker]) -> None:
-        """Those that never moved stand where they began."""
+        """Set the walkers that never moved to their start points."""
         if walkers:
             unit = np.array([walker.unit for walker in walkers])
             points = self._transform(unit)
@@ -121,7 +121,7 @@ class Lockstep:
 
 
 class _Walker:
-    """One proposal on its random walk."""
+    """Random walk of one proposal."""
 
     def __init__(self, argument: Any) -> None:
         self._argument = argument
@@ -132,7 +132,7 @@ class _Walker:
         self.accepted = self.refused = 0
 
     def step(self) -> FloatArray | None:
-        """The next place to look at; none outside of the cube, which counts as refused."""
+        """Return the next point to evaluate; None outside of the cube, which counts as rejected."""
         from dynesty.internal_samplers import propose_ball_point
 
         own = self._argument
@@ -184,7 +184,7 @@ def _in_bound(argument: Any, rng: np.random.Generator) -> FloatArray:
 
 
 def _wrapped(values: FloatArray) -> list[Any]:
-    """As dynesty's own wrapper of a likelihood answers."""
+    """Return likelihoods in the type that dynesty expects."""
     from dynesty.utils import LoglOutput
 
     return [LoglOutput(float(value), False) for value in values]

@@ -1,8 +1,8 @@
-"""The set of nearly optimal solutions: a cheap look at what a calibration leaves open.
+"""Set of nearly optimal points: a cheap estimate of the uncertainty after a calibration.
 
-Every point that a search evaluated is kept. Those whose error is above the least by no more than
-noise explains are all answers; where they lie apart, they are different ones. It costs nothing, but
-it sees only where the search went: the posterior is the full answer.
+It contains the evaluated points of a search whose error exceeds the smallest by no more than noise
+explains; separate clusters of them are different solutions. The set costs nothing, but covers
+only the region that the search visited: the posterior is the complete result.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import fraction, non_negative
 from fixel.typing import FloatArray
 
-# Gap between clusters, as a share of the range of what was evaluated.
+# Gap between clusters, as a share of the range of the evaluated points.
 GAP: Final = 0.1
 
 
 class NearOptimal(NamedTuple):
-    """Points nearly as good as the best."""
+    """Range and clusters of the nearly optimal points."""
 
     least: float  # error of the best
     rise: float  # above it that noise explains
@@ -32,19 +32,19 @@ class NearOptimal(NamedTuple):
 
 
 def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> float:
-    """Rise of a mean squared error that noise explains, given the least one.
+    """Return the rise of a mean squared error over its minimum that noise explains.
 
-    Under normal noise of a size that the fit itself tells, the region of a level holds the points
-    with (E - E_min) / E_min <= n / (N - n) F(n, N - n).
+    For normal noise of a size estimated by the fit itself, the confidence region contains the
+    points with (E - E_min) / E_min <= n / (N - n) F(n, N - n).
 
     Parameters
     ----------
     least : float
-        E_min.
+        Smallest error E_min.
     count : float
-        N independent measurements: numbers in the residuals over their correlation time.
+        Independent measurements N: numbers in the residuals over their correlation time.
     unknowns : int
-        n.
+        Number of unknowns n.
     level : float
 
     Source
@@ -63,18 +63,18 @@ def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> f
 def near_optimal(
     points: FloatArray, errors: FloatArray, rise: float, gap: float = GAP
 ) -> NearOptimal:
-    """Points (k, n) whose error (k,) is within a rise of the least, and their clusters.
+    """Return the points whose error is within a rise of the smallest, and their clusters.
 
     Parameters
     ----------
     points : (k, n) float64
-        All that a search evaluated.
+        All evaluated points of a search.
     errors : (k,) float64
-        inf where there is none.
+        Their errors; inf for failed evaluations.
     rise : float
-        In the unit of the errors; see `rise_of`.
+        Allowed rise, in the unit of the errors; see `rise_of`.
     gap : float
-        Between clusters, as a share of the range of each parameter over all points.
+        Gap between clusters, as a share of the range of each parameter over all points.
     """
     good = np.isfinite(errors)
     if not good.any():

@@ -1,4 +1,4 @@
-"""What a fan of outcomes says: how much a start's error grows, and whether outcomes part ways."""
+"""Sensitivity of a push to its start: growth of start errors, and bifurcation of outcomes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.fan import Fan
 
-MIN_OUTCOMES: Final = 50  # outcomes below which a fan has no shape
+FEWEST: Final = 50  # outcomes that an ensemble needs for an analysis
 
-# Outcomes of less than this share do not make a push bifurcate.
+# Smallest share of an outcome that counts for a bifurcation.
 RARE: Final = 0.01
-# Chance that a gap as wide as one that counts opens in a fan without one.
+# Probability of detecting a gap in an ensemble without one.
 FALSE_ALARM: Final = 1e-3
 MAX_OUTCOMES: Final = 8
 
-# Share of the starts next to the nominal one that the local gain is fitted to.
+# Share of the starts, nearest to the nominal one, that the local gain is fitted to.
 LOCAL: Final = 0.25
 NEIGHBOURS: Final = 4
 
-# From where a push counts as sensitive: an error doubles.
+# Growth of an error from which a push counts as sensitive.
 SENSITIVE: Final = 2.0
-# A near bifurcation: neighbours are torn apart farther than the whole start error is wide, and so
-# many times more than neighbours usually are.
+# Near bifurcation: neighbours move apart by more than the size of the start error, and by this
+# many times more than the median of neighbours.
 TORN_MORE: Final = 5.0
 
 FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "calm")
@@ -56,38 +56,38 @@ class PoseSpread:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensitivity:
-    """How one push takes errors of its start.
+    """Sensitivity of one push to errors of its start.
 
     Attributes
     ----------
     before, after : PoseSpread
-        Of the start's error, and of the end poses.
+        Spread of the start errors, and of the end poses.
     arm : float
-        What a turn is counted as [m/rad]: the body's radius of gyration.
+        Radius of gyration of the body, by which rotations are counted as lengths [m/rad].
     amplification : float
-        Root mean square spread after over before, turns counted at `arm`.
+        Root mean square spread after over before, rotations counted at `arm`.
     gain : float
         Largest growth of a small error: the first singular value of the map from start to end,
         fitted to the quarter of the starts nearest to the nominal one.
     worst : (3,) float64
-        The error that grows most, of length 1, turns counted at `arm`.
+        Error that grows most, of length 1, rotations counted at `arm`.
     curved : float
-        Share of the spread after that no linear map of the start explains, 0 to 1.
+        Share of the spread after the push that no linear map of the start explains, 0 to 1.
     usual_tear, largest_tear : float
-        Growth of the distance of neighbouring starts: median, and 99 % of them have less.
+        Growth of the distance of neighbouring starts: median and 99 % quantile.
     outcome : (k,) int64
-        Which outcome each end belongs to, the most frequent first.
+        Number of the outcome that each end belongs to; 0 is the most frequent.
     share : tuple of float
-        Of each outcome.
+        Share of each outcome.
     modes : dict of str to float
         Share of each final contact mode.
     torn : bool
         Whether the outcomes of neighbouring starts lie farther apart than the start error is wide,
         for 1 % of the starts: more than the roughness of the simulation.
     apart : float
-        Largest distance between the means of two outcomes or contact modes, turns counted [m].
+        Largest distance between the means of two outcomes or contact modes, with rotations [m].
     failed : dict of str to int
-        How many starts have no outcome, by reason.
+        Number of starts without an outcome, by reason.
     """
 
     before: PoseSpread
@@ -109,7 +109,7 @@ class Sensitivity:
 
     @property
     def flag(self) -> str:
-        """One of `FLAGS`, the worst that holds."""
+        """Worst of `FLAGS` that applies."""
         if self.bifurcates:
             return FLAGS[0]
         if self.torn and self.largest_tear >= TORN_MORE * self.usual_tear:
@@ -117,7 +117,7 @@ class Sensitivity:
         return FLAGS[2] if max(self.gain, self.amplification) >= SENSITIVE else FLAGS[3]
 
     def summary(self) -> dict[str, Any]:
-        """Plain values in SI units."""
+        """Return plain values in SI units."""
         return {
             "flag": self.flag,
             "amplification": self.amplification,
@@ -137,7 +137,7 @@ class Sensitivity:
 
 
 def sensitivity_of(fan: Fan) -> Sensitivity:
-    """Judge a fan.
+    """Compute the sensitivity of a push from its ensemble.
 
     Raises
     ------
@@ -183,24 +183,24 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
 
 
 def parted(cloud: FloatArray, floor: float) -> IntArray:
-    """Groups of points with gaps between them.
+    """Divide points into groups with gaps between them.
 
-    Points are projected on their principal axes. Between neighbours there, distances of a cloud
-    without a gap vary like an exponential about the local mean, so the widest of n exceeds r times
-    the mean of its k = sqrt(n) neighbours' with a chance below ``n (1 + r / k)^-k``. What exceeds
-    the r of a chance of 1e-3 on both sides, is wider than `floor`, and has 1 % of the points on
-    each side, parts the cloud; then its parts are looked at in the same way.
+    Points are projected on their principal axes. In a cloud without a gap, distances between
+    neighbours there are exponentially distributed about the local mean. So the widest of n exceeds
+    r times the mean of its k = sqrt(n) neighbours with a probability below ``n (1 + r / k)^-k``. A
+    gap divides the cloud if it exceeds the r of probability 1e-3 on both sides, is wider than
+    `floor`, and has 1 % of the points on each side. The parts are then divided in the same way.
 
     Parameters
     ----------
     cloud : (n, d) float64
     floor : float
-        Gaps narrower than this do not count.
+        Smallest width of a gap.
 
     Returns
     -------
     (n,) int64
-        Number of each point's group, the largest group first.
+        Number of each point's group; 0 is the largest group.
     """
     label = np.zeros(len(cloud), np.int64)
     waiting: list[IntArray] = [np.arange(len(cloud))]
@@ -221,7 +221,7 @@ def parted(cloud: FloatArray, floor: float) -> IntArray:
 
 
 def _gap(cloud: FloatArray, floor: float, least: int) -> NDArray[np.bool_] | None:
-    """(n,) which points lie below the widest gap that counts; none without one."""
+    """Return a mask (n,) of the points below the widest significant gap; None without one."""
     n = len(cloud)
     if n < 2 * least:
         return None
@@ -247,7 +247,7 @@ def _gap(cloud: FloatArray, floor: float, least: int) -> NDArray[np.bool_] | Non
 
 
 def _gain(start: FloatArray, end: FloatArray) -> tuple[float, FloatArray]:
-    """Largest singular value of the linear map near the nominal start, and its direction."""
+    """Return the largest singular value of the map near the nominal start, and its direction."""
     scale = np.maximum(start.std(axis=0), 1e-30)
     distance = np.linalg.norm(start / scale, axis=1)
     n = max(MIN_OUTCOMES, math.ceil(LOCAL * len(start)))
@@ -272,7 +272,7 @@ def _curved(start: FloatArray, end: FloatArray) -> float:
 
 
 def _tears(start: FloatArray, end: FloatArray) -> tuple[float, float, float]:
-    """Growth of the distance to neighbours, median and 99 %, and 99 % of the distances after."""
+    """Return the median and 99 % quantile of the neighbours' growth, and that of end distances."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(start)
@@ -284,7 +284,7 @@ def _tears(start: FloatArray, end: FloatArray) -> tuple[float, float, float]:
 
 
 def _apart(cloud: FloatArray, label: IntArray) -> float:
-    """Largest distance between the means of groups that are not rare."""
+    """Return the largest distance between the means of groups that are not rare."""
     shares = np.bincount(label) / len(label)
     means = [cloud[label == k].mean(axis=0) for k in np.flatnonzero(shares >= RARE)]
     return max((float(np.linalg.norm(a - b)) for a in means for b in means), default=0.0)
@@ -305,7 +305,7 @@ def _named(mode: np.ndarray) -> dict[str, float]:
 
 
 def _failed(fan: Fan) -> dict[str, int]:
-    """Instants differ from start to start: reasons are counted without them."""
+    """Count the reasons of failures, without the instants, which differ from start to start."""
     why = [fan.reasons[k].partition(" at ")[0] for k in np.flatnonzero(~fan.ended)]
     return {reason: why.count(reason) for reason in sorted(set(why))}
 

@@ -1,7 +1,7 @@
-"""What measurements leave of parameters: nested sampling by dynesty on the compiled batch.
+"""Posterior of parameters by nested sampling: dynesty on the compiled batch of simulations.
 
 Source: Skilling (2006), Bayesian Analysis 1, 833-859; Feroz, Hobson & Bridges (2009), MNRAS 398,
-for bounds of several ellipsoids, which is what keeps separated minima alive; Speagle (2020), MNRAS
+for bounds of several ellipsoids, which preserve separate minima; Speagle (2020), MNRAS
 493, for dynesty.
 """
 
@@ -24,36 +24,36 @@ from fixel.uncertainty.lockstep import Batched, Lockstep
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
 SAMPLES_PER_LIVE: Final = 3.0
-# Fewer would lose a minimum that holds a few percent of the probability.
+# With fewer, a minimum with a few percent of the probability would be lost.
 MIN_LIVE: Final = 250
-# The proposals in flight; their number changes no answer's correctness, only how many are thrown
-# away because the limit has risen since: about half of this over the number of live points.
+# Proposals computed together. The number does not affect correctness, only the share that is
+# discarded because the limit has risen meanwhile: about half of this over the live points.
 IN_FLIGHT: Final = 32
-# The evidence that is left to be found when a run ends, as the logarithm of a factor.
+# Remaining evidence at which a run ends, as the logarithm of a factor.
 REMAINING: Final = 0.02
-# Volume of the ellipsoids about the live points, beside the smallest that hold them. dynesty would
-# find it by bootstrap, at six times the cost of everything else here.
+# Volume of the ellipsoids over that of the smallest ones around the live points. dynesty's
+# bootstrap for it costs six times as much as everything else here.
 ENLARGED: Final = 1.5
-# Evaluations a live point between two fits of the ellipsoids.
+# Evaluations per live point between two fits of the ellipsoids.
 UPDATED: Final = 2.0
-# Up to so many unknowns uniform draws within the bound are cheaper than walks.
+# Largest number of unknowns for which uniform draws within the bound are cheaper than walks.
 MAX_FOR_UNIFORM: Final = 6
-# Uniform draws that a new point costs, on average over as many as there are live points, before the
-# run goes on with walks: a rough likelihood fills little of any ellipsoid. A walk takes 20 + n.
+# Mean number of uniform draws per new point, over as many points as there are live ones, above
+# which the run switches to walks of 20 + n steps: a rough likelihood fills little of an ellipsoid.
 DEAR: Final = 40
-# Runs that are put together, at most, to have as many effective samples as were asked for.
+# Maximum number of runs merged to reach the requested number of effective samples.
 MAX_RUNS: Final = 6
 # Share of the probability below which a cluster of samples is not a mode of its own.
 MIN_MODE: Final = 0.01
-# Samples that come back at least, where there are as many effective ones: of fewer, those of one
-# mode are too far from one another to be seen as one.
+# Minimum number of returned samples, if there are as many effective ones: with fewer, the samples
+# of one mode are too far from each other to be recognised as one.
 MIN_BACK: Final = 1000
-# How often progress is told [s].
+# Shortest time between two calls of the progress callback [s].
 BETWEEN: Final = 0.2
 
 
 class SamplerProgress(NamedTuple):
-    """How far a run is."""
+    """Progress of a run."""
 
     evaluations: int
     per_second: float
@@ -62,7 +62,7 @@ class SamplerProgress(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A part of the posterior that stands apart."""
+    """Separate part of the posterior."""
 
     weight: float  # of the probability
     best: FloatArray  # (n,) its likeliest sample
@@ -75,28 +75,28 @@ class Mode(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """Samples of equal weight, and how good they are.
+    """Samples of equal weight from a posterior, with their quality.
 
     Attributes
     ----------
     labels, units : tuple of str
-        Of the n unknowns.
-    low, high : (n,) float64
-        Of the prior.
-    samples : (k, n) float64
-        Of equal weight.
-    log_likelihood : (k,) float64
-        At these.
+        Names and units of the n unknowns.
+            low, high : (n,) float64
+        Bounds of the prior.
+            samples : (k, n) float64
+        Samples of equal weight.
+            log_likelihood : (k,) float64
+        Log likelihood of the samples.
     log_evidence, log_evidence_error : float
         Natural logarithm of the probability of the data under the prior, and its standard error.
     effective : float
         Kish's number of effective samples, before they were given equal weight.
     information : float
-        By how much the data narrow the prior [nats].
+        Information that the data add to the prior [nats].
     evaluations, failed : int
-        Points looked at, and those that could not be simulated.
+        Number of evaluated points, and of those that could not be simulated.
     modes : tuple of Mode
-        The heaviest first; one where nothing stands apart.
+        Separate parts, the heaviest first; one if there are no separate parts.
     seconds : float
     seed : int
     """
@@ -119,30 +119,30 @@ class Posterior:
     method: str = field(default="")
 
     def quantiles(self, levels: tuple[float, ...] = (0.025, 0.5, 0.975)) -> FloatArray:
-        """(len(levels), n) of the parameters."""
+        """Return the quantiles (len(levels), n) of the parameters."""
         return np.asarray(np.quantile(self.samples, levels, axis=0))
 
     @property
     def best(self) -> FloatArray:
-        """(n,) the likeliest sample."""
+        """Sample (n,) of the largest likelihood."""
         return np.asarray(self.samples[int(np.argmax(self.log_likelihood))])
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NestedSampling:
-    """Settings of a run.
+    """Settings of nested sampling.
 
     Parameters
     ----------
     samples : int
-        Effective samples wanted; as many of equal weight come back, more where few are wanted.
+        Required number of effective samples; at least as many of equal weight are returned.
     live : int, optional
-        Live points; a third of the samples, 200 at least, where left out.
+        Number of live points; by default chosen from `samples`, at least `MIN_LIVE`.
     remaining : float
-        A run ends when what is left would raise the logarithm of the evidence by less.
+        A run ends when the remaining volume would raise the logarithm of the evidence by less.
     walks : bool, optional
-        Random walks in place of uniform draws; with more than six unknowns where left out.
+        Random walks instead of uniform draws; by default with more than six unknowns.
     """
 
     samples: int = 1000
@@ -165,16 +165,16 @@ class NestedSampling:
         seed: int = 0,
         progress: Callable[[SamplerProgress], None] | None = None,
     ) -> Posterior:
-        """Samples of the posterior.
+        """Return samples of the posterior.
 
         Parameters
         ----------
         log_likelihood : callable
-            Points (k, n) -> (k,), finite; `FLOOR` where there is none.
+            Function of points (k, n) -> (k,), finite; `FLOOR` where a simulation fails.
         prior : Prior
-            Or anything with its `labels`, `units`, `low`, `high` and `transform`.
+            Any object with `labels`, `units`, `low`, `high` and `transform`.
         seed : int
-            The same seed gives the same bits.
+            Seed; the same seed gives the same result, bit for bit.
         progress : callable, optional
 
         Raises
@@ -244,7 +244,7 @@ class NestedSampling:
         nested = _nested_sampler()
         n = len(prior.labels)
         with warnings.catch_warnings():
-            # A plateau of failed simulations at the start is what FLOOR is for.
+            # dynesty warns of a plateau at the start: failed simulations, which all have FLOOR.
             warnings.filterwarnings("ignore", category=RuntimeWarning, module="dynesty")
             warnings.filterwarnings("ignore", category=UserWarning, module="dynesty")
             sampler = nested(
@@ -278,7 +278,7 @@ class NestedSampling:
 
 
 class _Count:
-    """Counts points, and tells how far a run is."""
+    """Counter of evaluated points that reports the progress of a run."""
 
     def __init__(self, progress: Callable[[SamplerProgress], None] | None, goal: float) -> None:
         self._progress, self._goal = progress, goal
@@ -291,7 +291,7 @@ class _Count:
 
     @property
     def rate(self) -> float:
-        """Points a second."""
+        """Evaluated points per second."""
         return self.evaluations / max(clock.monotonic() - self._begun, 1e-9)
 
     def left(self, remaining: float) -> None:
@@ -309,17 +309,17 @@ class _Count:
 
 
 def equal_weight(weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
-    """Rows (count,) drawn with weights, as evenly as can be (systematic), in random order."""
+    """Return rows (count,) by systematic resampling with weights, in random order."""
     place = (rng.random() + np.arange(count)) / count
     rows = np.searchsorted(np.cumsum(weights) / np.sum(weights), place)
     return np.asarray(rng.permutation(np.minimum(rows, len(weights) - 1)))
 
 
 def modes_of(samples: FloatArray, log_likelihood: FloatArray) -> tuple[Mode, ...]:
-    """Parts of equal-weight samples (k, n) that stand apart from one another.
+    """Return the separate parts of samples (k, n) of equal weight.
 
-    Samples are linked where they lie closer than half a standard deviation in each of the n
-    directions would allow; what is left over in the tails goes to the nearest part.
+    Samples closer than 0.5 sqrt(n) standard deviations are linked. Samples of the tails, in parts
+    that are too small, are added to the nearest large part.
     """
     k, n = samples.shape
     scale = np.maximum(samples.std(axis=0), 1e-12 * np.maximum(1e-300, np.abs(samples).max(axis=0)))
@@ -354,8 +354,8 @@ def _kish(weights: FloatArray) -> float:
 
 
 def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: float) -> float:
-    """By how much the data narrow the prior [nats]; Skilling (2006), eq. 15. dynesty's own has no
-    number where some likelihoods are as good as zero."""
+    """Return the information that data add to a prior [nats]; Skilling (2006), eq. 15. dynesty's
+    own value is NaN if some likelihoods are practically zero."""
     share = np.asarray(weights) / np.sum(weights)
     counted = share > 0.0
     mean = float(share[counted] @ np.asarray(log_likelihood, np.float64)[counted])
@@ -384,7 +384,7 @@ def _nested_sampler() -> Any:
 
 
 def _walk_on(sampler: Any, n: int) -> None:
-    """Go on with random walks in place of uniform draws."""
+    """Switch the sampler from uniform draws to random walks."""
     from dynesty.internal_samplers import RWalkSampler
 
     walks = 20 + n

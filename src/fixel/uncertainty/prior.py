@@ -1,4 +1,4 @@
-"""What is believed of unknowns before looking: uniform in their bounds, normal where a prior is
+"""Prior distributions of unknowns: uniform within their bounds, or normal if a prior is
 given."""
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from fixel.uncertainty.discrepancy import LABEL, ModelError
 
 
 class ParameterPrior:
-    """Independent priors of the free unknowns of a space, and of model error where it is one.
+    """Independent priors of the free unknowns of a space, and of model error if it is unknown.
 
     Parameters
     ----------
     space : ParameterSpace
-        An unknown with a `prior` is normal about its nominal value, cut off at its bounds; one
-        without is uniform in its bounds.
+        An unknown with a `prior` is normal about its nominal value, truncated at its bounds; one
+        without is uniform within its bounds.
     model_error : ModelError, optional
-        One more unknown, the last.
+        Adds the standard deviation of model error as the last unknown.
     """
 
     def __init__(self, space: ParameterSpace, model_error: ModelError | None = None) -> None:
@@ -29,13 +29,13 @@ class ParameterPrior:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the unknowns."""
+        """Names of the unknowns."""
         more = () if self.model_error is None else (LABEL,)
         return (*self.space.labels, *more)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the unknowns."""
+        """Units of the unknowns."""
         more = () if self.model_error is None else ("m",)
         return (*(u.unit for u in self.space.free), *more)
 
@@ -52,7 +52,7 @@ class ParameterPrior:
         return np.array([*self.space.high, *more])
 
     def transform(self, unit: FloatArray) -> FloatArray:
-        """Quantiles (k, n) in [0, 1] to values (k, n)."""
+        """Return the values (k, n) at probabilities (k, n) in [0, 1]."""
         from scipy.special import ndtr, ndtri
 
         n = len(self._sd)
@@ -70,5 +70,5 @@ class ParameterPrior:
         return np.column_stack((values, self.model_error.transform(unit[:, n])))
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """(count, n) points from the prior."""
+        """Draw points (count, n) from the prior."""
         return self.transform(rng.random((count, len(self.labels))))

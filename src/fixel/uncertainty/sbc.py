@@ -1,9 +1,9 @@
-"""Simulation-based calibration: does a posterior mean what it says?
+"""Simulation-based calibration: a test of the correctness of posteriors.
 
-Truths are drawn from the prior, measurements are made from them, and each posterior is asked where
-its truth lies among its samples. If everything fits together - simulator, likelihood, sampler - all
-ranks are equally likely. A posterior that is too narrow finds truths at the ends, one that is off
-finds them on one side.
+Truths are drawn from the prior and measurements simulated from them. The rank of each truth among
+the samples of its posterior is computed. If simulator, likelihood and sampler are consistent, all
+ranks are equally likely. Ranks at both ends show a posterior that is too narrow; ranks on one
+side show a biased one.
 
 Source: Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788.
 """
@@ -30,7 +30,7 @@ LEVEL: Final = 0.95
 
 
 class Ranks(NamedTuple):
-    """Where truths lie in their posteriors."""
+    """Ranks of truths in their posteriors."""
 
     labels: tuple[str, ...]
     truths: FloatArray  # (n_set, n)
@@ -38,7 +38,7 @@ class Ranks(NamedTuple):
 
     @property
     def uniformity(self) -> FloatArray:
-        """(n,) p-values: how probable ranks so uneven are, were they uniform."""
+        """(n,) p-values of the test that ranks are uniform."""
         return np.array([uniformity(column) for column in self.ranks.T])
 
     @property
@@ -48,7 +48,7 @@ class Ranks(NamedTuple):
 
 
 def uniformity(ranks: FloatArray, bins: int = BINS) -> float:
-    """p-value of the chi-square test that ranks (k,) in [0, 1] are uniform."""
+    """Return the p-value of the chi-square test that ranks (k,) in [0, 1] are uniform."""
     from scipy.stats import chisquare
 
     own = np.asarray(ranks, np.float64)
@@ -59,7 +59,7 @@ def uniformity(ranks: FloatArray, bins: int = BINS) -> float:
 
 
 def rank_of(truth: FloatArray, samples: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(n,) ranks of a truth (n,) among samples (k, n), ties broken at random."""
+    """Return ranks (n,) of a truth (n,) among samples (k, n), ties broken at random."""
     below = np.sum(samples < truth, axis=0)
     equal = np.sum(samples == truth, axis=0)
     place = below + np.floor(rng.random(len(truth)) * (equal + 1.0))
@@ -78,25 +78,25 @@ def calibrate_by_simulation(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Ranks:
-    """Ranks of truths drawn from the prior.
+    """Compute the ranks of truths drawn from the prior.
 
     Parameters
     ----------
     comparer : Comparer
-        Its experiments say which pushes are made and when they are looked at; what was measured in
-        them is not read.
+        Experiments that define the pushes and the times of the frames; their measured poses are
+        not used.
     noise : Noise
-        White: of correlation 1.
+        White noise (correlation 1).
     model_error : ModelError, optional
-        Drawn for every data set.
+        Prior of model error, which is drawn for every data set.
     data_sets : int
     first : int
-        Number of the first: several processes may share the work.
+        Number of the first data set, so that several processes can share the work.
     seed : int
-        A data set depends on the seed and its number alone.
+        Seed; a data set depends only on the seed and its number.
     sampling : NestedSampling, optional
     threads : int, optional
-        All cores where left out; no bit depends on it.
+        Number of threads, all cores by default; does not affect the result.
     progress : callable, optional
         Called as `progress(done, of)`.
     """
@@ -149,7 +149,7 @@ def measured_path(
     noise: Noise,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """(n_sample, 3) what a camera would see of an experiment under a truth (n,)."""
+    """Return poses (n_sample, 3) of an experiment as measured under a truth (n,)."""
     target = comparer.targets[member]
     values = comparer.space.columns(truth[None, : len(comparer.space.labels)], target.conditions)
     outcome = comparer.ensemble.simulate(np.array([member]), values)

@@ -1,4 +1,4 @@
-"""Errors of where a body starts: how large they are, and samples of them."""
+"""Errors of the start pose of a body: their size, and samples of them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ MAX_STARTS: Final = 1_000_000
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartError:
-    """How far a body may start from where it should.
+    """Distribution of the error of a start pose.
 
     Parameters
     ----------
     x, y : float
-        Along world axes [m].
+        Size along the world axes [m].
     theta : float
-        [rad].
+        Size of the angle's error [rad].
     kind : str
-        ``"uniform"``: the numbers are half-widths of a box, as in the ASME paper; ``"normal"``:
+        ``"uniform"``: sizes are half-widths of a box, as in the ASME paper; ``"normal"``: sizes are
         standard deviations.
     """
 
@@ -69,11 +69,11 @@ class StartError:
 
     @property
     def reach(self) -> FloatArray:
-        """(3,) what an error hardly ever exceeds [m, m, rad]."""
+        """(3,) limits that errors hardly ever exceed [m, m, rad]."""
         return self.size if self.kind == "uniform" else 4.0 * self.size
 
     def samples(self, n: int, seed: int = 0) -> FloatArray:
-        """(n, 3) errors [m, m, rad], spread evenly by a scrambled Sobol sequence.
+        """Return errors (n, 3) from a scrambled Sobol sequence [m, m, rad].
 
         Source: Owen (1998), scrambling Sobol and Niederreiter-Xing points; `scipy.stats.qmc`.
         """
@@ -82,11 +82,11 @@ class StartError:
         even = even_points(n, 3, seed)
         if self.kind == "uniform":
             return np.asarray(self.size * (2.0 * even - 1.0))
-        # A point on the border of the cube has no normal quantile.
+        # A point on the border of the cube has an infinite normal quantile.
         return np.asarray(self.size * ndtri(np.clip(even, 1e-9, 1.0 - 1e-9)))
 
     def written(self) -> str:
-        """As one reads it."""
+        """Return the start error as text."""
         what = "within" if self.kind == "uniform" else "with standard deviations of"
         x, y = _length(self.x), _length(self.y)
         place = x if self.x == self.y else f"{x} (x), {y} (y)"
@@ -98,8 +98,8 @@ def _length(metres: float) -> str:
     return f"{1e6 * metres:.3g} um" if metres < 1e-4 else f"{1e3 * metres:.3g} mm"
 
 
-# The ASME paper, experimental errors: one pixel either way, and 0.5 deg where its figure of the
-# same simulations is legible.
+# Experimental errors of the ASME paper: one pixel in x and y; 0.5 deg is read from its figure of
+# the same simulations.
 ASME: Final = StartError(x=5e-6, y=5e-6, theta=math.radians(0.5))
 # Static noise of the stickers' poses in RPI's trials.
 RPI_CAMERA: Final = StartError(x=5e-5, y=5e-5, theta=2e-3, kind="normal")
@@ -110,14 +110,14 @@ PRESETS: Final[Mapping[str, StartError]] = MappingProxyType(
 
 
 def preset(name: str) -> StartError:
-    """A start error by name, or a refusal."""
+    """Return a start error by name, or raise `InvalidInput`."""
     if name not in PRESETS:
         raise InvalidInput("preset", found=repr(name), expected="one of " + ", ".join(PRESETS))
     return PRESETS[name]
 
 
 def even_points(n: int, dimensions: int, seed: int) -> FloatArray:
-    """(n, dimensions) points that fill the unit cube evenly: a scrambled Sobol sequence."""
+    """Return points (n, dimensions) of a scrambled Sobol sequence in the unit cube."""
     from scipy.stats import qmc
 
     if isinstance(n, bool) or not 1 <= n <= MAX_STARTS:
