@@ -1,1 +1,1 @@
-"""Files that survive crashes: whole writes, locks, journals, documents, kept results."""
+"""Files that survive crashes: atomic writes, locks, journals, documents, cached results."""

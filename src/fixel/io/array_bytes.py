@@ -1,4 +1,4 @@
-"""Arrays as bytes, for files and for the way between processes: NumPy's own format, no pickle."""
+"""Arrays as bytes, for files and for other processes: NumPy's format, without pickle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def bytes_of(**arrays: ArrayLike) -> bytes:
-    """Named arrays as the bytes of an .npz file; the same arrays give the same bytes."""
+    """Return named arrays as the bytes of an .npz file; equal arrays give equal bytes."""
     stream = io.BytesIO()
     content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
     np.savez(stream, **content)
@@ -18,6 +18,6 @@ def bytes_of(**arrays: ArrayLike) -> bytes:
 
 
 def arrays_of(data: bytes) -> dict[str, NDArray[Any]]:
-    """The other way round."""
+    """Inverse of `bytes_of`."""
     with np.load(io.BytesIO(data), allow_pickle=False) as content:
         return {name: content[name] for name in content.files}

@@ -11,7 +11,7 @@ from fixel.errors import InvalidInput, os_reason
 
 
 def refuse_unwritable(path: str | Path) -> None:
-    """Refuse a file that could not be written, before hours of work go into it."""
+    """Raise `InvalidInput` if a file cannot be written, before a long computation for it."""
     path = Path(path)
     folder = path.parent
     try:
@@ -32,9 +32,9 @@ def refuse_unwritable(path: str | Path) -> None:
 
 @contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
-    """A file beside `path`, of the same ending, that takes its place once it is complete.
+    """Yield a temporary path with the suffix of `path`, which replaces it when the block ends.
 
-    Whatever ends the block early, Ctrl-C too, removes the unfinished file and leaves the old one.
+    If the block is interrupted, also by Ctrl-C, the unfinished file is removed; the old one stays.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files of a project that something has cut short or written over: named, not guessed at."""
+"""Errors for truncated or overwritten files of a project, with the name of the file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fixel.errors import FixelError, StoreRefused
 A = TypeVar("A")
 T = TypeVar("T")
 
-# What parsers, archives and the building of records raise at content that cannot be.
+# Exceptions of parsers, archives and records for invalid content.
 _DAMAGE: Final = (
     AttributeError,
     EOFError,
@@ -27,18 +27,18 @@ _DAMAGE: Final = (
 
 @contextmanager
 def readable(path: Path, hint: str = "") -> Iterator[None]:
-    """What is read in the block comes from this file or folder: a refusal where it cannot be.
+    """Raise `StoreRefused` with the name of a file if reading it in the block fails.
 
     Parameters
     ----------
     path : Path
     hint : str
-        What makes it again; restoring or deleting it where left out.
+        Advice on how to create it again; by default to restore or delete it.
 
     Raises
     ------
     StoreRefused
-        The file is gone, cut short or something else.
+        The file is missing, truncated or of another kind.
     """
     try:
         yield
@@ -52,7 +52,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
 
 
 def each_readable(read: Callable[[A], T], every: Iterable[A]) -> tuple[list[T], list[FixelError]]:
-    """What can be read of several, and why the others cannot."""
+    """Load all items that can be read, and return them with the errors of the others."""
     found: list[T] = []
     unreadable: list[FixelError] = []
     for one in every:

@@ -1,8 +1,8 @@
-"""Reading YAML and JSON from files that may be hostile or merely careless.
+"""Loading of YAML and JSON from files that may be malicious or wrong.
 
-Values are built from the parser's events, so nothing in a file can name a type or repeat itself: no
-tags, no aliases, no duplicate keys, no more than `MAX_DEPTH` levels, `MAX_BYTES` in all. Plain
-scalars follow the core schema of YAML 1.2: `1e-3` is a number, `no` and `1:30` are text.
+Values are built from the events of the parser, to forbid tags, aliases and duplicate keys. Files
+have at most `MAX_DEPTH` levels and `MAX_BYTES` in all. Plain scalars follow the core schema of
+YAML 1.2: `1e-3` is a number, `no` and `1:30` are text.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fixel.errors import InvalidInput
 
 # [bytes] Scene files have some kilobytes; a measured path of an hour at 100 Hz has about 10 MB.
 MAX_BYTES = 10_000_000
-# Scene files have about 7 levels. Much larger values let a file exhaust the stack further on.
+# Scene files have about 7 levels. With much larger values a file could exhaust the stack later.
 MAX_DEPTH = 40
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -38,12 +38,12 @@ _WORDS: dict[str, Any] = {
 
 
 def read_document(path: Path) -> Any:
-    """What a YAML or JSON file says, as dicts, lists, text, numbers, booleans and None.
+    """Load a YAML or JSON file as dicts, lists, text, numbers, booleans and None.
 
     Raises
     ------
     InvalidInput
-        No such file, too large, not UTF-8, or not one well-formed document within the limits.
+        The file is missing, too large, not UTF-8, or not one valid document within the limits.
     """
     text = _text(path)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
@@ -51,7 +51,7 @@ def read_document(path: Path) -> Any:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """What one YAML document says; `where` names it in errors."""
+    """Return the content of one YAML document; `where` names it in errors."""
     try:
         return _composed(yaml.parse(text, Loader=_LOADER), where)
     except yaml.YAMLError as problem:
@@ -62,7 +62,7 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """What a JSON text says; `where` names it in errors."""
+    """Return the content of a JSON text; `where` names it in errors."""
     try:
         value = json.loads(text, object_pairs_hook=lambda pairs: _unique(pairs, where))
     except json.JSONDecodeError as problem:
@@ -79,7 +79,7 @@ def parse_json(text: str, where: str) -> Any:
 
 
 def yaml_text(content: Any) -> str:
-    """YAML that reads the same under the versions 1.1 and 1.2."""
+    """Return YAML text with the same meaning in versions 1.1 and 1.2."""
     text: str = yaml.dump(
         content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
     )
@@ -87,7 +87,7 @@ def yaml_text(content: Any) -> str:
 
 
 def plain_scalar(text: str) -> Any:
-    """The value of an unquoted scalar."""
+    """Return the value of an unquoted scalar."""
     if text in _WORDS:
         return _WORDS[text]
     if _INTEGER.fullmatch(text):
@@ -125,7 +125,7 @@ def _text(path: Path) -> str:
 
 
 class _Open:
-    """A list or mapping whose end has not been seen."""
+    """List or mapping whose end has not been parsed yet."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -206,7 +206,7 @@ def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes no aliases, and quotes text that would be read as something else."""
+    """Dumper without aliases, which quotes text that would be parsed as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

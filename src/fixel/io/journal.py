@@ -1,4 +1,4 @@
-"""A journal: named blocks of bytes, each there for good once `append` has returned.
+"""Journal of named blocks of bytes, each durable once `append` has returned.
 
 The file is a header and blocks, nothing else:
 
@@ -6,8 +6,8 @@ The file is a header and blocks, nothing else:
     block   mark, length of the name (4), length of the data (8), CRC32 of what follows it and of
             both lengths (4), name in UTF-8, data; numbers little-endian
 
-A block that a crash has cut short stands at the end; the next `append` takes its place. A damaged
-block further in costs itself alone: reading goes on at the next mark. One process writes.
+A block truncated by a crash is the last one, and the next `append` overwrites it. A damaged block
+before the end is skipped: reading continues at the next mark. Only one process writes.
 """
 
 from __future__ import annotations
@@ -39,31 +39,31 @@ class _Position(NamedTuple):
 class _Contents(NamedTuple):
     mark: bytes
     places: dict[str, _Position]
-    end: int  # where the next block goes
-    damaged: int  # stretches that no block could be read from, but blocks beyond them
+    end: int  # position of the next block
+    damaged: int  # unreadable parts that are followed by blocks
 
 
 @final
 class Journal:
-    """A journal open for writing, by this process alone.
+    """Journal that is open for writing, by this process only.
 
     Parameters
     ----------
     path : Path
-        Made if it is not there.
+        File of the journal, created if missing.
 
     Raises
     ------
     JobRefused
-        Another process that is alive writes it, or it cannot be written.
+        Another living process writes it, or it cannot be written.
     InvalidInput
-        The file is something else.
+        The file is not a journal.
 
     Attributes
     ----------
     damaged : int
-        Stretches of the file that could not be read, though blocks follow. What was in them is
-        lost, and may be appended again.
+        Number of unreadable parts that are followed by blocks. Their content is lost, and may be
+        appended again.
     """
 
     def __init__(self, path: Path) -> None:
@@ -90,22 +90,22 @@ class Journal:
         return iter(self._places)
 
     def get(self, name: str) -> bytes | None:
-        """The data under a name, or None."""
+        """Return the data under a name, or None."""
         place = self._places.get(name)
         return None if place is None else _read(self._stream, place)
 
     def append(self, blocks: Iterable[tuple[str, bytes]]) -> int:
-        """Add blocks, durable on return; a name that is there already keeps its first data.
+        """Add blocks, durable on return; blocks whose name exists already are ignored.
 
         Returns
         -------
         int
-            How many were new.
+            Number of new blocks.
 
         Raises
         ------
         JobRefused
-            The disk is full, or fails; the journal is as it was.
+            The disk is full, or fails; the journal is unchanged.
         """
         new = {name: data for name, data in _firsts(blocks) if name not in self._places}
         if not new:
@@ -122,7 +122,7 @@ class Journal:
         return len(new)
 
     def close(self) -> None:
-        """Give the file back; no block depends on it."""
+        """Close the file and release its lock; all blocks are durable already."""
         self._stream.close()
         self._lock.release()
 
@@ -135,7 +135,7 @@ class Journal:
     def _write(self, data: bytes) -> None:
         try:
             self._stream.seek(self._end)
-            self._stream.truncate()  # what a crash left
+            self._stream.truncate()  # remains of a crash
             rest = memoryview(data)
             while rest:
                 rest = rest[self._stream.write(rest) :]
@@ -145,14 +145,14 @@ class Journal:
 
 
 def read_journal(path: Path) -> Iterator[tuple[str, bytes]]:
-    """Every whole block of a journal, also while another process writes it."""
+    """Yield every complete block of a journal, also while another process writes it."""
     with path.open("rb", buffering=0) as stream:
         for name, place in _contents(stream, path).places.items():
             yield name, _read(stream, place)
 
 
 def writer_of(path: Path) -> Owner | None:
-    """The process that writes a journal, or None if there is none."""
+    """Return the process that writes a journal, or None."""
     return holder(_lock_of(path))
 
 
@@ -169,7 +169,7 @@ def _firsts(blocks: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes]]:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """The file, with a header that is whole."""
+    """Open the file; write its header if that is incomplete."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         stream: BinaryIO = os.fdopen(descriptor, "r+b", buffering=0)
@@ -188,7 +188,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _begin(stream: BinaryIO, path: Path) -> None:
-    """Write the header, over one that a crash has cut short."""
+    """Write the header, also over one truncated by a crash."""
     if not MAGIC.startswith(stream.read(len(MAGIC))):
         raise _other(path)
     stream.seek(0)
@@ -199,7 +199,7 @@ def _begin(stream: BinaryIO, path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a new file's name durable; some systems cannot, and need not."""
+    """Make the name of a new file durable, on systems where that is possible."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:
@@ -259,7 +259,7 @@ def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str
 
 
 def _next_mark(stream: BinaryIO, mark: bytes, position: int, size: int) -> int:
-    """Where the mark stands next, or the end of the file."""
+    """Return the position of the next mark, or the end of the file."""
     while position < size:
         piece = _read(stream, _Position(position, _PIECE))
         found = piece.find(mark)
@@ -277,7 +277,7 @@ def _pieces(stream: BinaryIO, place: _Position) -> Iterator[bytes]:
 
 
 def _read(stream: BinaryIO, place: _Position) -> bytes:
-    """What stands at a place; shorter where the file ends."""
+    """Return the bytes at a place; fewer if the file ends there."""
     stream.seek(place.start)
     parts, left = [], place.length
     while left > 0:

@@ -1,8 +1,8 @@
-"""One process at a time: a lock that ends with the process that holds it.
+"""File locks for one process at a time, which end with the process that owns them.
 
-The operating system keeps the lock where it can (also on NFS, through its lock service), so the
-lock of a dead process is no obstacle, and clocks play no part. Where the file system knows no
-locks, a file that names its owner stands in.
+The lock is one of the operating system if possible (also on NFS, through its lock service). So the
+lock of a dead process does not block others, and clocks do not matter. If the file system has no
+locks, a file with the owner's name is used instead.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Final, NamedTuple, Self, final
 
 from fixel.errors import JobRefused
 
-# [s] A look at the lock (`holder`) takes it for a moment; who wants to keep it tries again.
+# [s] `holder` takes the lock for a moment, so `FileLock` tries again for this time.
 PATIENCE_S: Final = 0.5
 _UNSUPPORTED: Final = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 class Owner(NamedTuple):
-    """Who holds a lock."""
+    """Process that owns a lock."""
 
     host: str
     pid: int
@@ -37,24 +37,24 @@ UNKNOWN: Final = Owner("", 0)
 
 
 class _LockTaken(Exception):
-    """Somebody else holds it."""
+    """Exception raised when another process owns the lock."""
 
 
 @final
 class FileLock:
-    """A lock on a file of its own, held until `release` or the end of the process.
+    """Lock on a file of its own, until `release` or the end of the process.
 
     Parameters
     ----------
     path : Path
-        Made if need be; it stays when the lock is released.
+        File of the lock; created if necessary, and not removed by `release`.
     what : str
-        What it protects, for the refusal: `"the journal jobs/one/journal"`.
+        Name of the protected file in the error: `"the journal jobs/one/journal"`.
 
     Raises
     ------
     JobRefused
-        A process that is alive holds it.
+        A living process owns the lock.
     """
 
     def __init__(self, path: Path, what: str) -> None:
@@ -73,7 +73,7 @@ class FileLock:
                 time.sleep(0.02)
 
     def release(self) -> None:
-        """Let others have it."""
+        """Release the lock."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -102,9 +102,9 @@ class FileLock:
 
 
 def holder(path: Path) -> Owner | None:
-    """Who holds the lock, or None if nobody does."""
+    """Return the owner of a lock, or None if there is none."""
     try:
-        # Also for those who may only read.
+        # Also works with permission to read only.
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
         return None
@@ -164,7 +164,7 @@ def _substitute_of(path: Path) -> Path:
 
 
 def _substitute(path: Path) -> Path:
-    """A file that names this process, made only if no living process has made one."""
+    """Create a file with the name of this process, unless a living process has created one."""
     held = _substitute_of(path)
     owner = _read_owner(held)
     if owner is not None and _gone(owner):
@@ -179,7 +179,7 @@ def _substitute(path: Path) -> Path:
 
 
 def _gone(owner: Owner) -> bool:
-    """Whether a process has ended for certain; of another host's nothing is certain."""
+    """Whether a process has certainly ended; False for processes of other hosts."""
     if owner.host != socket.gethostname():
         return False
     try:

@@ -1,4 +1,4 @@
-"""Fits that are done, kept in a folder: the same command goes on where it was stopped."""
+"""Cache of fits in a folder, so that the same command continues where it was stopped."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import numpy as np
 from fixel.io.atomic import written_whole
 from fixel.typing import FloatArray
 
-# Raise it when the same settings no longer mean the same fit.
+# Increase it when the same settings no longer give the same fit.
 VERSION: Final = 1
 
 
 @final
 class ResultCache:
-    """Answers by name, each kept with a mark of what it was computed from.
+    """Results by name, each stored with a checksum of its inputs.
 
     Parameters
     ----------
     folder : Path or None
-        Made where it is missing; nothing is kept without one.
+        Folder of the cache, created if missing; None to store nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -33,16 +33,16 @@ class ResultCache:
             folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, name: str, of: object, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The answer kept under a name, if it is of the same; computed and kept otherwise.
+        """Return the result stored under a name for the same inputs, or compute and store it.
 
         Parameters
         ----------
         name : str
-            Of the file.
+            Name of the file.
         of : object
-            Whatever the answer depends on, as plain values and arrays.
+            All inputs of the result, as plain values and arrays.
         compute : callable
-            Gives plain values.
+            Function that returns plain values.
         """
         mark = _mark(of)
         if self.folder is None:
@@ -82,5 +82,5 @@ def _plain(value: object) -> object:
 
 
 def listed(table: FloatArray) -> list[Any]:
-    """Rounded for a file: a nanometre and a nanoradian are nothing."""
+    """Return a table rounded to 9 digits (nanometres, nanoradians), for a file."""
     return list(np.round(table, 9).tolist())

@@ -1,4 +1,4 @@
-"""Plans of experiments: which configurations to try."""
+"""Plans of experiments: configurations to measure."""
 
 from fixel.sampling.checks import PlanProblem
 from fixel.sampling.eight_push import eight_push_plan

@@ -1,6 +1,6 @@
-"""Whether an experiment can be of any use, told by geometry alone: no simulation.
+"""Checks of experiments by geometry alone, without simulation.
 
-These checks find what is hopeless; passing them is no promise. `rehearse` simulates.
+They find experiments that cannot work; passing them is no guarantee. `rehearse` simulates.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import shapely
 from fixel.model import LineDrive, Scene, Shape, placed
 from fixel.typing import FloatArray
 
-# [m] Beyond everything on a plate.
-FAR_AWAY: Final = 1e6
+# [m] Larger than any plate.
+FAR: Final = 1e6
 
 
 class PlanProblem(NamedTuple):
-    """What stands against one experiment of a plan.
+    """Problem of one experiment of a plan.
 
     Attributes
     ----------
     name : str
-        Of the experiment.
+        Name of the experiment.
     sentence : str
-        What is wrong.
+        Description of the problem.
     """
 
     name: str
@@ -35,12 +35,12 @@ class PlanProblem(NamedTuple):
 
 
 def scene_problems(scene: Scene) -> Iterator[str]:
-    """Sentences about a scene whose one head moves along +x.
+    """Yield the problems of a scene with one head, which moves along +x.
 
-    The head must meet the object, must not run into a fixel, and must be able to bring the object
-    to one. For that last check the object counts as the smallest circle about its centroid that
-    holds it, moved straight ahead for what is left of the travel after the head has met it: it may
-    turn as it likes, but does not slide off sideways.
+    The head must meet the object, must not run into a fixel, and must be able to push the object
+    to one. For the last check, the object is replaced by the smallest circle about its centroid
+    that contains it. The circle moves straight ahead for the rest of the travel after the head has
+    met it: the object may rotate, but does not slide sideways.
     """
     drive = scene.pushers[0].drive
     assert isinstance(drive, LineDrive)
@@ -55,9 +55,9 @@ def scene_problems(scene: Scene) -> Iterator[str]:
 
 
 def _clearance(scene: Scene) -> float | None:
-    """How far the head moves until it meets the object [m]; None where it passes.
+    """Return the distance that the head moves until it meets the object [m]; None if it misses.
 
-    Measured from the foremost point of the head: exact for a flat face square to the motion.
+    Measured from the foremost point of the head: exact for a flat face normal to the motion.
     """
     head, body = scene.pushers[0], scene.bodies[0]
     (_, low), (front, high) = _extent(placed(head.shape.outline, head.pose))
@@ -67,7 +67,7 @@ def _clearance(scene: Scene) -> float | None:
 
 
 def _out_of_reach(scene: Scene, way: float) -> Iterator[str]:
-    """A complaint if no fixel can be met while the object goes `way` [m] ahead."""
+    """Yield a problem if the object cannot meet a fixel while it moves `way` [m] ahead."""
     body = scene.bodies[0]
     x, y = placed(body.shape.centroid, body.pose).tolist()
     track = shapely.LineString([(x, y), (x + way, y)])
@@ -89,7 +89,7 @@ def _out_of_reach(scene: Scene, way: float) -> Iterator[str]:
 
 
 def _head_hits(scene: Scene, travel: float) -> Iterator[str]:
-    """Complaints about fixels that stand in the way of the head."""
+    """Yield a problem for each fixel that the head runs into."""
     head = scene.pushers[0]
     start = placed(head.shape.outline, head.pose)
     end = start + np.array([travel, 0.0])
@@ -101,12 +101,12 @@ def _head_hits(scene: Scene, travel: float) -> Iterator[str]:
 
 
 def _circle(shape: Shape) -> float:
-    """Largest distance of the outline from the centroid [m]."""
+    """Return the largest distance of the outline from the centroid [m]."""
     return max(hypot(x, y) for x, y in (shape.outline - shape.centroid).tolist())
 
 
 def _extent(points: FloatArray) -> tuple[list[float], list[float]]:
-    """Least and largest coordinates [m]."""
+    """Return the smallest and largest coordinates [m]."""
     return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 

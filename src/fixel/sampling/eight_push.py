@@ -1,9 +1,9 @@
-"""The eight pushes with which the ASME paper identifies how a small part rests on the plane.
+"""Eight pushes from which the ASME paper identifies the support of a small part.
 
 Source: ASME 2006 paper on meso-scale manipulation, "Design of Experiments", figures 4 and 5, table
-1: five pushes on the long side of the part, three on the short one, each of about 700 um, three
-trials of each at least. Which push has which number is legible for the first only, and the speed
-not at all. Half a side off the midpoint is read as a probe flush with the corner.
+1: five pushes on the long side of the part, three on the short one, each of about 700 um, at least
+three trials of each. Of the numbers of the pushes only the first is legible; the speed is not. An
+offset of half a side from the midpoint is read as a probe flush with the corner.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ PROBE_SIDE: Final = 25e-6  # [m]
 PROBE_TRAVEL: Final = 700e-6  # [m]
 PROBE_SPEED: Final = 1e-4  # [m/s]; ours
 
-# Column p1* of table 1, its decimal points put back: support points [m], friction.
+# Column p1* of table 1 with restored decimal points: support points [m], friction.
 SUPPORT: Final = ((411.3e-6, -563.3e-6), (-409.1e-6, 605.9e-6), (-273.2e-6, -102.1e-6))
 MU_PROBE: Final = 0.666
 MU_PLANE: Final = 0.757
 
-# Where the probe meets the side, as parts of that side from its midpoint: points C, B, D, A, E of
-# the long side, then G, F, H of the short one.
+# Position of the probe on the side, from its midpoint, over its length: points C, B, D, A, E of the
+# long side, then G, F, H of the short one.
 PLACES: Final = (0.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.5, -0.5)
 LONG: Final = 5  # of these on the long side
 
 
 def probe_offset(test: int) -> float:
-    """Where the probe meets the side in test 1 to 8, from the side's midpoint [m]."""
+    """Return the position of the probe in test 1 to 8, from the midpoint of the side [m]."""
     side = PART_LENGTH if test <= LONG else PART_WIDTH
     reach = 0.5 * (side - PROBE_SIDE)
     return float(np.clip(PLACES[test - 1] * side, -reach, reach))
@@ -51,7 +51,7 @@ def eight_push_plan() -> Plan:
     """
     half = np.array([0.5 * PART_WIDTH, 0.5 * PART_LENGTH])
     probe = 0.5 * PROBE_SIDE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    farther = float(half[1] - half[0])  # the part stands deeper along the motion once it is turned
+    farther = float(half[1] - half[0])  # a rotated part is deeper along the motion
     pushes = [(test > LONG, -probe_offset(test)) for test in range(1, len(PLACES) + 1)]
     rows = tuple((farther, y, 0.5 * pi) if turned else (0.0, y, 0.0) for turned, y in pushes)
     return Plan(

@@ -20,25 +20,25 @@ Method = Literal["sobol", "halton", "uniform"]
 Triple = tuple[float, float, float]
 Bounds = tuple[float, float]
 
-# Configurations of one scheme, and steps of one axis. A plan of more could not be run in a year.
-MAX_OFFSETS: Final = 100_000
+# Configurations of one scheme, and steps of one axis. More could not be measured in a year.
+MOST: Final = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Where the object stands relative to its nominal pose.
+    """Offset of the object from its nominal pose.
 
     Parameters
     ----------
     axis : str
-        `nominal`, `x`, `y` or `theta` where it lies on that axis; `grid`, `list` or the name of the
-        method for others.
+        `nominal`, `x`, `y` or `theta` for an offset along one axis; otherwise `grid`, `list` or the
+        name of the sampling method.
     step : float
-        Signed count of steps along the axis; for others the number in its scheme, from 1.
+        Signed number of steps along the axis; otherwise the number in its scheme, from 1.
     x, y : float
-        Along the motion of the head and to its left [m].
+        Offset along the motion of the head and to its left [m].
     theta : float
-        Counter-clockwise about the centroid [rad].
+        Rotation about the centroid, counter-clockwise [rad].
     """
 
     axis: str
@@ -49,25 +49,25 @@ class Offset:
 
     @property
     def label(self) -> str:
-        """Short: `nominal`, `y-5`, `theta3`, `sobol12`."""
+        """Short name: `nominal`, `y-5`, `theta3`, `sobol12`."""
         return "nominal" if self.axis == "nominal" else f"{self.axis}{self.step:g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Nominal:
-    """The nominal pose itself."""
+    """Scheme of the nominal pose alone."""
 
     def __len__(self) -> int:
         return 1
 
     def offsets(self) -> tuple[Offset, ...]:
-        """The one without any offset."""
+        """Return the zero offset."""
         return (Offset(axis="nominal", step=0.0),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetAxis:
-    """Equal steps along one axis; step 0, the nominal pose, is left out.
+    """Scheme of equal steps along one axis, without step 0, the nominal pose.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class OffsetAxis:
     step : float
         Length of a step [m], or [rad] for theta.
     first, last : int
-        Counts of the first and last step; either may be negative.
+        Numbers of the first and last step; either may be negative.
     """
 
     name: AxisName
@@ -101,7 +101,7 @@ class OffsetAxis:
         return self.last - self.first + 1 - (self.first <= 0 <= self.last)
 
     def offsets(self) -> tuple[Offset, ...]:
-        """In order of their steps."""
+        """Return the offsets in the order of their steps."""
         counts = [k for k in range(self.first, self.last + 1) if k != 0]
         return tuple(
             Offset(axis=self.name, step=float(k), **{self.name: k * self.step}) for k in counts
@@ -110,14 +110,14 @@ class OffsetAxis:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """Every combination of given values, theta running fastest.
+    """Scheme of all combinations of given values; theta varies fastest.
 
     Parameters
     ----------
     x, y : tuple of float
-        [m].
+        Offsets along the axes [m].
     theta : tuple of float
-        [rad].
+        Rotations [rad].
     """
 
     x: tuple[float, ...] = (0.0,)
@@ -136,18 +136,18 @@ class Grid:
         return prod(len(getattr(self, name)) for name in AXES)
 
     def offsets(self) -> tuple[Offset, ...]:
-        """Numbered from 1."""
+        """Return the offsets, numbered from 1."""
         return _numbered("grid", product(self.x, self.y, self.theta))
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetList:
-    """Offsets one by one.
+    """Scheme of given offsets.
 
     Parameters
     ----------
     rows : tuple of (x, y, theta)
-        [m, m, rad].
+        Offsets [m, m, rad].
     """
 
     rows: tuple[Triple, ...]
@@ -163,22 +163,22 @@ class OffsetList:
         return len(self.rows)
 
     def offsets(self) -> tuple[Offset, ...]:
-        """Numbered from 1."""
+        """Return the offsets, numbered from 1."""
         return _numbered("list", self.rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetSample:
-    """Points that fill a box evenly, the same for the same seed.
+    """Scheme of points that fill a box evenly, the same for the same seed.
 
     Parameters
     ----------
     count : int
-        How many.
+        Number of points.
     method : str
         `sobol` or `halton`, scrambled sequences of low discrepancy, or `uniform` random numbers.
     seed : int
-        Of the scrambling or the random numbers.
+        Seed of the scrambling or of the random numbers.
     x, y : (float, float)
         Bounds [m].
     theta : (float, float)
@@ -215,7 +215,7 @@ class OffsetSample:
         return self.count
 
     def offsets(self) -> tuple[Offset, ...]:
-        """Numbered from 1."""
+        """Return the offsets, numbered from 1."""
         low, high = np.array([getattr(self, name) for name in AXES]).T
         points = low + (high - low) * _unit_points(self.method, self.count, self.seed)
         return _numbered(self.method, points.tolist())
@@ -235,7 +235,7 @@ def _numbered(axis: str, rows: Sequence[Sequence[float]] | product[Triple]) -> t
 
 
 def _unit_points(method: Method, count: int, seed: int) -> FloatArray:
-    """(count, 3) points in the unit cube."""
+    """Return points (count, 3) in the unit cube."""
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -243,7 +243,7 @@ def _unit_points(method: Method, count: int, seed: int) -> FloatArray:
         return rng.random((count, len(AXES)))
     if method == "halton":
         return np.asarray(qmc.Halton(d=len(AXES), seed=rng).random(count))
-    # Sobol's points are balanced in powers of two; the first ones of a longer row are a fair start.
+    # Sobol sequences are balanced for powers of two; the first points of a longer one are good too.
     exponent = (count - 1).bit_length()
     return np.asarray(qmc.Sobol(d=len(AXES), seed=rng).random_base2(exponent)[:count])
 

@@ -1,4 +1,4 @@
-"""A plan: every shape, in every layout, at every offset, so many times."""
+"""Plans: all combinations of shapes, layouts, offsets and repetitions."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from fixel.typing import FloatArray
 OBJECT: Final = "object"
 HEAD: Final = "actuator"
 
-# Experiments of one plan. Beyond this a file of some lines could fill the memory.
+# Experiments of one plan. Without this limit, a short file could fill the memory.
 MAX_EXPERIMENTS: Final = 100_000
 
 
 class PlanEntry(NamedTuple):
-    """One line of the plan before its scene is built."""
+    """Line of a plan, before its scene is built."""
 
     name: str
     shape: PlannedShape
@@ -38,27 +38,27 @@ class PlanEntry(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Which experiments to run.
+    """Plan of experiments.
 
     Parameters
     ----------
     name : str
-        Of the plan; see `plain_name`.
+        Name of the plan; see `plain_name`.
     rig : SamplingRig
-        What stays the same.
+        Apparatus of all experiments.
     shapes : tuple of PlannedShape
         Objects.
     layouts : tuple of FixelLayout
-        Of the fixels.
+        Layouts of the fixels.
     schemes : tuple of OffsetScheme
-        Of the object's offsets, one after the other.
+        Schemes of the object's offsets, one after the other.
     repetitions : int
-        Runs of every configuration, one right after the other.
+        Number of consecutive runs of every configuration.
 
     Raises
     ------
     InvalidInput
-        Nothing to vary, a name twice, or more experiments than could ever be run.
+        A list is empty, a name is used twice, or there are more than `MAX_EXPERIMENTS`.
     """
 
     name: str
@@ -92,43 +92,43 @@ class Plan:
 
     @property
     def configurations(self) -> int:
-        """Of the object, for each shape and layout."""
+        """Number of configurations of the object, for each shape and layout."""
         return sum(len(scheme) for scheme in self.schemes)
 
     @property
     def total(self) -> int:
-        """All experiments asked for, also those that cannot be built."""
+        """Number of all experiments, also of those that cannot be built."""
         return len(self.shapes) * len(self.layouts) * self.configurations * self.repetitions
 
     @cached_property
     def offsets(self) -> tuple[Offset, ...]:
-        """Of the object, in order."""
+        """Offsets of the object, in order."""
         return tuple(offset for scheme in self.schemes for offset in scheme.offsets())
 
     @property
     def experiments(self) -> tuple[PlannedExperiment, ...]:
-        """In order; without those whose bodies would overlap, which `check` reports."""
+        """Experiments in order, without those whose bodies overlap, which `check` reports."""
         return self._built[0]
 
     def check(self) -> tuple[PlanProblem, ...]:
-        """What stands against these experiments, by geometry alone; see `scene_problems`."""
+        """Return the problems of these experiments, by geometry alone; see `scene_problems`."""
         _, refused = self._built
         found = [PlanProblem(x.name, s) for x in self.experiments for s in scene_problems(x.scene)]
         return tuple(sorted([*refused, *found]))
 
     def entries(self) -> Iterator[PlanEntry]:
-        """Every line of the plan, in order."""
+        """Yield the lines of the plan in order."""
         width = len(str(self.total))
         runs = range(1, self.repetitions + 1)
         lines = product(self.shapes, self.layouts, self.offsets, runs)
         for number, (shape, layout, offset, repetition) in enumerate(lines, 1):
-            # The number comes first, so that the names sort as the plan runs.
+            # The number comes first, so that the names sort in the order of the plan.
             parts = [f"{number:0{width}d}", shape.name, layout.name, offset.label]
             parts += [f"r{repetition}"] if self.repetitions > 1 else []
             yield PlanEntry("-".join(parts), shape, layout, offset, repetition)
 
     def scene(self, shape: PlannedShape, layout: FixelLayout, offset: Offset) -> Scene:
-        """What is on the plate for one configuration, or a refusal where bodies overlap."""
+        """Return the scene of one configuration; raise `InvalidInput` if bodies overlap."""
         return Scene(
             bodies=(_object(self.rig, shape, offset),),
             pushers=(_head(self.rig),),
@@ -152,7 +152,7 @@ class Plan:
 
 
 def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatArray:
-    """(3,) of the object's frame; an offset turns it about its centroid [m, m, rad]."""
+    """Return the pose (3,) of the object, which an offset rotates about its centroid."""
     angle = rig.angle + offset.theta
     c, s = np.cos(angle), np.sin(angle)
     arm = np.array([[c, -s], [s, c]]) @ shape.shape.centroid

@@ -1,4 +1,4 @@
-"""A plan simulated beforehand: which fixels the object comes to touch."""
+"""Simulation of a plan in advance, to find the fixels that the object touches."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from fixel.sampling.plan import Plan
 from fixel.simulation import QuasiStatic, simulate_batch
 from fixel.typing import FloatArray
 
-SAMPLES: Final = 61  # of the motion; at 13.5 mm/s one every 2.5 mm
+SAMPLES: Final = 61  # instants of the motion; one every 2.5 mm of the thesis's travel
 
 # [m] Distance that counts as touching, as in the thesis's own synthetic tactile sensors.
 TOUCH: Final = 0.95e-3
 
 
 class Rehearsal(NamedTuple):
-    """What a simulation says of a plan.
+    """Results of a simulated plan.
 
     Attributes
     ----------
     touched : dict from name to (n_fixel,) bool
-        By experiment: which fixels the object came to within 0.95 mm of.
+        Fixels to which the object came closer than 0.95 mm, by experiment.
     problems : tuple of PlanProblem
-        Experiments that touch none, or did not simulate to the end.
+        Experiments that touch no fixel, or whose simulation did not finish.
     """
 
     touched: dict[str, list[bool]]
@@ -36,7 +36,7 @@ class Rehearsal(NamedTuple):
 
 def rehearse(plan: Plan) -> Rehearsal:
     """Simulate every experiment once, quasi-statically, with nominal friction."""
-    # Repetitions differ in nothing a simulation knows.
+    # Repetitions have the same scene, so they are simulated once.
     distinct: dict[Scene, PlannedExperiment] = {}
     for experiment in plan.experiments:
         distinct.setdefault(experiment.scene, experiment)
@@ -57,7 +57,7 @@ def rehearse(plan: Plan) -> Rehearsal:
 
 
 def _touched(scene: Scene, poses: FloatArray) -> list[bool]:
-    """Which fixels come close to the object in one of its poses (n, 3) [m, m, rad]."""
+    """Return the fixels that the object touches in one of its poses (n, 3) [m, m, rad]."""
     outline = scene.bodies[0].shape.outline
     path = shapely.polygons([placed(outline, pose) for pose in poses])
     pegs = [shapely.Polygon(placed(f.shape.outline, f.pose)) for f in scene.fixels]

@@ -1,4 +1,4 @@
-"""What a plan varies and what it keeps: objects, layouts of fixels, the rest of the apparatus."""
+"""Parts of a plan: objects, layouts of fixels, and the rig that all experiments share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Peg = tuple[float, float]
 
 
 def plain_name(value: object, where: str) -> str:
-    """A name that can become part of a file's name anywhere: letters, digits, `_` and `-`."""
+    """Return a name that is valid in file names everywhere: letters, digits, `_` and `-`."""
     name = name_of(value, where)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}", name):
         raise InvalidInput(where, found=repr(name), expected="at most 60 of A-Z, a-z, 0-9, _ and -")
@@ -42,14 +42,14 @@ def plain_name(value: object, where: str) -> str:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegularPolygon:
-    """Equal sides and angles about the origin, one side facing -x: towards the head.
+    """Regular polygon about the origin, with one side facing -x, towards the head.
 
     Parameters
     ----------
     sides : int
-        How many.
+        Number of sides.
     side : float
-        Length of each [m].
+        Length of one side [m].
     """
 
     sides: int
@@ -64,12 +64,12 @@ class RegularPolygon:
 
     @property
     def circumradius(self) -> float:
-        """From the centre to a corner [m]."""
+        """Distance from the centre to a corner [m]."""
         return 0.5 * self.side / sin(pi / self.sides)
 
     @property
     def polygon(self) -> Polygon:
-        """As a shape of the model."""
+        """Polygon shape of the model."""
         return _regular(self)
 
 
@@ -83,27 +83,27 @@ Outline = Polygon | Disk | RegularPolygon
 
 
 def shape_of(outline: Outline) -> Shape:
-    """The shape of the model."""
+    """Return the shape of the model."""
     return outline.polygon if isinstance(outline, RegularPolygon) else outline
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannedShape:
-    """An object of the plan.
+    """Object of a plan.
 
     Parameters
     ----------
     name : str
         Unique among the plan's objects; see `plain_name`.
     outline : Polygon, Disk or RegularPolygon
-        In its own frame.
-    mass : float
-        [kg].
+        Outline in the frame of the object.
+            mass : float
+        Mass of the object [kg].
     support : Support
-        How it rests on the plane.
+        Support of the object on the plane.
     zone_start : float
-        From the head's initial centre to the near side of the fixel zone, along the motion [m].
+        Distance from the head's initial centre to the fixel zone, along the motion [m].
     """
 
     name: str
@@ -123,24 +123,24 @@ class PlannedShape:
 
     @property
     def shape(self) -> Shape:
-        """The shape of the model."""
+        """Return the shape of the model."""
         return shape_of(self.outline)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixelLayout:
-    """Where the fixels stand in their zone.
+    """Positions of the fixels in their zone.
 
     Parameters
     ----------
     name : str
         Unique among the plan's layouts; see `plain_name`.
     pegs : tuple of (u, v)
-        In the unit square: u from the near side to the far side along the motion, v from the right
-        side to the left. None for an open plate.
+        Positions in the unit square: u from the near to the far side along the motion, v from the
+        right to the left side. Empty for an open plate.
     number : int, optional
-        By which a publication calls it.
+        Number of the layout in a publication.
     """
 
     name: str
@@ -164,35 +164,35 @@ class FixelLayout:
 
     @property
     def title(self) -> str:
-        """Its name, behind its number where it has one: `4 collinear-minus45`."""
+        """Name with the number, if there is one: `4 collinear-minus45`."""
         return self.name if self.number is None else f"{self.number} {self.name}"
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingRig:
-    """What stays the same in all experiments. The head starts at the origin and moves along +x.
+    """Apparatus of all experiments of a plan. The head starts at the origin and moves along +x.
 
     Parameters
     ----------
     head : Polygon, Disk or RegularPolygon
-        Of the actuator, in its own frame.
+        Outline of the head in its own frame.
     speed : float
-        Of the head [m/s].
+        Speed of the head [m/s].
     travel : float
-        Of the head [m].
+        Distance that the head moves [m].
     force_limit : float, optional
-        At which the drive stalls [N]; none for a rigid drive.
+        Force at which the drive stalls [N]; None for a rigid drive.
     head_friction, fixel_friction : float
-        Against the object, nominal [-].
-    fixel_radius : float
-        [m].
-    zone_side : float
-        Of the square fixel zone, which lies even about the x axis [m].
-    gap : float
-        Along the motion, from the head to the nearest point of the object in its nominal pose [m].
-    angle : float
-        Of the object in its nominal pose [rad].
+        Nominal friction coefficients against the object [-].
+            fixel_radius : float
+        Radius of the fixels [m].
+            zone_side : float
+        Side of the square fixel zone, which is symmetric about the x axis [m].
+            gap : float
+        Distance along the motion from the head to the object in its nominal pose [m].
+            angle : float
+        Angle of the object in its nominal pose [rad].
     """
 
     head: Outline
@@ -223,17 +223,17 @@ class SamplingRig:
 
     @property
     def duration(self) -> float:
-        """Of one experiment: until the head has made its travel [s]."""
+        """Duration of one experiment, which ends when the head has moved its travel [s]."""
         return self.travel / self.speed
 
     def nominal_centroid(self, shape: Shape) -> FloatArray:
-        """(2,) where the centroid of an object is in its nominal pose, straight ahead [m]."""
+        """Return the centroid (2,) of an object in its nominal pose, straight ahead [m]."""
         face = float(shape_of(self.head).outline[:, 0].max())
         turned = placed(shape.outline - shape.centroid, (0.0, 0.0, self.angle))
         return np.array([face + self.gap - float(turned[:, 0].min()), 0.0])
 
     def peg_places(self, shape: PlannedShape, layout: FixelLayout) -> FloatArray:
-        """(n, 2) centres of the fixels of a layout [m]."""
+        """Return the centres (n, 2) of the fixels of a layout [m]."""
         near_right = np.array([shape.zone_start, -0.5 * self.zone_side])
         pegs = np.array(layout.pegs, dtype=np.float64).reshape(-1, 2)
         return np.asarray(near_right + self.zone_side * pegs)

@@ -1,13 +1,13 @@
-"""The sampling scheme of the thesis: two shapes, ten layouts, 21 configurations, 420 experiments.
+"""Sampling scheme of the thesis: two shapes, ten layouts, 21 configurations, 420 experiments.
 
-Source: RPI thesis, sections 1.3 and 5.3. Its sizes and steps are kept where they are
-legible. Not recoverable, and therefore ours: the coordinates of the pegs, which the thesis only
-draws. What its text leaves open is read as follows:
+Source: RPI thesis (2011), sections 1.3 and 5.3. Its sizes and steps are used where they are
+legible. The coordinates of the pegs are ours, since the thesis only draws them. Ambiguous
+passages are read as follows:
 
 - The pentagon's "107.5 mm" is the length of a side. Then its inradius exceeds the square's by the
   20 mm by which its fixel zone starts later.
-- "5 cm along the direction of motion" is a gap, from the head's face to the nearest point of the
-  object: between the centres there is no room for it.
+- "5 cm along the direction of motion" is a gap from the head's face to the nearest point of the
+  object: as a distance of the centres it would be too small.
 - The step of theta, lost in print, is pi/10: figures show 4 pi/10.
 """
 
@@ -21,14 +21,14 @@ from fixel.sampling.offsets import Nominal, OffsetAxis
 from fixel.sampling.plan import Plan
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 
-MASS: Final = 0.2564  # [kg] of the square; the pentagon's is not known and taken to be the same
+MASS: Final = 0.2564  # [kg] mass of the square; that of the pentagon is unknown and assumed equal
 SUPPORT_FRICTION: Final = 0.25
 
-# Unit coordinates (u along the motion, v from right to left); ours. They stand clear of the object
-# at every offset, and in quasi-static simulation the object comes to touch one in all but 19 of the
-# 420 experiments: offsets of 24 mm or more along y, at which it slides off beside the pegs. "Tight"
-# and "wide" lines stand square to the motion, the others run at 45 degrees from it: plus is near on
-# the right and far on the left. A concave layout is such a line whose middle peg is moved away from
+# Unit coordinates (u along the motion, v from right to left); ours. Pegs do not overlap the object
+# at any offset, and in quasi-static simulation the object touches one in all but 19 of the 420
+# experiments: at offsets of 24 mm or more along y, it slides past the pegs. "Tight" and "wide"
+# lines are normal to the motion, the others at 45 degrees to it: plus is near on the right and
+# far on the left. A concave layout is such a line whose middle peg is moved away from
 # the object. The thesis calls its layouts "fixel configurations" by numbers from 1 to 10: the four
 # collinear ones, read in the order of its section 4.2.4.3, then the six concave ones of section
 # 4.2.4.4. Captions of figures 4.10 and 4.12 name the wide layout first, the text, which we follow,
@@ -50,7 +50,7 @@ LAYOUTS: Final = (
 
 
 def thesis_plan() -> Plan:
-    """The 420 experiments of the thesis, with peg coordinates of our own."""
+    """Return the plan of the thesis with 420 experiments and our own peg coordinates."""
     return Plan(
         name="thesis",
         rig=SamplingRig(
