@@ -1,4 +1,4 @@
-"""Parameters from experiments, and how far the experiments determine them."""
+"""Calibration of parameters from experiments, and their uncertainty."""
 
 from fixel.calibration.evolution import CmaEs
 from fixel.calibration.mads import Mads
@@ -22,7 +22,7 @@ __all__ = [
     "SearchBox",
 ]
 
-# Those that run on their own; `MultiStart` runs another.
+# Optimisers that work alone; `MultiStart` needs another one.
 OPTIMISERS: tuple[type[AbstractOptimiser], ...] = (
     PatternSearch,
     FixedStepSearch,

@@ -1,7 +1,7 @@
-"""Covariance of an estimate from how it changes when clusters of experiments are left out.
+"""Covariance of an estimate by a jackknife over clusters of experiments.
 
-Frames of one experiment err together, and so do repetitions of one experiment. What counts is how
-many clusters there are, and how evenly they carry the information.
+Errors of frames of one experiment, and of its repetitions, are correlated. The covariance depends
+on the number of clusters, and on how evenly they share the information.
 
 Source: MacKinnon & White (1985), HC3; Bell & McCaffrey (2002), CR3, the same for clusters.
 """
@@ -22,9 +22,9 @@ class Jackknife(NamedTuple):
     Attributes
     ----------
     covariance : (p, p) float64
-        CR3; zero for one cluster, which says nothing of the variation between clusters.
+        CR3 covariance; zero for one cluster, which has no variation between clusters.
     effective : (p,) float64
-        Effective number of clusters behind each parameter, 1 at least.
+        Effective number of clusters for each parameter, at least 1.
     """
 
     covariance: FloatArray
@@ -32,7 +32,7 @@ class Jackknife(NamedTuple):
 
 
 def numbered(labels: Sequence[Hashable]) -> IntArray:
-    """(n,) number of the cluster of each label, in order of appearance."""
+    """Return the cluster number (n,) of each label, in order of appearance."""
     number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
     return np.array([number[label] for label in labels], np.int64)
 
@@ -40,16 +40,16 @@ def numbered(labels: Sequence[Hashable]) -> IntArray:
 def jackknife(
     information: FloatArray, gradient: FloatArray, covariance: FloatArray, cluster: IntArray
 ) -> Jackknife:
-    """Leave each cluster out in turn, one Newton step each.
+    """Compute the jackknife that leaves out each cluster in turn, with one Newton step each.
 
     Parameters
     ----------
     information : (n, p, p) array
-        Of each experiment.
+        Information of each experiment.
     gradient : (n, p) array
-        Of each experiment's log likelihood at the estimate.
+        Gradient of the log likelihood of each experiment at the estimate.
     covariance : (p, p) array
-        Inverse of all information, prior included.
+        Inverse of all information, including the prior.
     cluster : (n,) int
         Number of the cluster of each experiment, from 0.
     """

@@ -1,4 +1,4 @@
-"""What a fit by least squares minimises: residuals, a loss on them, and what was known before."""
+"""Cost of a least-squares fit: a loss of the residuals, and a normal prior."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ Loss = Literal["squares", "soft_l1", "huber"]
 
 LOSSES: Final[tuple[Loss, ...]] = get_args(Loss)
 
-# Least curvature of a residual's loss, as a share of its slope over the residual (the weight of
-# iterated reweighting, which always converges but slowly). Triggs' second term takes it down to
-# nothing for far residuals: below 0.4, Rosenbrock's valley was not left in 60 steps.
+# Smallest curvature of the loss of a residual, as a share of its slope over the residual (the
+# weight of iterated reweighting, which always converges, but slowly). Triggs' second term reduces
+# it to zero for large residuals: below 0.4, Rosenbrock's function needed more than 60 steps.
 MIN_CURVATURE: Final = 0.5
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalPrior:
-    """What was known of the parameters before: independent normal distributions.
+    """Prior of the parameters: independent normal distributions.
 
     Parameters
     ----------
     mean : (n,) array
-        In the units of the parameters.
+        Means, in the units of the parameters.
     sd : (n,) array
-        Standard deviations, in the same; inf where nothing was known.
+        Standard deviations, in the same units; inf without prior knowledge.
     """
 
     mean: FloatArray
@@ -55,48 +55,48 @@ class NormalPrior:
 
     @classmethod
     def of(cls, space: ParameterSpace) -> NormalPrior:
-        """Of the free unknowns of a space, about their nominal values."""
+        """Return the prior of the free unknowns of a space, about their nominal values."""
         return cls(
             mean=space.nominal,
             sd=np.array([np.inf if u.prior is None else u.prior for u in space.free]),
         )
 
     def weighted(self, dispersion: float) -> NormalPrior:
-        """The prior beside residuals whose true variance is the dispersion, in place of 1.
+        """Return the prior for residuals whose true variance is the dispersion instead of 1.
 
-        The deviance divided by the dispersion then holds the prior at its full weight.
+        The deviance divided by the dispersion then contains the prior with its full weight.
         """
         return NormalPrior(mean=self.mean, sd=self.sd / np.sqrt(positive(dispersion, "dispersion")))
 
     def deviance(self, points: ArrayLike) -> FloatArray:
-        """Points (..., n) -> (...,) their squared distance in standard deviations."""
+        """Return the squared distance (...,) of points (..., n) in standard deviations."""
         z = (np.asarray(points, np.float64) - self.mean) / self.sd
         return np.asarray(np.sum(z * z, axis=-1))
 
 
 class Quadratic(NamedTuple):
-    """deviance(s) ~ deviance(0) + 2 gradient s + s hessian s, s in the scales of the box."""
+    """Model deviance(s) ~ deviance(0) + 2 gradient s + s hessian s, s in the scales of the box."""
 
     hessian: FloatArray  # (n, n)
     gradient: FloatArray  # (n,)
 
     def gain(self, step: FloatArray) -> float:
-        """By how much a step (n,) lowers the deviance, as far as the model goes."""
+        """Return the predicted decrease of the deviance by a step (n,)."""
         return float(-(2.0 * self.gradient + self.hessian @ step) @ step)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cost:
-    """The deviance: the sum of losses of the residuals, and of squares of the prior.
+    """Deviance: sum of the losses of residuals, and of the squares of the prior.
 
     Parameters
     ----------
     loss : str
-        `squares`; `soft_l1` and `huber` grow like the distance where a residual is much larger than
-        the width, so that a few wrong measurements do not decide.
+        `squares`; `soft_l1` and `huber` grow linearly for residuals much larger than the width, so
+        that a few wrong measurements have little influence.
     width : float
-        Where a residual stops to count in full [standard deviations].
+        Size of residuals above which the loss is reduced [standard deviations].
     prior : NormalPrior, optional
 
     Source
@@ -117,7 +117,7 @@ class Cost:
         settle(self, width=positive(self.width, "width", "standard deviations"))
 
     def deviance(self, points: FloatArray, residuals: FloatArray) -> FloatArray:
-        """Points (k, n), residuals (k, m) -> (k,); inf where a residual is not finite."""
+        """Return deviances (k,) for points (k, n) and residuals (k, m); inf for failures."""
         with np.errstate(over="ignore", invalid="ignore"):
             total = np.array([self._data(row) for row in residuals])
             if self.prior is not None:
@@ -132,16 +132,16 @@ class Cost:
     def quadratic(
         self, point: FloatArray, residual: FloatArray, columns: FloatArray, scale: FloatArray
     ) -> Quadratic:
-        """Gauss-Newton model at a point (n,).
+        """Return the Gauss-Newton model at a point (n,).
 
         Parameters
         ----------
         point : (n,) array
         residual : (m,) array
         columns : (m, n) array
-            Change of the residuals a scale of each parameter.
+            Derivatives of the residuals, per scale of each parameter.
         scale : (n,) array
-            Of the box.
+            Scales of the box.
         """
         if self.loss != "squares":
             residual, columns = _reweighted(residual / self.width, columns / self.width, self.loss)
@@ -158,7 +158,7 @@ class Cost:
 
 
 def _rho(z: FloatArray, loss: Loss) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Loss of squared residuals z (m,), and its first two derivatives."""
+    """Return the loss of squared residuals z (m,), and its first two derivatives."""
     if loss == "soft_l1":
         t = 1.0 + z
         return 2.0 * (np.sqrt(t) - 1.0), t**-0.5, -0.5 * t**-1.5
@@ -172,7 +172,7 @@ def _rho(z: FloatArray, loss: Loss) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _reweighted(f: FloatArray, columns: FloatArray, loss: Loss) -> tuple[FloatArray, FloatArray]:
-    """Residuals (m,) and columns (m, n) whose plain squares have the robust loss's curvature."""
+    """Return residuals (m,) and columns (m, n) whose squares have the curvature of the loss."""
     z = f * f
     _, first, second = _rho(z, loss)
     weight = np.sqrt(np.maximum(first + 2.0 * second * z, MIN_CURVATURE * first))

@@ -1,4 +1,4 @@
-"""One run of Levenberg and Marquardt's method inside a box, as a state machine."""
+"""Levenberg-Marquardt method inside a box, as a state machine."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from fixel.typing import BoolArray, FloatArray
 if TYPE_CHECKING:
     from fixel.calibration.least_squares import LeastSquares
 
-# Damping is measured in the largest diagonal entry of the Hessian.
+# Damping is relative to the largest diagonal entry of the Hessian.
 FIRST_DAMPING: Final = 1e-3
-# A step that gains this share of what the model promised leaves the model good enough to correct.
+# Share of the predicted gain above which the derivatives are corrected instead of computed again.
 HALF_AS_GOOD: Final = 0.5
-# Below, the damped matrix is singular to rounding.
+# With less, the damped matrix is singular to rounding.
 MIN_DAMPING: Final = 1e-10
-# Trial steps of one batch differ by this factor in damping.
+# Factor between the dampings of the trial steps of one batch.
 SPREAD: Final = 10.0
-# Batches of trial steps that all fail before new derivatives are taken: with five a batch, the
-# last steps are 1e10 times shorter than the first.
+# Failed batches of trial steps after which derivatives are computed again: with five steps per
+# batch, the last ones are 1e10 times shorter than the first.
 PATIENCE: Final = 2
 # Distance from a bound [scales] that counts as on it.
 ON_BOUND: Final = 1e-12
@@ -40,21 +40,21 @@ EXHAUSTED: Final = "as many iterations as allowed"
 
 
 class LeastSquaresFit(NamedTuple):
-    """Where a descent ended."""
+    """Result of a descent."""
 
     point: FloatArray  # (n,)
-    deviance: float  # inf where no point could be evaluated
-    hessian: FloatArray  # (n, n) half the second derivatives of the deviance, Gauss and Newton's
-    gradient: FloatArray  # (n,) half the first derivatives, not zero where a bound holds it
-    residual: FloatArray  # (m,); empty where no point could be evaluated
-    columns: FloatArray  # (m, n) its change a scale of each parameter; empty where none was taken
+    deviance: float  # inf if no point could be evaluated
+    hessian: FloatArray  # (n, n) half the second derivatives of the deviance (Gauss-Newton)
+    gradient: FloatArray  # (n,) half the first derivatives, not zero on an active bound
+    residual: FloatArray  # (m,); empty if no point could be evaluated
+    columns: FloatArray  # (m, n) its derivatives, per scale of a parameter; may be empty
     evaluations: int
     reason: str
 
 
 @final
 class Descent:
-    """Fit some of the parameters from one start, or from the best of several candidates.
+    """Least-squares fit of some parameters from one start, or from the best of several.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ class Descent:
     box : SearchBox
     cost : Cost
     starts : (c, n) array
-        Candidates.
+        Candidates for the start.
     free : (n,) bool array, optional
-        Parameters that may move; the others keep the values of the start.
+        Parameters to fit; the others have the values of the start.
     columns : (m, n) array, optional
-        Derivatives taken at another point near by, a scale of each parameter. One step is tried
-        with them; own derivatives are taken only where that step gains other than it should.
+        Derivatives at another point near by, per scale of each parameter. One step is tried with
+        them; derivatives are computed only if that step does not gain as predicted.
     """
 
     def __init__(
@@ -98,17 +98,17 @@ class Descent:
         self._columns = np.zeros((0, box.n))
         if (
             len(self._starts) == 1 and columns is None
-        ):  # its derivatives can be asked for in the same batch
+        ):  # its derivatives can be requested in the same batch
             self._differences.begin(self._starts[0], self._free, self._central)
 
     @property
     def done(self) -> bool:
-        """Whether it has ended; `reason` then says why."""
+        """Whether the descent has ended, for `reason`."""
         return bool(self.reason)
 
     @property
     def fit(self) -> LeastSquaresFit:
-        """The best point so far, and the derivatives last taken."""
+        """Best point so far, with the latest derivatives."""
         hessian = self._model.hessian / np.outer(self.box.scale, self.box.scale)
         return LeastSquaresFit(
             self.point,
@@ -122,13 +122,13 @@ class Descent:
         )
 
     def ask(self) -> FloatArray:
-        """(k, n) points to evaluate next; none once done."""
+        """Return the points (k, n) to evaluate next; none at the end."""
         if self._asked is None:
             self._asked = np.zeros((0, self.box.n)) if self.done else self._next()
         return self._asked
 
     def tell(self, residuals: FloatArray) -> FloatArray:
-        """Take residuals (k, m) of the points asked for; returns their deviances (k,)."""
+        """Take the residuals (k, m) of the requested points and return their deviances (k,)."""
         points = self.ask()
         told = np.asarray(residuals, np.float64)
         if told.ndim != 2 or len(told) != len(points):
@@ -182,7 +182,7 @@ class Descent:
             self._differentiate()
 
     def _differentiate(self) -> None:
-        """Take derivatives at the best point."""
+        """Request derivatives at the best point."""
         self._borrowed = None
         self._rebase(self.point, self._residual, self.deviance)
         self._differences.begin(self._base, self._free, self._central)
@@ -199,7 +199,7 @@ class Descent:
         self._model_from(self._columns)
 
     def _model_from(self, columns: FloatArray) -> None:
-        """Plan the next steps with derivatives (m, n); end where they promise too little."""
+        """Plan the next steps with derivatives (m, n); end if the predicted gain is too small."""
         columns = np.where(self._free, columns, 0.0)
         self._model = self.cost.quadratic(self._base, self._base_residual, columns, self.box.scale)
         if not self._model.hessian.any():
@@ -212,7 +212,7 @@ class Descent:
     def _learn_trials(self, deviances: FloatArray) -> None:
         if self.deviance < self._base_deviance:
             k = int(np.argmin(deviances))
-            if deviances[k] <= self.deviance:  # and it was not a probe that fell lower
+            if deviances[k] <= self.deviance:  # and the lowest point was not a probe
                 self._damping = float(self._dampings[k])
             self._accept(self._base_deviance - self.deviance)
             return
@@ -232,14 +232,14 @@ class Descent:
         if self.iterations >= self._options.most_iterations:
             self.reason = EXHAUSTED
         elif gain <= self._enough() or abs(self._most_to_gain() - gain) <= self._enough():
-            self._confirm(SETTLED)  # the second: it fell by just what the model says there is
+            self._confirm(SETTLED)  # the second: the gain was the largest that the model predicts
         elif self._options.secant and gain > HALF_AS_GOOD * self._most_to_gain():
             self._correct()
         else:
             self._differentiate()
 
     def _correct(self) -> None:
-        """Go on with the derivatives at hand, corrected by what the last step met."""
+        """Continue with the present derivatives, corrected by the last step (Broyden's update)."""
         move = (self.point - self._base) / self.box.scale
         missed = self._residual - self._base_residual - self._columns @ move
         self._columns = self._columns + np.outer(missed, move / float(move @ move))
@@ -248,7 +248,7 @@ class Descent:
         self._model_from(self._columns)
 
     def _confirm(self, reason: str) -> None:
-        """End, unless better derivatives may still find a way down."""
+        """End, unless better derivatives may still give a descent direction."""
         if self._options.differences == "auto" and not self._central:
             self._central = True
             self._differentiate()
@@ -258,14 +258,14 @@ class Descent:
             self.reason = reason
 
     def _enough(self) -> float:
-        """A gain not worth going on for."""
+        """Return the gain below which the descent ends."""
         return max(self._options.tolerance * self.deviance, self._options.enough)
 
     def _most_to_gain(self) -> float:
         return max(self._model.gain(step) for step in self._steps)
 
     def _plan_trials(self) -> None:
-        """Steps of several dampings at once, each the best within the bounds."""
+        """Compute the best steps within the bounds for several dampings."""
         self._dampings = np.maximum(MIN_DAMPING, self._damping * SPREAD ** self._powers())
         low = np.where(self._free, (self.box.low - self._base) / self.box.scale, 0.0)
         high = np.where(self._free, (self.box.high - self._base) / self.box.scale, 0.0)
@@ -281,7 +281,7 @@ class Descent:
         return np.arange(-below, trials - below).astype(np.float64)
 
     def _at(self, step: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-        """The point (n,) a step leads to, exactly on a bound where it ends there."""
+        """Return the end (n,) of a step, exactly on a bound if it ends there."""
         box = self.box
         point = np.clip(self._base + step * box.scale, box.low, box.high)
         point = np.where(self._free & (step >= high), box.high, point)
@@ -289,21 +289,21 @@ class Descent:
 
 
 def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Least of a damped quadratic in a box about zero, by an active set that only grows.
+    """Minimise a damped quadratic in a box about zero, by an active set that only grows.
 
     Parameters
     ----------
     model : Quadratic
     damping : float
-        Added to the diagonal of the Hessian.
+        Damping, added to the diagonal of the Hessian.
     low, high : (n,) arrays
-        Bounds of the step, low <= 0 <= high [scales]; both zero for what may not move.
+        Bounds of the step, low <= 0 <= high [scales]; both zero for fixed parameters.
 
     Returns
     -------
     (n,) float64
-        Exactly the least where no bound is met; else a step that lowers the quadratic for enough
-        damping, which is all that Levenberg and Marquardt's method needs.
+        Exact minimum if no bound is active; otherwise a step that lowers the quadratic for enough
+        damping, which is sufficient for the Levenberg-Marquardt method.
     """
     hessian = model.hessian + damping * np.eye(len(low))
     step = np.zeros(len(low))
@@ -323,12 +323,12 @@ def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatA
 
 
 def ask_all(descents: Sequence[Descent]) -> FloatArray:
-    """(k, n) what several descents ask for, end to end."""
+    """Return the points (k, n) that several descents request, concatenated."""
     return np.concatenate([descent.ask() for descent in descents])
 
 
 def tell_all(descents: Sequence[Descent], residuals: FloatArray) -> FloatArray:
-    """Share out the residuals (k, m) among them; returns the deviances (k,)."""
+    """Distribute the residuals (k, m) among descents and return the deviances (k,)."""
     ends = np.cumsum([len(descent.ask()) for descent in descents])
     parts = np.split(np.asarray(residuals, np.float64), ends[:-1])
     return np.concatenate(

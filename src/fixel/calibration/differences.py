@@ -1,4 +1,4 @@
-"""Derivatives of rough residuals by finite differences, asked for a batch at a time."""
+"""Derivatives of rough residuals by finite differences, requested in batches."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from fixel.calibration.optimiser import SearchBox
 from fixel.typing import FloatArray
 
-# A response this many times the roughness gives a slope good to a few per cent.
+# A response this many times the roughness gives a slope with an error of a few per cent.
 CLEAR: Final = 30.0
 # A response this many times the roughness is still clear after a step ten times smaller.
 PLAIN: Final = 1000.0
-# Probes of one unknown at one point, at most: enough to grow from 1e-3 to 1 scale.
+# Maximum number of probes of one unknown at one point: enough to grow from 1e-3 to 1 scale.
 TRIES: Final = 4
 GROWTH: Final = 10.0
-# Steps this share of the first one that still fail are at an edge of what can be evaluated.
-MIN_STEP_SHARE: Final = 1e-3
+# Smallest step over the first one; if it still fails, the point is at an edge of feasibility.
+SMALLEST: Final = 1e-3
 
 
 @final
 class Differences:
-    """Finite-difference columns about one point after another.
+    """Finite-difference derivatives at one point after another.
 
-    Each unknown keeps its own step from point to point. It grows tenfold while no residual answers
-    by more than `CLEAR` times the roughness, and shrinks again where they answer plainly. A probe
-    that fails is tried on the other side and closer by; an unknown of which none succeeds has a
-    column of zeros.
+    Each unknown has its own step, which is preserved between points. The step grows tenfold while
+    no residual changes by more than `CLEAR` times the roughness, and shrinks again if one changes
+    by more than `PLAIN` times. A failed probe is repeated on the other side and closer. If all
+    probes of an unknown fail, its column is zero.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Differences:
     largest : float
         Largest step, as a fraction of the scale.
     roughness : float
-        Change of a residual that means nothing [standard deviations].
+        Insignificant change of a residual [standard deviations].
     """
 
     def __init__(self, box: SearchBox, step: float, largest: float, roughness: float) -> None:
@@ -54,7 +54,7 @@ class Differences:
         return bool(self._todo)
 
     def begin(self, point: FloatArray, which: FloatArray, central: bool) -> None:
-        """Start on the columns of the unknowns `which` (n,) bool at a point (n,)."""
+        """Begin the columns of the unknowns `which` (n,) bool at a point (n,)."""
         self.point = point
         self.central = central
         self._columns: dict[int, FloatArray] = {}
@@ -64,11 +64,11 @@ class Differences:
         self._plan()
 
     def probes(self) -> FloatArray:
-        """(k, n) points to evaluate."""
+        """Return the points (k, n) to evaluate."""
         return self._probes
 
     def learn(self, residuals: FloatArray, base: FloatArray) -> None:
-        """Take residuals (k, m) of the probes; base (m,) are those of the point itself."""
+        """Take the residuals (k, m) of the probes; `base` (m,) are those of the point itself."""
         owner = np.array([j for j, _ in self._moves])
         moved = np.array([d for _, d in self._moves])
         todo = []
@@ -81,21 +81,21 @@ class Differences:
         self._plan()
 
     def columns(self, count: int) -> FloatArray:
-        """(count, n) change of each residual a scale of each unknown."""
+        """Return derivatives (count, n) of each residual per scale of each unknown."""
         table = np.zeros((count, self.box.n))
         for j, column in self._columns.items():
             table[:, j] = column
         return table
 
     def widen(self) -> bool:
-        """Take larger steps from now on, for slopes across the roughness; False at the largest."""
+        """Increase the smallest step, for slopes across roughness; False if it is the largest."""
         least, largest = self._limits
         self._limits = min(least * GROWTH, largest), largest
         self.step = np.maximum(self.step, self._limits[0])
         return self._limits[0] > least
 
     def _again(self, j: int, change: FloatArray, moved: FloatArray) -> bool:
-        """Keep what the changes (k, m) after moves (k,) tell; whether unknown j needs more."""
+        """Store the slope from changes (k, m) after moves (k,); True if j needs more probes."""
         self._tries[j] += 1
         last = self._tries[j] >= TRIES
         if not len(moved):
@@ -116,7 +116,7 @@ class Differences:
         points = np.repeat(self.point[None], len(moves), axis=0)
         for row, (j, d) in zip(points, moves, strict=True):
             row[j] = np.clip(row[j] + d * self.box.scale[j], self.box.low[j], self.box.high[j])
-        # What was really moved, after rounding and the bounds.
+        # Actual moves, after rounding and the bounds.
         self._moves = [
             (j, float((row[j] - self.point[j]) / self.box.scale[j]))
             for row, (j, _) in zip(points, moves, strict=True)
@@ -124,7 +124,7 @@ class Differences:
         self._probes = points
 
     def _moves_of(self, j: int) -> tuple[float, ...]:
-        """Signed moves of unknown j [scales], within the bounds."""
+        """Return the signed moves of unknown j within the bounds [scales]."""
         h, side = self.step[j], self._side[j]
         room = {
             1.0: (self.box.high[j] - self.point[j]) / self.box.scale[j],
@@ -139,7 +139,7 @@ class Differences:
 
 
 def _slope(change: FloatArray, moved: FloatArray) -> FloatArray:
-    """(m,) slope at zero of the line or parabola through zero and one or two changes (k, m)."""
+    """Return slopes (m,) at zero of the line or parabola through zero and changes (k, m)."""
     if len(moved) == 1:
         return np.asarray(change[0] / moved[0])
     a, b = moved

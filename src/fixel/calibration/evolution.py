@@ -1,4 +1,4 @@
-"""Covariance matrix adaptation: a cloud of points that learns the shape of the valley."""
+"""Covariance matrix adaptation (CMA-ES): a population that learns the shape of a valley."""
 
 from __future__ import annotations
 
@@ -33,29 +33,29 @@ _MORE_WORDS = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CmaEs(AbstractOptimiser):
-    """CMA-ES, for errors that are rough or have several minima, and for more unknowns than five.
+    """CMA-ES, for errors that are rough or have several minima, and for more than five unknowns.
 
-    It needs hundreds of evaluations before it is any good: where a few dozen must do, or the error
-    is smooth with one minimum, `NelderMead` gets there sooner. Needs `pip install "fixel[cma]"`.
+    It needs hundreds of evaluations. With a few dozen, or for a smooth error with one minimum,
+    `NelderMead` is better. Needs `pip install "fixel[cma]"`.
 
     Parameters
     ----------
     sigma : float
-        Standard deviation of the first cloud about the start, in scales of the box. With the scale
-        a tenth of the range, 3 covers the box.
+        Standard deviation of the first population about the start, in scales of the box. If the
+        scale is a tenth of the range, 3 covers the box.
     population : int, optional
-        Points an iteration; 4 + 3 ln(n) where left out.
+        Points per iteration; 4 + 3 ln(n) by default.
     tolerance : float
-        The search ends when the cloud is smaller, in scales.
+        Size of the population at which the search ends, in scales.
     restarts : int
-        New clouds from random feasible points after the first, each twice as large as the last.
+        Number of restarts from random feasible points, each with twice the population.
     max_evaluations : int
-        No new iteration begins once they were made.
+        Number of evaluations after which no new iteration begins.
 
     Notes
     -----
-    The start is asked for along with the first cloud. Points that failed rank behind all others,
-    by their distance from the best point known: a cloud that lies on nothing else comes home.
+    The start is evaluated with the first population. Failed points rank behind all others, by
+    their distance from the best point, so that a population of failures returns to it.
 
     Source
     ------
@@ -115,7 +115,7 @@ class _CmaWalk(GeneratorSearch):
         return reason
 
     def _cloud(self, start: FloatArray, population: int) -> Moves:
-        """One run, in coordinates that are scales from its start."""
+        """Run CMA-ES once, in coordinates relative to its start, in scales."""
         cloud = self._strategy(start, population)
         worst = -math.inf
         first = True
@@ -137,7 +137,7 @@ class _CmaWalk(GeneratorSearch):
 
     def _strategy(self, start: FloatArray, population: int) -> Any:
         box = self.box
-        # The package does not do one unknown: a second one goes along that nothing depends on.
+        # The package needs at least two unknowns: add one without effect to a single one.
         spare = max(0, 2 - box.n)
         low = [*((box.low - start) / box.scale).tolist(), *[-10.0] * spare]
         high = [*((box.high - start) / box.scale).tolist(), *[10.0] * spare]
@@ -145,7 +145,7 @@ class _CmaWalk(GeneratorSearch):
             "bounds": [low, high],
             "popsize": population,
             "tolx": self.options.tolerance,
-            "seed": math.nan,  # leave NumPy's own random numbers alone
+            "seed": math.nan,  # do not change NumPy's global random numbers
             "randn": _normal(self._dice),
             "verbose": -10,  # and read no file of signals
             "verb_log": 0,
@@ -164,7 +164,7 @@ class _CmaWalk(GeneratorSearch):
 
 
 def _ranked(errors: FloatArray, worst: float, away: FloatArray) -> FloatArray:
-    """Errors with those that failed behind the worst told; the package takes no inf."""
+    """Return errors with failures ranked behind the worst; the package does not accept inf."""
     behind = 0.0 if worst == -math.inf else worst
     return np.where(np.isfinite(errors), errors, behind + max(abs(behind), 1.0) * (1.0 + away))
 

@@ -1,6 +1,6 @@
-"""What physics leaves over, learned from examples: Gaussian processes on the residual.
+"""Gaussian processes on the residuals of simulations, learned from examples.
 
-Not physics: it knows nothing outside the pushes it has seen. Report it apart.
+This is not physics and is not valid outside the training pushes. Report it separately.
 """
 
 from __future__ import annotations
@@ -13,37 +13,37 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
-# Of interest to a process of a few hundred pushes; more cost time with the cube.
+# Largest number of examples: the computing time grows with its cube.
 MAX_EXAMPLES: Final = 4000
 MIN_EXAMPLES: Final = 8
 
 
-# Residuals farther from the median, in robust standard deviations, are taken for so far: a push
-# that went elsewhere altogether teaches nothing about the others. Of 3, 4, 6 and no bound, 4 was
+# Residuals are clipped at this distance from the median, in robust standard deviations: a push with
+# an entirely different end says nothing about the others. Of 3, 4, 6 and no limit, 4 was
 # best on inner folds of training pushes.
 FARTHEST: Final = 4.0
-# Parts that are predicted from the rest, to see how far predictions are off.
+# Folds, each predicted from the others, to measure the errors of predictions.
 PARTS: Final = 3
 
 
 @final
 class ResidualProcess:
-    """One Gaussian process for each column of the residual, with a length for each feature.
+    """Gaussian process for each column of the residual, with a length for each feature.
 
     Parameters
     ----------
     features : (n, n_feature) array
-        What is known of a push before it is made; any units.
+        Features that are known before a push, in any units.
     residuals : (n, n_output) array
-        Measured less simulated.
+        Measured minus simulated values.
     rounds : int
-        Of the search for lengths and noise, at most.
+        Maximum number of iterations of the search for lengths and noise.
 
     Notes
     -----
-    The standard deviations are widened, or narrowed, until the 90 % intervals hold 90 % of the
-    examples when a third of them is predicted from the rest: tails of pushes are heavier than
-    normal, and many lengths fit few examples too well.
+    The standard deviations are scaled so that the 90 % intervals contain 90 % of the examples when
+    each third of them is predicted from the rest: tails of pushes are heavier than normal, and many
+    lengths overfit few examples.
 
     Source
     ------
@@ -57,13 +57,13 @@ class ResidualProcess:
         self._widening = _widening(features, residuals, rounds)
 
     def predict(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, n_output) to expect, and their standard deviations (n, n_output)."""
+        """Return expected residuals (n, n_output) and their standard deviations (n, n_output)."""
         mean, sd = self._processes.predict(features)
         return mean, sd * self._widening
 
 
 class _Processes:
-    """The processes as they come, on scaled columns."""
+    """Gaussian processes on scaled columns, without correction of the standard deviations."""
 
     def __init__(self, features: FloatArray, residuals: FloatArray, rounds: int) -> None:
         self._centre = features.mean(axis=0)
@@ -92,7 +92,7 @@ def _without_tails(residuals: FloatArray) -> FloatArray:
 
 
 def _widening(features: FloatArray, residuals: FloatArray, rounds: int) -> FloatArray:
-    """(n_output,) factors of the standard deviations that make 90 % intervals hold 90 %."""
+    """Return factors (n_output,) of the standard deviations for a 90 % coverage."""
     part = np.random.default_rng(0).permutation(len(features)) % PARTS
     z = np.zeros_like(residuals)
     for k in range(PARTS):
@@ -102,7 +102,7 @@ def _widening(features: FloatArray, residuals: FloatArray, rounds: int) -> Float
     return np.maximum(np.quantile(z, 0.9, axis=0) / NINETY, 1e-6)
 
 
-# Of a normal distribution: 90 % lie within so many standard deviations.
+# Standard deviations that contain 90 % of a normal distribution.
 NINETY: Final = 1.6449
 
 

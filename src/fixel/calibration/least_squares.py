@@ -1,4 +1,4 @@
-"""Least squares in a box, from residuals that are evaluated a batch at a time."""
+"""Least squares in a box, with residuals that are evaluated in batches."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ DifferenceKind = Literal["one-sided", "central", "auto"]
 
 DIFFERENCE_KINDS: Final[tuple[DifferenceKind, ...]] = get_args(DifferenceKind)
 
-# Distance of the points that measure roughness [scales]: the jumps of a simulation with adaptive
-# steps lie closer, and what bends over it is not roughness.
+# Distance of the points that measure roughness [scales]: jumps of a simulation with adaptive
+# steps are closer together, and curvature over this distance is negligible.
 NEAR: Final = 1e-4
 N_NEAR: Final = 9
 
@@ -29,43 +29,43 @@ N_NEAR: Final = 9
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeastSquares:
-    """Levenberg and Marquardt's method with bounds, robust loss, priors and several starts.
+    """Levenberg-Marquardt method with bounds, robust loss, priors and several starts.
 
-    The method of choice where residuals are at hand and mostly smooth: it needs tens of evaluations
-    an unknown where a direct search needs hundreds. Not for residuals that jump by more than the
-    noise or are flat in steps: take a pattern search or CMA-ES first, and this one from there.
+    Recommended for residuals that are mostly smooth: it needs tens of evaluations per unknown, a
+    direct search hundreds. If residuals jump by more than the noise or are piecewise constant, use
+    a pattern search or CMA-ES first, and start this method from its result.
 
-    `scipy.optimize.least_squares` does the same for one start and one evaluation at a time, inside
-    a call. This one exists because it asks: all derivatives in one batch, several damped steps in
-    the next, all starts side by side, and the same points again when a journal is replayed. On
-    smooth problems the tests hold it to SciPy's answers.
+    `scipy.optimize.least_squares` solves the same problem for one start and with one evaluation at
+    a time. This implementation requests all derivatives in one batch, several damped steps in the
+    next, and all starts together. It requests the same points again when a journal is replayed. The
+    tests compare it with SciPy on smooth problems.
 
     Parameters
     ----------
     loss : str
         `squares`, `soft_l1` or `huber`.
     width : float
-        Of the robust losses [standard deviations].
+        Width of the robust losses [standard deviations].
     starts : int
-        The box's own, and random feasible points.
+        Number of starts: that of the box, and random feasible points.
     differences : str
-        `one-sided` or `central`; `auto` starts one-sided, and goes on with central differences and
-        larger steps when it would end otherwise.
+        `one-sided` or `central`; `auto` begins one-sided, and continues with central differences
+        and larger steps when it would otherwise end.
     difference, largest_difference : float
         First and largest step of the differences, as fractions of the scale.
     roughness : float
-        Change of a residual that means nothing [standard deviations]; `roughness_of` measures it.
+        Insignificant change of a residual, see `roughness_of` [standard deviations].
     trials : int
-        Steps of different damping that are tried in one batch.
+        Number of steps of different damping in one batch.
     tolerance : float
-        Ends when the deviance falls by less than this fraction of it.
-    enough : float
-        Or by less than this.
-    most_iterations : int
-        Steps taken, at most.
+        Relative decrease of the deviance below which the search ends.
+            enough : float
+        Decrease of the deviance below which the search ends.
+            most_iterations : int
+        Maximum number of accepted steps.
     secant : bool
-        Whether derivatives are corrected after a good step instead of taken again: one evaluation
-        an iteration instead of one an unknown, and an end that is less exact.
+        Whether derivatives are corrected after a good step instead of computed again: one
+        evaluation per iteration instead of one per unknown, and a less exact end.
 
     Source
     ------
@@ -99,7 +99,7 @@ class LeastSquares:
             settle(self, **{name: non_negative(getattr(self, name), f"LeastSquares.{name}")})
 
     def cost(self, prior: NormalPrior | None = None) -> Cost:
-        """The deviance this minimises."""
+        """Return the cost that the method minimises."""
         return Cost(loss=self.loss, width=self.width, prior=prior)
 
     def start(
@@ -109,15 +109,15 @@ class LeastSquares:
         feasible: Feasible | None = None,
         prior: NormalPrior | None = None,
     ) -> LeastSquaresSearch:
-        """Begin.
+        """Start a search.
 
         Parameters
         ----------
         box : SearchBox
         seed : int
-            Of the random starts.
-        feasible : callable, optional
-            For random starts.
+            Seed of the random starts.
+                    feasible : callable, optional
+            Test of points for the random starts.
         prior : NormalPrior, optional
         """
         if prior is not None and len(prior.mean) != box.n:
@@ -135,12 +135,12 @@ class LeastSquares:
 
 @final
 class LeastSquaresSearch:
-    """Running descents, side by side. `ask` and `tell` take turns.
+    """Running descents from all starts, advanced by the residuals of the points they request.
 
     Attributes
     ----------
     descents : tuple of Descent
-        One a start.
+        Descents, one per start.
     """
 
     def __init__(self, box: SearchBox, descents: tuple[Descent, ...]) -> None:
@@ -149,36 +149,36 @@ class LeastSquaresSearch:
 
     @property
     def best(self) -> Best:
-        """The first of the points with the smallest deviance told."""
+        """First of the points with the smallest deviance."""
         first = min(self.descents, key=lambda descent: descent.deviance)
         return Best(first.point, first.deviance)
 
     @property
     def fits(self) -> tuple[LeastSquaresFit, ...]:
-        """One a start, best first."""
+        """Fits, one per start, the best first."""
         return tuple(sorted((d.fit for d in self.descents), key=lambda fit: fit.deviance))
 
     @property
     def evaluations(self) -> int:
-        """Points told so far."""
+        """Number of evaluated points."""
         return sum(descent.evaluations for descent in self.descents)
 
     @property
     def done(self) -> bool:
-        """Whether all have ended; `reason` then says why."""
+        """Whether all descents have ended, for `reason`."""
         return not self._running
 
     @property
     def reason(self) -> str:
-        """Why the one that holds the best point ended; empty while any still runs."""
+        """Reason why the best descent ended; empty while any descent runs."""
         return self.fits[0].reason if self.done else ""
 
     def ask(self) -> FloatArray:
-        """(k, n) points to evaluate next; none once done. Asking again gives the same."""
+        """Return the points (k, n) to evaluate next; the same until their residuals are given."""
         return ask_all(self._running) if self._running else np.zeros((0, self.box.n))
 
     def tell(self, residuals: FloatArray) -> None:
-        """Residuals (k, m) of the points asked for; a row that is not finite has failed."""
+        """Take the residuals (k, m) of the requested points; rows that are not finite failed."""
         asked = len(self.ask())
         if np.ndim(residuals) != 2 or len(residuals) != asked:
             raise InvalidInput(
@@ -195,20 +195,20 @@ class LeastSquaresSearch:
 
 
 def roughness_of(residuals: Residuals, box: SearchBox, point: FloatArray) -> float:
-    """Change of a residual that means nothing, for `LeastSquares.roughness`.
+    """Estimate the insignificant change of a residual, for `LeastSquares.roughness`.
 
     Parameters
     ----------
     residuals : callable
     box : SearchBox
     point : (n,) array
-        One that can be evaluated.
+        Feasible point.
 
     Returns
     -------
     float
-        Largest second difference along a short line, over the root of 6 by which it exceeds the
-        scatter of one residual [standard deviations]; 0 where fewer than three points succeed.
+        Largest second difference along a short line over the root of 6, the ratio of its scatter to
+        that of one residual [standard deviations]; 0 if fewer than three points succeed.
     """
     centre = np.clip(point, box.low, box.high)
     inward = np.where(centre > 0.5 * (box.low + box.high), -1.0, 1.0)
@@ -219,7 +219,7 @@ def roughness_of(residuals: Residuals, box: SearchBox, point: FloatArray) -> flo
 
 
 def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
-    """Run a search to its end; the best fit."""
+    """Run a search to its end and return the best fit."""
     while not search.done:
         search.tell(residuals(search.ask()))
     return search.fits[0]

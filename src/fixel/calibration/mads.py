@@ -22,7 +22,7 @@ from fixel.calibration.options import positive, settle, whole
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
-THINKS_WITHIN: Final = 600.0  # [s] about the next points; it takes milliseconds
+THINKS_WITHIN: Final = 600.0  # [s] limit for the next points; usually milliseconds
 _WORDS = (
     ("frame size", "the frame shrank to {0.threshold:g} of the scale"),
     ("mesh", "the mesh became as fine as numbers are"),
@@ -33,26 +33,26 @@ _WORDS = (
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mads(AbstractOptimiser):
-    """MADS: a pattern search whose directions become dense, with models of the error to guess by.
+    """MADS: a pattern search with a dense set of directions and models of the error.
 
-    Converges for errors that are not smooth, where `PatternSearch` can get stuck at a crease, and
-    takes few evaluations where the error is smooth. It asks for one or two points at a time, so
-    many cores are no use to it. Needs `pip install "fixel[mads]"` (NOMAD is under the LGPL).
+    Converges for errors that are not smooth, where `PatternSearch` can stop at a crease, and needs
+    few evaluations for smooth errors. It requests one or two points at a time, so it cannot use
+    many cores. Needs `pip install "fixel[mads]"` (NOMAD is under the LGPL).
 
     Parameters
     ----------
     initial_frame : float
         First steps, in scales of the box.
     threshold : float
-        The search ends when its frame is smaller, in scales.
+        Size of the frame at which the search ends, in scales.
     max_evaluations : int
-        At most so many.
+        Maximum number of evaluations.
 
     Notes
     -----
-    NOMAD calls back for errors and keeps its state, random numbers included, in variables of the
-    process: two searches in one process would disturb each other. So each runs in a process of its
-    own, which ends with the search or when the search is dropped.
+    NOMAD requests errors by a callback, and stores its state, including random numbers, in global
+    variables: two searches in one process would disturb each other. So each runs in a process of
+    its own, which ends with the search or when the search is deleted.
 
     Source
     ------
@@ -117,7 +117,7 @@ class _MadsSearch(Search):
             self._nomad.close()
 
     def _problem(self) -> dict[str, Any]:
-        """In coordinates that are scales from the start."""
+        """Return the problem in coordinates relative to the start, in scales."""
         box, options = self.box, self.options
         return {
             "start": [0.0] * box.n,
@@ -153,12 +153,12 @@ class _Nomad:
 
     def tell(self, content: object) -> None:
         stream = _open(self._process.stdin)
-        with contextlib.suppress(OSError):  # it died: the answer will say so
+        with contextlib.suppress(OSError):  # it died: `answer` reports that
             stream.write(json.dumps(content) + "\n")
             stream.flush()
 
     def answer(self) -> dict[str, Any]:
-        """What it wants next; empty where it died, or was ended because it hung."""
+        """Return its next request; empty if it died, or was killed because it hung."""
         hung = threading.Timer(THINKS_WITHIN, self._process.kill)
         hung.start()
         try:
@@ -172,7 +172,7 @@ def _end(process: subprocess.Popen[str]) -> None:
     process.kill()
     process.wait()
     _open(process.stdout).close()
-    with contextlib.suppress(OSError):  # of a line that it no longer read
+    with contextlib.suppress(OSError):  # unread input
         _open(process.stdin).close()
 
 

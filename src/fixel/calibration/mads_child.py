@@ -1,7 +1,7 @@
-"""Runs NOMAD in a process of its own; see mads.py. Imports nothing of fixel.
+"""NOMAD in a process of its own; see mads.py. Imports nothing of fixel.
 
-Lines of JSON: reads the problem, then again and again writes points and reads their errors (null
-for one that failed), at last writes why NOMAD ended. Ends when nobody is left at the other side.
+The protocol is lines of JSON: read the problem, then repeatedly write points and read their errors
+(null for a failure), and finally write why NOMAD ended. Ends if the standard input is closed.
 """
 
 import json
@@ -9,13 +9,13 @@ import os
 import sys
 from typing import Any
 
-# Put for a start that failed: NOMAD would not search on without a value there.
+# Error of a start that failed: NOMAD does not continue without a value there.
 AWFUL = 1e20
 
 
 def main() -> None:
-    """Serve one search."""
-    # NOMAD writes to the standard output whatever it is told: keep that for the answers alone.
+    """Run one search."""
+    # NOMAD always writes to the standard output: redirect it, and use a copy for the answers.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)

@@ -1,7 +1,7 @@
-"""How much worse simulations fit than the noise of the measurements allows.
+"""Misfit: residuals of a calibration compared with the noise of the measurements.
 
-The noise is read off second differences of the measured poses: smooth motion and errors of a model
-nearly cancel in them, white noise of the camera does not. They need no repetitions and no model.
+The noise is estimated from second differences of measured poses, in which smooth motion and model
+errors nearly cancel, but white noise of the camera does not. No repetitions or models are needed.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from fixel.typing import FloatArray
 
 NOTED: Final = 1.5  # residuals over noise from which intervals allow for misfit...
 WARNED: Final = 3.0  # ... and from which results are headed by a warning
-# Second differences needed in all.
+# Minimum number of second differences in all.
 MIN_COUNT: Final = 20
-# Second differences of white noise have a correlation of -2/3 with the next ones. Of poses that
-# were smoothed, or of motion without noise, neighbours agree: their noise cannot be read off.
+# Neighbouring second differences of white noise have a correlation of -2/3. For smoothed poses, or
+# motion without noise, it is positive: the noise cannot be estimated.
 WHITE: Final = -0.4
-EVEN: Final = 0.1  # by how much intervals between frames may differ
-NAMED: Final = 3  # of these
+EVEN: Final = 0.1  # largest relative difference of the intervals between frames
+NAMED: Final = 3  # number of them that are named
 OUTLYING: Final = 4.0  # squared residuals over the median's that name an experiment
 _HOW: Final = {
     "stated": "as stated",
@@ -35,18 +35,18 @@ _HOW: Final = {
 
 
 class Misfit(NamedTuple):
-    """Residuals of a calibration beside the noise of its measurements.
+    """Residuals of a calibration and the noise of its measurements.
 
     Attributes
     ----------
     position_m, angle_rad : float
         Root mean square of the residuals.
     noise : Noise
-        What they are compared with.
+        Noise that they are compared with.
     worst : tuple of str
         Experiments with more than `OUTLYING` times the median squared residual, the worst first.
     share : float
-        Their share of all squared residuals, noise divided out.
+        Their share of all squared residuals, in units of the noise.
     experiments : int
         Number of experiments.
     """
@@ -60,22 +60,22 @@ class Misfit(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Residual over noise: of position or angle, whichever is larger."""
+        """Ratio of residual to noise, the larger of those of position and angle."""
         return max(self.position_m / self.noise.position_m, self.angle_rad / self.noise.angle_rad)
 
     @property
     def noted(self) -> bool:
-        """Whether intervals have to allow for it."""
+        """Whether intervals must allow for the misfit."""
         return self.ratio >= NOTED
 
     @property
     def warned(self) -> bool:
-        """Whether it has to be said first."""
+        """Whether results must begin with a warning of the misfit."""
         return self.ratio >= WARNED
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Warning for people, the size first; empty where there is nothing to warn of."""
+        """Warning in sentences, with the size first; empty without a misfit."""
         if not self.noted:
             return ()
         sizes = (self.position_m, self.noise.position_m, 1e3, "mm")
@@ -110,7 +110,7 @@ def shown_ratio(ratio: float) -> str:
 
 
 def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
-    """White noise of measured poses; None where there are too few frames or they were smoothed.
+    """Estimate the white noise of measured poses; None for too few or smoothed frames.
 
     1.4826 median |p(t+1) - 2 p(t) + p(t-1)| / sqrt(6), over all experiments, x and y together.
     """
@@ -128,7 +128,7 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
 
 
 def misfit_of(residuals: Sequence[FloatArray], keys: Sequence[str], noise: Noise) -> Misfit:
-    """Compare residuals (n_frame, 3) of experiments with a noise."""
+    """Return the misfit of residuals (n_frame, 3) of experiments."""
     table = np.concatenate(residuals)
     squares = np.mean(table**2, axis=0)
     sizes = [float(np.mean((one / noise.standard_deviations) ** 2)) for one in residuals]
@@ -146,7 +146,7 @@ def misfit_of(residuals: Sequence[FloatArray], keys: Sequence[str], noise: Noise
 
 
 def _second_differences(target: Target) -> list[FloatArray]:
-    """(k, 3) of every stretch of frames at even intervals."""
+    """Return second differences (k, 3) of every sequence of frames at equal intervals."""
     times, pose = target.case.times, target.pose.copy()
     if len(times) < 3:
         return []
@@ -160,8 +160,8 @@ def _second_differences(target: Target) -> list[FloatArray]:
 
 
 def _white(series: Sequence[FloatArray]) -> bool:
-    """Whether neighbours differ as those of white noise do; signs count, so that a jolt does not
-    decide."""
+    """Whether neighbours are correlated as for white noise; only signs are used, so that jumps
+    have little influence."""
     pairs = sum(float(np.sign(one[1:]) @ np.sign(one[:-1])) for one in series)
     count = sum(int(np.count_nonzero(one[1:] * one[:-1])) for one in series)
     # Signs of normal variables agree with the correlation 2/pi asin(rho).

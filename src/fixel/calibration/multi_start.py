@@ -17,18 +17,18 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultiStart(AbstractOptimiser):
-    """Several searches side by side, for errors with more than one minimum.
+    """Several parallel searches, for errors with more than one minimum.
 
-    Each has its own start: the first that of the box, if it is feasible, the others random feasible
-    points. They run in step, so that every ask holds a point of each and can be evaluated on
-    several cores. It costs `starts` times the evaluations; with one minimum it is a waste.
+    The first starts from the start of the box, if that is feasible, the others from random feasible
+    points. They advance together, so that every batch contains points of all searches and can be
+    evaluated on several cores. The cost is `starts` times the evaluations of one search.
 
     Parameters
     ----------
     optimiser : AbstractOptimiser
-        What runs from each start.
+        Optimiser of each search.
     starts : int
-        How many; fewer where feasible points are too rare.
+        Number of starts; fewer if feasible points are too rare.
     """
 
     name: ClassVar[str] = "multi-start"
@@ -66,12 +66,12 @@ class MultiStart(AbstractOptimiser):
 
 @final
 class MultiStartSearch(Search):
-    """Running searches.
+    """Parallel searches that are running.
 
     Attributes
     ----------
     searches : tuple of Search
-        Each with its own `best`, `reason` and `evaluations`.
+        Searches, each with its own `best`, `reason` and `evaluations`.
     """
 
     def __init__(self, box: SearchBox, searches: list[Search]) -> None:

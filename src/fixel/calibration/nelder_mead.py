@@ -1,4 +1,4 @@
-"""The search of Nelder and Mead: a simplex that tumbles downhill and shrinks."""
+"""Nelder-Mead search, with a simplex that moves downhill and shrinks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fixel.calibration.starts import feasible_points
 from fixel.calibration.walk import GeneratorSearch, Moves, inside
 from fixel.typing import FloatArray
 
-# Where the trials lie, in distances from the worst vertex to the centre of the others, beyond it.
+# Distances of the trials beyond the centre of the other vertices, over that of the worst vertex.
 REFLECTION, EXPANSION, OUTSIDE, INSIDE = range(4)
 _PLACE: Final = np.array([1.0, 2.0, 0.5, -0.5])
 _SHRINK: Final = 0.5
@@ -26,30 +26,30 @@ _SHRINK: Final = 0.5
 class NelderMead(AbstractOptimiser):
     """Nelder-Mead on n + 1 vertices, the search of the 2006 paper.
 
-    Good with few unknowns (up to about eight) and rough errors; it proves nothing, can stop where
-    nothing is, and finds one minimum. Run it from several starts (`MultiStart`).
+    Good with few unknowns (up to about eight) and rough errors. It finds at most one minimum and
+    may stop at a point that is none, so run it from several starts (`MultiStart`).
 
     Parameters
     ----------
     size : float
-        The search ends when the mean distance of the vertices from their centre, in scales of the
-        box, is below it. The size at the end is reported as the uncertainty of the minimum.
+        Mean distance of the vertices from their centre at which the search ends, in scales of the
+        box. The size at the end is reported as the uncertainty of the minimum.
     step : float
-        From the start to each of the other vertices of the first simplex, in scales.
+        Distance from the start to the other vertices of the first simplex, in scales.
     random_simplex : bool
-        First vertices at random feasible points instead, as in the paper; the start is one of them.
+        Use random feasible points as the other first vertices instead, as in the paper.
     speculative : bool
-        Ask for the reflected point, the expanded one and both contractions at once. The decisions
-        are the same, and take one evaluation's time instead of two; the evaluations are more.
+        Request the reflected point, the expanded one and both contractions at once. The decisions
+        are the same, in the time of one evaluation instead of two, with more evaluations.
     restarts : int
-        New simplices of the first one's size about the best point, as long as each finds a better
-        one: a simplex can collapse at a crease where nothing is.
+        Maximum number of new simplices of the first size about the best point, as long as each
+        finds a better one: a simplex can collapse at a crease that is no minimum.
     max_evaluations : int
-        No new step begins once they were made.
+        Number of evaluations after which no new step begins.
 
     Notes
     -----
-    A point outside the bounds counts as failed without being asked for.
+    A point outside the bounds counts as failed and is not requested.
 
     Source
     ------
@@ -87,14 +87,14 @@ class NelderMead(AbstractOptimiser):
 
 @final
 class NelderMeadSearch(GeneratorSearch):
-    """A running search.
+    """Running Nelder-Mead search.
 
     Attributes
     ----------
     size : float
         Mean distance of the vertices from their centre, in scales.
     vertices : (n + 1, n) float64
-        The simplex, best vertex first.
+        Vertices of the simplex, the best first.
     """
 
     def __init__(self, box: SearchBox, options: NelderMead, vertices: FloatArray) -> None:
@@ -126,7 +126,7 @@ class NelderMeadSearch(GeneratorSearch):
             errors = yield from self._step(errors)
 
     def _step(self, errors: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
-        """Replace the worst vertex, or shrink; the new errors, unsorted."""
+        """Replace the worst vertex, or shrink; return the new errors, unsorted."""
         centre = self.vertices[:-1].mean(axis=0)
         trials = centre + _PLACE[:, None] * (centre - self.vertices[-1])
         found = np.full(len(trials), math.inf)
@@ -148,7 +148,7 @@ class NelderMeadSearch(GeneratorSearch):
         return np.append(errors[:1], (yield from self._errors(shrunk)))
 
     def _errors(self, points: FloatArray) -> Generator[FloatArray, FloatArray, FloatArray]:
-        """Errors (k,) of points (k, n), of which only those within the bounds are asked for."""
+        """Return errors (k,) of points (k, n); inf for points out of bounds, without a request."""
         errors = np.full(len(points), math.inf)
         within = inside(self.box, points)
         if within.any():
@@ -157,8 +157,8 @@ class NelderMeadSearch(GeneratorSearch):
 
 
 def stepped_simplex(box: SearchBox, step: float) -> FloatArray:
-    """(n + 1, n): the start, and a step from it along every unknown, to the roomier side where the
-    upper bound is in the way."""
+    """Return vertices (n + 1, n): the start, and one step from it along every unknown, downwards if
+    the upper bound is too close and the lower one is farther."""
     vertices = np.tile(box.start, (box.n + 1, 1))
     for i in range(box.n):
         above, below = box.high[i] - box.start[i], box.start[i] - box.low[i]
@@ -168,13 +168,13 @@ def stepped_simplex(box: SearchBox, step: float) -> FloatArray:
 
 
 def simplex_size(box: SearchBox, vertices: FloatArray) -> float:
-    """Mean distance of vertices (k, n) from their centre, in scales."""
+    """Return the mean distance of vertices (k, n) from their centre, in scales."""
     places = vertices / box.scale
     return float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
 
 
 def _after_reflection(reflected: float, errors: FloatArray) -> int:
-    """Which trial is looked at beside the reflected point; itself where it is taken at once."""
+    """Return the trial to compare with the reflected point, or this one if it is accepted."""
     if reflected < errors[0]:
         return EXPANSION
     if reflected < errors[-2]:
@@ -183,7 +183,7 @@ def _after_reflection(reflected: float, errors: FloatArray) -> int:
 
 
 def _choice(found: FloatArray, other: int, worst: float) -> int | None:
-    """The trial that replaces the worst vertex; None to shrink."""
+    """Return the trial that replaces the worst vertex; None to shrink."""
     if other in (REFLECTION, EXPANSION):
         return other if found[other] < found[REFLECTION] else REFLECTION
     if other == OUTSIDE:

@@ -1,4 +1,4 @@
-"""How far measurements scatter, and what rise of the deviance that makes significant."""
+"""Noise of measurements, and the rise of the deviance that is significant."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ NoiseSource = Literal["stated", "repetitions", "residuals", "differences"]
 
 SOURCES: Final[tuple[NoiseSource, ...]] = get_args(NoiseSource)
 
-# A fit this improbable under the stated noise is a wrong model or a wrong noise; the scatter of the
-# residuals is believed instead. Usual: 0.01; at 0.05 one good fit in twenty is doubted.
+# Probability of a fit under the stated noise below which the model or the noise is wrong, and the
+# scatter of the residuals is used instead. Usual: 0.01; 0.05 rejects one good fit in twenty.
 IMPROBABLE: Final = 0.01
-# Degrees of freedom that an estimate is given at least. With one, the 95 % threshold is 42 times
-# that of known noise: an honest "do not know" that is still a number.
+# Minimum degrees of freedom of an estimate. With one, the 95 % threshold is 42 times that of known
+# noise: very uncertain, but finite.
 MIN_FREEDOM: Final = 1.0
-# Scatter that poses are given at least [m or rad]: simulations are not more exact than that.
+# Minimum scatter of poses, the accuracy of simulations [m or rad].
 MIN_SCATTER: Final = 1e-6
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """Scatter of measured poses about the truth.
+    """Noise of measured poses.
 
     Parameters
     ----------
     position_m : float
         Standard deviation along x and along y [m].
     angle_rad : float
-        Of the angle [rad].
+        Standard deviation of the angle [rad].
     source : str
-        `stated` by the user; scatter of `repetitions`; `residuals` of the fit itself; second
-        `differences` of measured poses.
+        Origin: `stated` by the user, scatter of `repetitions`, `residuals` of the fit itself, or
+        second `differences` of measured poses.
     correlation : float
-        Integrated autocorrelation time [frames]: so many measurements in a row say as much as one.
+        Integrated autocorrelation time, the frames that are worth one independent one [frames].
     freedom : float
-        Degrees of freedom behind the standard deviations; inf where they are known.
+        Degrees of freedom of the standard deviations; inf if they are known.
     """
 
     position_m: float
@@ -69,23 +69,23 @@ class Noise:
 
     @property
     def standard_deviations(self) -> FloatArray:
-        """(3,) of x, y, theta [m, m, rad]: what residuals are divided by."""
+        """Standard deviations (3,) of x, y, theta, by which residuals are divided [m, m, rad]."""
         return np.array([self.position_m, self.position_m, self.angle_rad])
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dispersion:
-    """Deviance that one independent measurement contributes on average, and how well it is known.
+    """Mean deviance of one independent measurement, with its degrees of freedom.
 
     Parameters
     ----------
     value : float
-        1 for independent measurements of known noise; the correlation time for correlated ones.
+        Dispersion: 1 for independent measurements of known noise, else their correlation time.
     freedom : float
-        Degrees of freedom behind it; inf where it is known.
+        Degrees of freedom of the dispersion; inf if it is known.
     source : str
-        As in `Noise`.
+        Origin, as in `Noise`.
     """
 
     value: float
@@ -93,15 +93,15 @@ class Dispersion:
     source: NoiseSource = "stated"
 
     def threshold(self, level: float = 0.95) -> float:
-        """Rise of the deviance at the ends of an interval for one parameter.
+        """Return the rise of the deviance at the ends of an interval for one parameter.
 
-        The quantile of chi-squared with one degree of freedom where the noise is known; of F(1,
-        freedom), the square of Student's t, where it was estimated.
+        It is a quantile of chi-squared with one degree of freedom if the noise is known, and of
+        F(1, freedom), the square of Student's t, if it was estimated.
 
         Parameters
         ----------
         level : float
-            Confidence, between 0 and 1.
+            Confidence level, between 0 and 1.
         """
         from scipy.special import ndtri, stdtrit
 
@@ -113,28 +113,28 @@ class Dispersion:
 
 
 def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
-    """Pooled scatter of repeated experiments about their mean.
+    """Estimate the noise from the pooled scatter of repeated experiments about their mean.
 
-    Repetitions scatter by more than the camera's noise: the part is not placed exactly alike, and
-    does not slide exactly alike. That is what a simulation cannot predict, so it is what counts.
+    Repetitions scatter by more than the noise of the camera, since placement and sliding of the
+    part vary. A simulation cannot predict these variations, so they are included.
 
     Parameters
     ----------
     groups : sequence of (n_repetition, n_frame, 3) arrays
-        Poses x, y, theta [m, m, rad] of experiments that were meant to be the same, at the same
-        times. Groups may differ in size; those of one repetition say nothing and are left out.
+        Poses x, y, theta [m, m, rad] of repetitions at the same times. Groups may differ in size;
+        those of one repetition are ignored.
 
     Returns
     -------
     Noise
-        Its freedom counts repetitions over the correlation along a trajectory.
+        Noise, whose freedom allows for the correlation along a trajectory.
     """
     deviations: list[FloatArray] = []
-    frames = 0.0  # independent of the means that were subtracted
+    frames = 0.0  # without those lost to the subtracted means
     for number, group in enumerate(groups):
         rows = _poses(group, f"groups[{number}]")
         if len(rows) >= 2:
-            # A mean of r values scatters too: this keeps the pooled variance unbiased.
+            # Corrects for the scatter of the mean, so that the pooled variance is unbiased.
             share = len(rows) / (len(rows) - 1)
             deviations.extend(math.sqrt(share) * _about_mean(rows))
             frames += rows.shape[0] / share * rows.shape[1]
@@ -157,22 +157,22 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
 
 
 def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
-    """What noise would make the fit just as good as it is.
+    """Estimate the noise from the residuals of a fit.
 
-    It takes all error of the model for noise; where repetitions exist, they know better.
+    It includes all model error; repetitions give a better estimate.
 
     Parameters
     ----------
     series : sequence of (n_frame, 3) arrays
-        Residuals of x, y, theta [m, m, rad], one array an experiment.
-    unknowns : int
-        How many were fitted.
+        Residuals of x, y, theta [m, m, rad], one array per experiment.
+            unknowns : int
+        Number of fitted unknowns.
     """
     rows = [np.asarray(one, np.float64) for one in series]
     correlation = correlation_time(rows)
     table = np.concatenate(rows)
     freedom = _freedom(table.size, unknowns, correlation)
-    # Of the freedom lost to the unknowns, each channel bears its share.
+    # The freedom lost to the unknowns is shared by the channels.
     spread = table.size / correlation / freedom
     variance = np.mean(table**2, axis=0) * spread
     return Noise(
@@ -185,15 +185,15 @@ def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
 
 
 def correlation_time(series: Sequence[ArrayLike]) -> float:
-    """Integrated autocorrelation time of residuals, pooled over series [frames].
+    """Compute the integrated autocorrelation time of residuals, pooled over series [frames].
 
-    1 for white noise; the whole length for series that are constant. No mean is subtracted: a
-    residual that keeps its sign throughout a push is as correlated as can be.
+    It is 1 for white noise and the whole length for constant series. No mean is subtracted:
+    residuals of one sign throughout a push are strongly correlated.
 
     Parameters
     ----------
     series : sequence of (n_frame,) or (n_frame, c) arrays
-        One an experiment; of c channels each is one series. Lengths may differ.
+        Residuals, one array per experiment; each of c channels is one series of any length.
 
     Source
     ------
@@ -219,18 +219,18 @@ def correlation_time(series: Sequence[ArrayLike]) -> float:
 def estimated_dispersion(
     deviance: float, count: int, unknowns: int, correlation: float = 1.0
 ) -> Dispersion:
-    """Dispersion from the fit itself: deviance over (effective count - unknowns).
+    """Estimate the dispersion from the fit itself: deviance over (effective count - unknowns).
 
     Parameters
     ----------
     deviance : float
-        At the best.
+        Deviance at the optimum.
     count : int
-        Residuals in it.
+        Number of residuals.
     unknowns : int
-        How many were fitted.
+        Number of fitted unknowns.
     correlation : float
-        `correlation_time` of the residuals: `count` over it are worth as many independent ones.
+        `correlation_time` of the residuals; `count` over it is their effective number.
     """
     freedom = _freedom(count, unknowns, _at_least_one(correlation, "correlation"))
     value = max(finite(deviance, "deviance") / freedom, float(np.finfo(np.float64).tiny))
@@ -238,20 +238,20 @@ def estimated_dispersion(
 
 
 def dispersion_of(noise: Noise, deviance: float, count: int, unknowns: int) -> Dispersion:
-    """Dispersion of residuals that were divided by a noise.
+    """Return the dispersion of residuals that were divided by a noise.
 
-    Known noise is believed unless the fit is worse than it allows (`IMPROBABLE`): then the model is
-    wrong by more than the noise, and intervals that ignore it would be far too narrow.
+    Known noise is used unless the fit is worse than it allows (`IMPROBABLE`): then the model error
+    exceeds the noise, and intervals that ignore it would be far too narrow.
 
     Parameters
     ----------
     noise : Noise
     deviance : float
-        At the best.
+        Deviance at the optimum.
     count : int
-        Residuals in it.
+        Number of residuals.
     unknowns : int
-        How many were fitted.
+        Number of fitted unknowns.
     """
     from scipy.special import fdtrc
 
@@ -260,7 +260,7 @@ def dispersion_of(noise: Noise, deviance: float, count: int, unknowns: int) -> D
         return estimated
     known = Dispersion(value=noise.correlation, freedom=noise.freedom, source=noise.source)
     ratio = estimated.value / known.value
-    # The F distribution whose second freedom is infinite is that of chi-squared over its freedom.
+    # With an infinite second freedom, F is the distribution of chi-squared over its freedom.
     chance = fdtrc(estimated.freedom, min(noise.freedom, 1e9), ratio)
     return estimated if chance < IMPROBABLE else known
 
@@ -270,14 +270,14 @@ def _freedom(count: int, unknowns: int, correlation: float) -> float:
 
 
 def _lagged(column: FloatArray) -> FloatArray:
-    """(n,) sums of products at lags 0 to n - 1."""
+    """Return the sums (n,) of products at lags 0 to n - 1."""
     n = len(column)
     spectrum = np.fft.rfft(column, 2 * n)
     return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n])
 
 
 def _standardised(series: list[FloatArray]) -> list[FloatArray]:
-    """Every channel (n,) of series (c, n), over the channel's scatter: metres weigh as radians."""
+    """Return every channel (n,) of series (c, n), divided by the scatter of the channel."""
     found: list[FloatArray] = []
     for channel in range(max((len(one) for one in series), default=0)):
         rows = [one[channel] for one in series if channel < len(one)]
@@ -287,7 +287,7 @@ def _standardised(series: list[FloatArray]) -> list[FloatArray]:
 
 
 def _about_mean(rows: FloatArray) -> FloatArray:
-    """(r, n, 3) deviations from the mean of the repetitions; angles from one another, unwound."""
+    """Return deviations (r, n, 3) from the mean of the repetitions, with unwrapped angles."""
     turned = rows.copy()
     apart = rows[:, :, 2] - rows[:1, :, 2]
     turned[:, :, 2] = apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi))

@@ -1,4 +1,4 @@
-"""From parameters to one number: how far simulations are from experiments."""
+"""Objective: error of simulations against experiments, as a function of parameters."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-ANGLE_SCALE: Final = 35e-3  # [m/rad], what the thesis counts an angle as
+ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles
 
-# Rollouts whose poses are held in memory at a time.
+# Maximum number of rollouts whose poses are in memory at a time.
 MAX_ROLLOUTS: Final = 4096
 
 
 class AbstractError(abc.ABC):
-    """How far one simulation is from one experiment."""
+    """Error of one simulation against one experiment."""
 
     name: ClassVar[str]
     unit: ClassVar[str]
 
     @abc.abstractmethod
     def of(self, difference: FloatArray) -> FloatArray:
-        """(n,) errors of simulations, from how far (n, n_sample, 3) simulated poses are from
-        measured ones: x, y [m], angle the short way [rad]."""
+        """Return errors (n,) from the differences (n, n_sample, 3) of simulated and measured
+        poses: x, y [m], angle within half a turn [rad]."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanSquare(AbstractError):
-    """The thesis's E: mean squared distance of the poses [mm^2], angles at a length.
+    """Error E of the thesis: mean squared distance of poses, angles times a length [mm^2].
 
     Source: RPI thesis, eq. 5.1, in millimetres, without the first pose, where the simulation
     starts.
@@ -62,7 +62,7 @@ class MeanSquare(AbstractError):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RootMeanSquare(AbstractError):
-    """The ASME paper's f: norm of the root mean squares of x, y and L theta [mm].
+    """Error f of the ASME paper: norm of the root mean squares of x, y and L theta [mm].
 
     Source: ASME 2006 paper, eqs. 3-4.
     """
@@ -81,7 +81,7 @@ class RootMeanSquare(AbstractError):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndPose(AbstractError):
-    """Squared distance of the last poses [mm^2], for data that have little else."""
+    """Squared distance of the last poses, for data with few other poses [mm^2]."""
 
     name: ClassVar[str] = "end-pose"
     unit: ClassVar[str] = "mm^2"
@@ -97,7 +97,7 @@ class EndPose(AbstractError):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Robust(AbstractError):
-    """Mean square that grows only linearly beyond a distance: outliers do not rule [mm^2].
+    """Mean square error that grows linearly above a distance, robust to outliers [mm^2].
 
     The loss is ``2 c^2 (sqrt(1 + d^2 / c^2) - 1)`` of each distance d, soft L1.
     """
@@ -105,7 +105,7 @@ class Robust(AbstractError):
     name: ClassVar[str] = "robust"
     unit: ClassVar[str] = "mm^2"
     angle_scale: float = ANGLE_SCALE  # [m/rad]
-    distance: float = 2e-3  # c, where squares become lines [m]
+    distance: float = 2e-3  # c, above which the loss is linear [m]
 
     def __post_init__(self) -> None:
         positive(self.angle_scale, "error.angle_scale", "m/rad")
@@ -122,33 +122,33 @@ ERRORS: Final = (MeanSquare, RootMeanSquare, EndPose, Robust)
 
 
 def _squares(difference: FloatArray, angle_scale: float) -> FloatArray:
-    """Squared distances (n, n_sample) [mm^2]."""
+    """Return squared distances (n, n_sample) [mm^2]."""
     scaled = difference * np.array([1e3, 1e3, 1e3 * angle_scale])
     return np.asarray(np.einsum("nsk,nsk->ns", scaled, scaled))
 
 
 class Evaluation(NamedTuple):
-    """Errors of rollouts, one experiment under one set of parameters each."""
+    """Errors of rollouts, each of one experiment with one parameter set."""
 
-    error: FloatArray  # (n,) inf where there is none
-    reasons: list[str]  # why there is none; empty where there is one
+    error: FloatArray  # (n,) inf for a failure
+    reasons: list[str]  # reason of a failure, else empty
 
 
 @final
 class Comparer:
-    """Simulates experiments under points of a parameter space and tells how far off they are.
+    """Comparison of experiments with simulations at points of a parameter space.
 
     Parameters
     ----------
     targets : sequence of Target
     space : ParameterSpace
-        Every free unknown must be shared by an experiment.
+        Parameter space; every free unknown must apply to an experiment.
     error : AbstractError, optional
-        `MeanSquare()` where left out.
+        Error, by default `MeanSquare()`.
     motion, stepper : optional
-        `QuasiStatic()` and `Adaptive()` where left out.
+        Motion model and stepper, by default `QuasiStatic()` and `Adaptive()`.
     threads : int, optional
-        All cores where left out; no bit depends on it.
+        Number of threads, all cores by default; does not affect the result.
     """
 
     def __init__(
@@ -173,18 +173,18 @@ class Comparer:
             self._measured[k, : len(target.pose)] = target.pose
 
     def over(self, space: ParameterSpace) -> Comparer:
-        """The same experiments in another space."""
+        """Return a comparer of the same experiments in another space."""
         other = copy.copy(self)
         other.space, other._columns = space, _Columns(self.targets, space)
         return other
 
     def errors(self, which: IntArray, points: FloatArray) -> Evaluation:
-        """Errors of experiments under points.
+        """Compute errors of experiments at points.
 
         Parameters
         ----------
         which : (n,) int
-            Number of the target of each rollout.
+            Index of the target of each rollout.
         points : (n, n_free) float64
         """
         error, reasons = np.full(len(which), math.inf), []
@@ -192,7 +192,7 @@ class Comparer:
             rows = slice(k, k + MAX_ROLLOUTS)
             difference, good, why = self.differences(which[rows], points[rows])
             length = self._length[which[rows]]
-            # By length, not padded: how numbers add up depends on how many there are.
+            # Grouped by length, not padded: rounding of sums depends on the number of terms.
             for n in np.unique(length):
                 own = length == n
                 error[rows][own] = self.error.of(difference[own, :n])
@@ -203,8 +203,8 @@ class Comparer:
     def residuals_at(
         self, members: Sequence[int] | IntArray, point: FloatArray
     ) -> list[FloatArray]:
-        """(n_frame, 3) differences of experiments at one point (n_free,), as `differences` has
-        them; those without a simulation are left out."""
+        """Return the differences (n_frame, 3) of experiments at one point (n_free,), as from
+        `differences`, without failed simulations."""
         own = np.asarray(members, np.int64)
         points = np.repeat(np.asarray(point, np.float64)[None], len(own), axis=0)
         difference, good, _ = self.differences(own, points)
@@ -212,11 +212,11 @@ class Comparer:
         return [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
 
     def length(self, which: IntArray) -> IntArray:
-        """(n,) samples that experiments have."""
+        """Return the number of samples (n,) of experiments."""
         return np.asarray(self._length[which])
 
     def feasible(self, points: FloatArray) -> BoolArray:
-        """(k,) whether every experiment can be simulated at the points at all."""
+        """Return a mask (k,) of the points at which every experiment is feasible."""
         n = len(self.targets)
         which = np.tile(np.arange(n), len(points))
         reasons = [""] * len(which)
@@ -230,8 +230,8 @@ class Comparer:
     def differences(
         self, which: IntArray, points: FloatArray
     ) -> tuple[FloatArray, BoolArray, list[str]]:
-        """How far (n, n_sample, 3) simulated poses are from measured ones, zero beyond an
-        experiment's last; which simulations came to their end; why the others did not."""
+        """Simulate rollouts: return differences (n, n_sample, 3) from the measured poses, zero
+        after the last one, which simulations converged, and reasons of failures."""
         n, n_sample = len(which), self.ensemble.n_sample
         pose = np.zeros((n, n_sample, 3))
         good = np.zeros(n, bool)
@@ -249,12 +249,12 @@ class Comparer:
 
 
 class _Columns:
-    """Which unknown gives which experiment its value of a parameter."""
+    """Assignment of the unknowns of a space to the parameters of experiments."""
 
     def __init__(self, targets: Sequence[Target], space: ParameterSpace) -> None:
         free = {label: k for k, label in enumerate(space.labels)}
         n_free = len(free)
-        # Frozen unknowns stand behind the free ones, as columns that are the same in every row.
+        # Frozen unknowns are constant columns behind those of the free ones.
         place = {u.label: free.get(u.label, n_free + k) for k, u in enumerate(space.unknowns)}
         self._constant = np.array([u.nominal for u in space.unknowns])
         rows = []
@@ -275,7 +275,7 @@ class _Columns:
     def groups(
         self, which: IntArray, points: FloatArray
     ) -> list[tuple[IntArray, Mapping[str, FloatArray]]]:
-        """Rollouts that vary the same parameters, and the values (n,) of these by name."""
+        """Return groups of rollouts that vary the same parameters, with values (n,) by name."""
         constant = np.broadcast_to(self._constant, (len(points), len(self._constant)))
         table = np.concatenate((points, constant), axis=1)
         kind = self._kind[which]
@@ -289,7 +289,7 @@ class _Columns:
 
 
 def _refuse_idle(targets: Sequence[Target], space: ParameterSpace) -> None:
-    """Refuse an unknown that no experiment could say anything about."""
+    """Raise `InvalidInput` for an unknown that applies to no experiment."""
     for unknown in space.free:
         if not any(unknown.covers(target.conditions) for target in targets):
             raise InvalidInput(
@@ -305,13 +305,13 @@ COMBINATIONS: Final = ("sum", "mean", "largest")
 
 @final
 class Objective:
-    """The error of several experiments together, at points of the space.
+    """Combined error of several experiments at points of the space.
 
     Parameters
     ----------
     comparer : Comparer
     members : sequence of int, optional
-        Numbers of the targets; all where left out.
+        Indices of the targets, by default all.
     combine : str
         `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
     """
@@ -330,7 +330,7 @@ class Objective:
         self.combine = combine
 
     def members_at(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Errors (k, n_member) at points (k, n_free), and why a point has none."""
+        """Return errors (k, n_member) at points (k, n_free), and reasons of failures."""
         k, n = len(points), len(self.members)
         evaluated = self.comparer.errors(
             np.tile(self.members, k), np.repeat(np.asarray(points, np.float64), n, axis=0)
@@ -344,11 +344,11 @@ class Objective:
         return evaluated.error.reshape(k, n), reasons
 
     def combined(self, errors: FloatArray) -> FloatArray:
-        """(k,) of errors (k, n_member)."""
+        """Return the combination (k,) of errors (k, n_member)."""
         if self.combine == "largest":
             return np.asarray(errors.max(axis=1))
         return np.asarray(errors.sum(axis=1) if self.combine == "sum" else errors.mean(axis=1))
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """(k,) combined errors at points (k, n_free)."""
+        """Return the combined errors (k,) at points (k, n_free)."""
         return self.combined(self.members_at(points)[0])

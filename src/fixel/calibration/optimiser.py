@@ -1,9 +1,9 @@
-"""What every optimiser promises: ask for points, be told their errors.
+"""Interface of the optimisers: a search returns points and receives their errors.
 
-An optimiser's options are a frozen dataclass; `start` begins a search in a box. The search is a
-state machine that never evaluates anything itself, so the same search runs in a loop, on a cluster
-or from a journal of what was evaluated before an interruption: told the same errors, it asks for
-the same points, bit by bit.
+The options of an optimiser are a frozen dataclass; `start` begins a search in a box. The search is
+a state machine that evaluates nothing itself, so the same search runs in a loop, on a cluster, or
+from a journal of an interrupted job. For the same errors it returns the same points, bit for
+bit.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from fixel.typing import FloatArray
 
 
 class SearchBox(NamedTuple):
-    """Where to search; all arrays (n,), in the units of the parameters."""
+    """Box of a search: arrays (n,) in the units of the parameters."""
 
     low: FloatArray
     high: FloatArray
     start: FloatArray
-    scale: FloatArray  # steps worth taking
+    scale: FloatArray  # typical steps
 
     @property
     def n(self) -> int:
@@ -38,14 +38,14 @@ Feasible = Callable[[FloatArray], np.ndarray]
 
 
 class Best(NamedTuple):
-    """The best point told so far."""
+    """Best point so far."""
 
     point: FloatArray  # (n,)
-    error: float  # inf where no finite error was told
+    error: float  # inf without a finite error
 
 
 class Search(abc.ABC):
-    """One running search. `ask` and `tell` take turns."""
+    """Running search, advanced by the errors of the points that it requests."""
 
     def __init__(self, box: SearchBox) -> None:
         self.box = box
@@ -56,19 +56,19 @@ class Search(abc.ABC):
 
     @property
     def best(self) -> Best:
-        """The first of the points with the smallest error told."""
+        """First of the points with the smallest error."""
         return self._best
 
     @property
     def done(self) -> bool:
-        """Whether it has ended; `reason` then says why."""
+        """Whether the search has ended, for `reason`."""
         return bool(self.reason)
 
     @final
     def ask(self) -> FloatArray:
-        """(k, n) points to evaluate next, within the bounds; none once the search is done.
+        """Return the points (k, n) to evaluate next, within the bounds; none at the end.
 
-        Asking again before telling gives the same points.
+        It returns the same points until their errors are given.
         """
         if self._asked is None:
             self._asked = np.zeros((0, self.box.n)) if self.done else self._next()
@@ -76,7 +76,7 @@ class Search(abc.ABC):
 
     @final
     def tell(self, errors: FloatArray) -> None:
-        """Errors (k,) of the points asked for; inf, and NaN, for those that failed."""
+        """Take the errors (k,) of the requested points; inf or NaN for failures."""
         asked = self.ask()
         told = np.asarray(errors, np.float64)
         if told.shape != (len(asked),):
@@ -94,7 +94,7 @@ class Search(abc.ABC):
 
     @abc.abstractmethod
     def _next(self) -> FloatArray:
-        """(k, n) points; k at least 1. Called once for each `_learn`."""
+        """Return points (k, n), k at least 1. Called once for each `_learn`."""
 
     @abc.abstractmethod
     def _learn(self, points: FloatArray, errors: FloatArray) -> None:
@@ -102,7 +102,7 @@ class Search(abc.ABC):
 
 
 class AbstractOptimiser(abc.ABC):
-    """Options of a search. Members are frozen, keyword-only dataclasses."""
+    """Options of a search. Subclasses are frozen, keyword-only dataclasses."""
 
     name: ClassVar[str]
 
@@ -114,7 +114,7 @@ class AbstractOptimiser(abc.ABC):
         ----------
         box : SearchBox
         seed : int
-            Of whatever is random.
+            Seed of the random numbers.
         feasible : callable, optional
-            For random starts; a search may also ask for points that are not, and be told inf.
+            Test of points for random starts; a search may also request other points.
         """

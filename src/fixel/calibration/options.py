@@ -11,7 +11,7 @@ __all__ = ["between", "fraction", "positive", "settle", "whole"]
 
 
 def whole(value: object, where: str, least: int = 1) -> int:
-    """A whole number of at least `least`."""
+    """Return a whole number of at least `least`, or raise `InvalidInput`."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -22,7 +22,7 @@ def whole(value: object, where: str, least: int = 1) -> int:
 
 
 def between(value: object, where: str) -> float:
-    """A number from 0 to 1 that is neither."""
+    """Return a number between 0 and 1, exclusive, or raise `InvalidInput`."""
     number = positive(value, where)
     if number >= 1.0:
         raise InvalidInput(where, found=number, expected="a number between 0 and 1")

@@ -1,4 +1,4 @@
-"""Pattern searches: try a step up and down along every unknown, take the best."""
+"""Pattern searches: try a step up and down along every unknown and take the best."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from fixel.typing import FloatArray
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatternSearch(AbstractOptimiser):
-    """The search of the thesis: Dakota's `coliny_pattern_search`, coordinate basis, basic pattern.
+    """Search of the thesis: Dakota's `coliny_pattern_search`, coordinate basis, basic pattern.
 
-    All trials of an iteration are asked for at once; those out of bounds are left out, not moved
-    inside. Robust and easy to follow; where unknowns are strongly correlated it crawls, and
-    `NelderMead` gets further on the same number of evaluations.
+    All trials of an iteration are requested at once; those out of bounds are skipped, not moved
+    inside. The search is robust and simple, but slow for strongly correlated unknowns, for which
+    `NelderMead` achieves more with the same number of evaluations.
 
     Parameters
     ----------
     initial_delta : float
-        First step, in scales of the box. An unknown's scale is a tenth of its range unless it was
-        given, which is Dakota's rescaling.
+        First step, in scales of the box. As in Dakota's rescaling, the scale of an unknown is a
+        tenth of its range unless it is given.
     threshold_delta : float
-        The search ends when the step is not above it.
+        Smallest step; the search ends when the step is not larger.
     contraction_factor : float
-        Of the step, after an iteration without success.
+        Factor on the step after an iteration without success.
     expand_after : int, optional
-        Successes in a row after which the step grows by 1 / `contraction_factor`; None: never.
+        Successes in a row after which the step is divided by `contraction_factor`; None: never.
     sufficient_decrease : float
-        A trial succeeds when its error is below the iterate's by more than this times the square
-        of the step.
+        A trial is a success if its error is smaller than that of the iterate by more than this
+        times the square of the step.
     solution_accuracy : float, optional
-        An error at which to stop.
+        Error at which the search stops.
     max_iterations, max_function_evaluations : int
-        No new iteration begins once one of them is reached.
+        Limits after which no new iteration begins.
     contract_always : bool
-        Contract at every iteration, never expand: what the thesis's prose says in 5.1.1, not what
-        Dakota does.
+        Contract at every iteration and never expand, as in the text of the thesis (5.1.1), but not
+        in Dakota.
 
     Source
     ------
@@ -92,14 +92,14 @@ class PatternSearch(AbstractOptimiser):
 
 @final
 class PatternSearchSearch(GeneratorSearch):
-    """A running pattern search.
+    """Running pattern search.
 
     Attributes
     ----------
     delta : float
-        The step, in scales.
+        Present step, in scales.
     iterations : int
-        Finished or under way.
+        Number of iterations begun.
     """
 
     def __init__(self, box: SearchBox, options: PatternSearch) -> None:
@@ -125,7 +125,7 @@ class PatternSearchSearch(GeneratorSearch):
         return reason
 
     def _trials(self, point: FloatArray) -> FloatArray:
-        """Up along every unknown, then down along every unknown: SCOLIB's order."""
+        """Return the trials: up along every unknown, then down along every unknown, as SCOLIB."""
         step = self.delta * np.diag(self.box.scale)
         trials = np.concatenate((point + step, point - step))
         return np.asarray(trials[inside(self.box, trials)], np.float64)
@@ -157,24 +157,24 @@ class PatternSearchSearch(GeneratorSearch):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedStepSearch(AbstractOptimiser):
-    """The thesis's own search: a few rounds of steps that never shrink, to polish a good start.
+    """Search of the thesis's own code: a few rounds of constant steps, to improve a good start.
 
-    It goes at most `rounds` steps from its start, so it is no search for a start that is not good.
+    It moves at most `rounds` steps from its start, so a bad start cannot be corrected.
 
     Parameters
     ----------
     step : float
-        Of every unknown, in scales of the box.
+        Step of every unknown, in scales of the box.
     steps : sequence of float, optional
-        One step an unknown, in the unknown's own unit, in place of `step`. The thesis takes 0.05
-        for each friction and 0.002 m for the tripod radius.
+        One step per unknown, in its own unit, instead of `step`. The thesis takes 0.05 for each
+        friction and 0.002 m for the tripod radius.
     rounds : int
-        At most so many; the first that finds nothing better is the last.
+        Maximum number of rounds; the search ends after a round without improvement.
 
     Notes
     -----
     A trial beyond a bound is moved onto it. The thesis moves negative values to zero and has no
-    upper bounds: the same for unknowns whose lower bound is zero, as long as the upper is far.
+    upper bounds, which is the same for a lower bound of zero and a distant upper bound.
 
     Source
     ------

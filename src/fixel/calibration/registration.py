@@ -1,8 +1,8 @@
-"""Where the pusher really was, from how far it seems to be from the object it touches.
+"""Registration of the pusher, from its apparent gaps to the object that it touches.
 
-A tracker and a robot have a frame each. Where the shift between them is unknown, a tip that touches
+A tracker and a robot each have a frame. If the shift between them is unknown, a tip that touches
 the object seems to be a millimetre away from it on one side, and a millimetre inside on the other.
-No physics is needed to find the shift.
+The shift can be found without simulation.
 """
 
 from __future__ import annotations
@@ -18,50 +18,50 @@ from fixel.model import Disk, Shape
 from fixel.model.fields import positive
 from fixel.typing import BoolArray, FloatArray
 
-# Gaps beyond this are of pushers that have left the object [m].
+# Gaps above this belong to pushers that have left the object [m].
 LARGEST_GAP: Final = 2.5e-3
-# What gaps scatter by once the frames agree [m]; beyond, a gap counts less and less.
+# Scatter of gaps when the frames agree; larger gaps have decreasing weights [m].
 SCATTER: Final = 0.25e-3
 # Iterations of reweighting; the shift settles to a micrometre in about ten.
 ROUNDS: Final = 50
-# After so many rounds, gaps beyond three times the scatter, and this [m], count no more.
+# After this number of rounds, gaps above three times the scatter and `MIN_CUT` [m] are ignored.
 WARM_UP: Final = 4
 MIN_CUT: Final = 0.8e-3
 
 
 class Registration(NamedTuple):
-    """Shift from where the pusher was recorded to where it was, in the world."""
+    """Shift from the recorded to the real position of the pusher, in the world."""
 
     shift: FloatArray  # (2,) [m]: `registration_x`, `registration_y`
-    n_touching: int  # poses that were taken for contact
+    n_touching: int  # poses that count as contact
     scatter_before: float  # median absolute gap of these, as recorded [m]
-    scatter_after: float  # and with the pusher moved [m]
+    scatter_after: float  # the same with the shift [m]
 
 
 def gaps_and_normals(
     shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Distance of round tips from an outline, and the direction in which it grows.
+    """Return the gaps between round tips and an outline, and the outward normals.
 
     Exact for convex outlines.
 
     Parameters
     ----------
     shape : Shape
-        Of the object.
-    radius : float
-        Of the tip [m].
-    pose : (n, 3) float64
-        Of the object [m, m, rad].
+        Shape of the object.
+            radius : float
+        Radius of the tip [m].
+            pose : (n, 3) float64
+        Poses of the object [m, m, rad].
     tip : (n, 2) float64
-        Centre of the tip [m].
+        Centres of the tip [m].
 
     Returns
     -------
     gap : (n,) float64
-        Negative in overlap [m].
+        Gaps, negative for overlap [m].
     normal : (n, 2) float64
-        Outward, in the world [-].
+        Outward normals in the world [-].
     """
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     dx, dy = (tip - pose[:, :2]).T
@@ -76,7 +76,7 @@ def gaps_and_normals(
 
 
 def _from_polygon(outline: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (n,), and vectors (n, 2) that point outward."""
+    """Return signed distances (n,), and vectors (n, 2) that point outward."""
     polygon = shapely.Polygon(outline)
     points = shapely.points(point)
     along = shapely.line_locate_point(polygon.exterior, points)
@@ -95,20 +95,20 @@ def registration_from_gaps(
     prior: ArrayLike = (0.0, 0.0),
     prior_sd: float = 1e-3,
 ) -> Registration:
-    """The shift of a round tip that brings it into contact with the object.
+    """Estimate the shift of a round tip that brings it into contact with the object.
 
-    Solves gap + normal . shift = 0 over all poses, robustly: a tip that has slid off the object
-    says nothing, and counts nothing once it is seen to be away.
+    Solves gap + normal . shift = 0 over all poses, robustly: poses of a tip that has left the
+    object get the weight zero.
 
     Parameters
     ----------
     shape, radius, pose, tip
-        As for `gaps_and_normals`; poses at which the tip mostly touches, such as ends of pushes.
+        Arguments of `gaps_and_normals`; the tip should touch at most poses (ends of pushes).
     prior : (2,) array_like
-        Shift to be expected [m].
+        Expected shift [m].
     prior_sd : float
-        Standard deviation about it [m]. It settles what few poses, or poses that were all pushed
-        from one side, leave open.
+        Standard deviation of the expected shift [m]. It determines the shift where the poses are
+        few or were all pushed from one side.
 
     Source
     ------

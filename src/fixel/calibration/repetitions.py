@@ -1,4 +1,4 @@
-"""Experiments that were done again under the same conditions."""
+"""Repetitions: experiments under the same conditions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TRUTH: Final = "truth_"
 
 
 def same_configuration(target: Target) -> str:
-    """What repetitions of one experiment have in common; its key where it counts none."""
+    """Return a label that repetitions of an experiment share; its key if it is no repetition."""
     if "repetition" not in target.conditions:
         return target.key
     kept = {
@@ -28,16 +28,16 @@ def same_configuration(target: Target) -> str:
 
 
 def repetitions(targets: Sequence[Target], *, ends: bool = False) -> list[FloatArray]:
-    """(n_repetition, n_frame, 3) poses of every experiment that was repeated, at the same instants.
+    """Return poses (n_repetition, n_frame, 3) of each repeated experiment, at common instants.
 
-    A camera loses frames, each time others: the k-th frame of one repetition is not the k-th of the
-    next. Between frames poses are interpolated, over the time that all repetitions cover.
+    A camera loses different frames each time, so the k-th frames of repetitions do not correspond.
+    Poses are interpolated between frames, over the time that all repetitions cover.
 
     Parameters
     ----------
     targets : sequence of Target
     ends : bool
-        Only the last pose of each, where nothing else is compared.
+        Return only the last pose of each, if nothing else is compared.
     """
     groups: dict[str, list[Target]] = {}
     for target in targets:

@@ -1,4 +1,4 @@
-"""One side of a profile: which value to fix next, and where the deviance crosses the threshold."""
+"""One side of a profile: choice of the next fixed value, and crossing of the threshold."""
 
 from __future__ import annotations
 
@@ -12,55 +12,55 @@ from fixel.calibration.descent import LeastSquaresFit
 from fixel.calibration.optimiser import SearchBox
 from fixel.typing import BoolArray, FloatArray
 
-# The rise is measured as a length: the root of the rise over the threshold, so that it grows in a
-# straight line away from a smooth optimum and is 1 at the crossing.
-# First fixed value, as a share of the way to the crossing that the curvature predicts: a little
-# beyond, so that one value confirms the prediction.
+# The rise is measured as a length: the root of the rise over the threshold. It grows linearly near
+# a smooth optimum and is 1 at the crossing.
+# First fixed value, as a share of the way to the crossing predicted by the curvature: slightly
+# beyond it, so that one value can confirm the prediction.
 FIRST_SHARE: Final = 1.05
 HALF_WAY: Final = 0.5
-# Distance from a bound, as a share of the range, that counts as on it.
+# Distance from a bound that counts as on it, as a share of the range.
 ON_BOUND: Final = 1e-3
-# The prediction is confirmed where the length there is above 1 by no more than this.
+# The prediction is confirmed if the length there exceeds 1 by no more than this.
 CONFIRMED: Final = 0.15
-# Growth of the length from one value to the next: three values before the crossing.
+# Growth of the length from one value to the next, for three values before the crossing.
 STRIDE: Final = 0.4
-# Where a value beyond the crossing is aimed at.
+# Intended length of a value beyond the crossing.
 AIM: Final = 1.1
-# Longest step, as a share of the way to the bound, and over the step before.
-MAX_STEP: Final = 0.5
+# Longest step, as a share of the way to the bound, and relative to the previous step.
+LONGEST: Final = 0.5
 GROWTH: Final = 2.0
 # Shortest step [scales].
-MIN_STEP: Final = 1e-6
-# A bracket is narrow enough when an end is this close to the threshold, or its width is this share
-# of the distance: a 3 per cent error of an interval's half-width changes no conclusion.
-CLOSE_RISE: Final = 0.06
+SHORTEST: Final = 1e-6
+# A bracket is narrow enough if an end is this close to the threshold, or its width is this share
+# of the distance: 3 per cent of the half-width of an interval do not matter.
+CLOSE: Final = 0.06
 NARROW: Final = 0.03
-# Values fixed on a side, at most.
+# Maximum number of fixed values on a side.
 MAX_NODES: Final = 30
 
 
 class Node(NamedTuple):
-    """One fixed value of a profile."""
+    """Fixed value of a profile, with the best values of the other parameters."""
 
     value: float
-    deviance: float  # least over the other parameters; inf where nothing could be evaluated
-    point: FloatArray  # (n,) where it is least
+    deviance: float  # minimum over the other parameters; inf if nothing could be evaluated
+    point: FloatArray  # (n,) point of the minimum
 
 
 @final
 class Side:
-    """The values of one unknown on one side of the best.
+    """Fixed values of one unknown on one side of the optimum.
 
     Parameters
     ----------
     box : SearchBox
     index : int
-        Of the unknown.
+        Index of the unknown.
     sign : int
         +1 upwards, -1 downwards.
     best : Node
     reach : float
-        Predicted distance of the crossing, inf where the curvature says nothing.
+        Predicted distance of the crossing; inf without a usable curvature.
     slope : (n,) array
         Predicted change of the point per change of the unknown.
     """
@@ -71,20 +71,20 @@ class Side:
         self.index, self.sign = index, sign
         self.bound = float(box.high[index] if sign > 0 else box.low[index])
         self.nodes = [best]
-        self.beyond: list[Node] = []  # values past the crossing, for a look at the rest
+        self.beyond: list[Node] = []  # values beyond the crossing, to check the rest of the range
         self._scale, self._scales = float(box.scale[index]), box.scale
         self._reach, self._slope = reach, slope
         self.columns: FloatArray | None = None  # (m, n) derivatives near the last node
         self._at, self._residual = best.point, np.zeros(0)
         self._centre = best.value
         self._room = abs(self.bound - best.value)
-        # On a bound the deviance may rise in a line: a value half-way tells.
+        # On a bound the deviance may rise linearly: test a value half-way.
         bounds = np.array([box.low[index], box.high[index]])
         on_bound = np.abs(best.value - bounds).min() <= ON_BOUND * np.ptp(bounds)
         self._first = reach * (HALF_WAY if on_bound else FIRST_SHARE)
 
     def add(self, node: Node) -> None:
-        """Take the deviance of a fixed value, or a lower one of a value known already."""
+        """Add the deviance of a fixed value, or a lower deviance of a known value."""
         for k, known in enumerate(self.nodes):
             if known.value == node.value:
                 self.nodes[k] = node if node.deviance < known.deviance else known
@@ -93,15 +93,15 @@ class Side:
         self.nodes.sort(key=lambda known: self._distance(known.value))
 
     def begin(self, point: FloatArray, residual: FloatArray, columns: FloatArray) -> None:
-        """Take residuals (m,) and derivatives (m, n) at a point, for the first fixed value."""
+        """Set the residuals (m,) and derivatives (m, n) at a point, for the first fixed value."""
         if len(columns) == len(residual) > 0:
             self.columns, self._at, self._residual = columns.copy(), point, residual
 
     def learn(self, fit: LeastSquaresFit, free: BoolArray) -> None:
-        """Correct the derivatives by what a fit at a fixed value has met.
+        """Update the derivatives after a fit at a fixed value.
 
-        Fresh ones replace those of the parameters that were free; the change of the residuals from
-        the last node to this one corrects the others (Broyden's update).
+        Derivatives of the free parameters are replaced by those of the fit. The others are
+        corrected by the change of the residuals since the last node (Broyden's update).
         """
         if not fit.residual.size:
             return
@@ -118,8 +118,8 @@ class Side:
             self._at, self._residual = fit.point, fit.residual
 
     def next_value(self, threshold: float) -> float | None:
-        """The next value to fix; None when the crossing is known, or there is none."""
-        if self._room <= MIN_STEP * self._scale or len(self.nodes) > MAX_NODES:
+        """Return the next value to fix; None if the crossing is known, or there is none."""
+        if self._room <= SHORTEST * self._scale or len(self.nodes) > MAX_NODES:
             return None
         above = self.first_above(threshold)
         if above is None:
@@ -127,20 +127,20 @@ class Side:
         return self._between(self.nodes[above - 1], self.nodes[above], threshold)
 
     def first_above(self, threshold: float) -> int | None:
-        """Number of the first node above the threshold, counted from the best."""
+        """Return the index of the first node above the threshold, counted from the optimum."""
         for k, length in enumerate(self.lengths(threshold)):
             if k and length >= 1.0:
                 return k
         return None
 
     def lengths(self, threshold: float) -> list[float]:
-        """Root of the rise over the threshold of each node."""
+        """Return the length of each node: the root of its rise over the threshold."""
         return [self._length(node, threshold) for node in self.nodes]
 
     def crossing(self, threshold: float) -> float | None:
-        """Where the deviance has risen by the threshold; None where it does not inside the bounds.
+        """Return the value at which the deviance has risen by the threshold; None if there is none.
 
-        A value that cannot be evaluated is a bound too.
+        A value that cannot be evaluated counts as a bound.
         """
         above = self.first_above(threshold)
         if above is None or math.isinf(self.nodes[above].deviance):
@@ -149,7 +149,7 @@ class Side:
         return inner.value + (outer.value - inner.value) * self._share(inner, outer, threshold)
 
     def edge(self, threshold: float) -> Node:
-        """The node nearest to the crossing, or the last where there is none."""
+        """Return the node nearest to the crossing, or the last one without a crossing."""
         above = self.first_above(threshold)
         if above is None:
             return self.nodes[-1]
@@ -159,7 +159,7 @@ class Side:
         return min(known, key=lambda node: abs(node.deviance - base - threshold))
 
     def guesses(self, value: float) -> FloatArray:
-        """(k, n) points to start from with the unknown fixed at a value, the likeliest first."""
+        """Return start points (k, n) for a fixed value of the unknown, the likeliest first."""
         known = [node for node in self.nodes if math.isfinite(node.deviance)]
         near = sorted(known, key=lambda node: abs(node.value - value))[:2]
         if len(near) == 1:
@@ -192,14 +192,14 @@ class Side:
     def _between(self, inner: Node, outer: Node, threshold: float) -> float | None:
         a, b = (self._length(node, threshold) for node in (inner, outer))
         from_, to = self._distance(inner.value), self._distance(outer.value)
-        narrow = to - from_ <= max(NARROW * to, MIN_STEP * self._scale)
-        # From the best alone one cannot tell a parabola from a line: one more value in between.
+        narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
+        # The optimum and one value do not distinguish a parabola from a line: add one in between.
         predicted = a == 0.0 and abs(to - FIRST_SHARE * self._reach) <= 1e-6 * to
         if narrow or (predicted and b - 1.0 <= CONFIRMED):
             return None
         if a > 0.0 and min(1.0 - a, b - 1.0) <= CLOSE_RISE:
             return None
-        # Interpolation halves a bracket slowly where the deviance jumps, so every third is halved.
+        # Interpolation is slow where the deviance jumps, so every third step is a bisection.
         share = (
             0.5
             if math.isinf(b) or len(self.nodes) % 3 == 0
@@ -208,7 +208,7 @@ class Side:
         return self._placed(from_ + min(max(share, 0.1), 0.9) * (to - from_))
 
     def _share(self, inner: Node, outer: Node, threshold: float) -> float:
-        """Share of the way from one node to the other at which the deviance crosses."""
+        """Return the share of the way between two nodes at which the deviance crosses."""
         pair = (inner, outer)
         distances = [self._distance(node.value) for node in pair]
         return crossing_share(distances, [self._length(node, threshold) for node in pair])
@@ -223,15 +223,15 @@ class Side:
 
 
 def crossing_share(distances: Sequence[float], lengths: Sequence[float]) -> float:
-    """Share of the way from one value to the next at which the length is 1.
+    """Return the share of the way from one value to the next at which the length is 1.
 
-    On the parabola through the best and both values: a minimum inside the bounds makes one without
-    a linear term, a best on a bound one with; else on the straight line of lengths.
+    It is that of the parabola through the optimum and both values, with a linear term if the
+    optimum is on a bound; otherwise that of linearly interpolated lengths.
 
     Parameters
     ----------
     distances : two floats
-        From the best.
+        Distances from the optimum.
     lengths : two floats
         Roots of the rise over the threshold, below and above 1.
     """

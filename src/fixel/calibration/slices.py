@@ -1,4 +1,4 @@
-"""Conditional slices: the deviance along one unknown while the others are held."""
+"""Conditional slices: the deviance along one unknown with the others fixed."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.side import crossing_share
 from fixel.typing import FloatArray
 
-# Distances of the first look, from the bound inwards, where no curvature predicts the crossing;
-# each is this many times the one before.
+# Ratio and number of the first distances, from the bound inwards, if no curvature predicts the
+# crossing.
 RATIO: Final = 4.0
 LOOKS: Final = 3
-# Place of the first look, as a share of the way to the predicted crossing.
+# First distance, as a share of the way to the predicted crossing.
 AIM: Final = 1.05
-# A look this close to the threshold is the crossing, as is one in a bracket this narrow: share of
-# the rise's root, and of the distance.
-CLOSE_RISE: Final = 0.1
+# Tolerances of the crossing: shares of the root of the rise, and for a bracket of the
+# distance.
+CLOSE: Final = 0.1
 CONFIRMED: Final = 0.05
 NARROW: Final = 0.2
-# Rounds of points between the two that bracket the crossing, at most.
+# Maximum number of rounds of points inside a bracket.
 MAX_ROUNDS: Final = 2
 
 
 class Slice(NamedTuple):
-    """Deviance along one unknown, the others held at the best."""
+    """Deviance along one unknown, with the others at the optimum."""
 
     values: FloatArray  # (k,) ascending
-    deviances: FloatArray  # (k,) inf where a point could not be evaluated
-    low: float | None  # where the rise reaches the threshold; None where it does not
+    deviances: FloatArray  # (k,) inf for failures
+    low: float | None  # value at which the rise reaches the threshold; None without one
     high: float | None
 
 
 @final
 class Slicer:
-    """Both directions of a slice, in a few rounds.
+    """Computation of a slice in both directions, in a few rounds.
 
     Parameters
     ----------
     box : SearchBox
     index : int
-        Of the unknown.
+        Index of the unknown.
     best : Best
     threshold : float
         Rise of the deviance at the ends of the interval.
     reach : float
-        Distance of the crossing that the curvature predicts; inf where it says nothing.
+        Distance of the crossing predicted by the curvature; inf without a prediction.
     """
 
     def __init__(
@@ -63,25 +63,25 @@ class Slicer:
 
     @property
     def done(self) -> bool:
-        """Whether both crossings are known well enough."""
+        """Whether both crossings are known with sufficient accuracy."""
         return self._round > MAX_ROUNDS or (self._round > 0 and not self._closer())
 
     def ask(self) -> FloatArray:
-        """(k, n) points; none once done."""
+        """Return points (k, n) to evaluate; none at the end."""
         values = [] if self.done else self._closer() if self._round else self._first()
         points = np.repeat(self._best.point[None], len(values), axis=0)
         points[:, self._index] = values
         return points
 
     def tell(self, deviances: FloatArray) -> None:
-        """Deviances (k,) of the points asked for."""
+        """Take the deviances (k,) of the requested points."""
         values = self.ask()[:, self._index].tolist()
         self._known.update(zip(values, deviances.tolist(), strict=True))
         self._round += 1
 
     @property
     def slice(self) -> Slice:
-        """What was found."""
+        """Slice from all evaluated points."""
         values = np.array(sorted(self._known))
         deviances = np.array([self._known[value] for value in values.tolist()])
         low, high = (self._crossing(sign) for sign in (-1, 1))
@@ -100,7 +100,7 @@ class Slicer:
         return found
 
     def _closer(self) -> list[float]:
-        """A value in each bracket that is still wide."""
+        """Return a value in each bracket that is still wide."""
         found: list[float] = []
         for sign in (-1, 1):
             pair = self._bracket(sign)
@@ -109,19 +109,19 @@ class Slicer:
             a, b = map(self._length, pair)
             width, distance = abs(pair[1] - pair[0]), abs(pair[1] - self._centre)
             if a == 0.0:
-                # A parabola and a line look alike from here, unless one value confirms the
-                # curvature.
+                # A parabola and a line cannot be distinguished, unless one value confirms
+                # the curvature.
                 placed = abs(distance - AIM * self._reach) <= 1e-6 * distance
                 if not (placed and abs(b - AIM) <= CONFIRMED):
                     found.append(pair[0] + 0.5 / b * (pair[1] - pair[0]))
-            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE_RISE:
-                # Where the deviance bends, this comes slowly closer: half of the way in turn.
+            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE:
+                # Interpolation converges slowly for curved deviances: alternate with bisection.
                 share = 0.5 if self._round % 2 == 0 else self._share(*pair)
                 found.append(pair[0] + share * (pair[1] - pair[0]))
         return found
 
     def _bracket(self, sign: int) -> tuple[float, float] | None:
-        """The values between which the rise first reaches the threshold."""
+        """Return the two values between which the rise first reaches the threshold."""
         side = sorted(
             (value for value in self._known if sign * (value - self._centre) >= 0.0),
             key=lambda value: abs(value - self._centre),

@@ -1,8 +1,8 @@
-"""All parameter sets that explain the data nearly as well, and what their supports have in common.
+"""Distinct parameter sets that fit almost equally well, and features of their supports.
 
-Several supports move a part alike: what a push feels of a support is how far from the centre of
-mass the load lies and in which direction it is spread. Comparing sets by these quantities tells
-whether they are different answers or the same one.
+Different supports can have the same effect on a push, which depends on the distance of the load
+from the centre of mass and on the direction in which it is spread. Comparing sets by these
+features shows whether they are really different.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import non_negative, positive
 from fixel.typing import FloatArray
 
-# Points compared with each other, at most, the best ones: their distances take 8 bytes a pair.
-MAX_SOLUTIONS: Final = 2000
+# Maximum number of compared points, the best ones: their distances take 8 bytes per pair.
+MOST: Final = 2000
 
 
 class Solution(NamedTuple):
-    """A cluster of points that are nearly as good as the best."""
+    """Cluster of points that are almost as good as the best."""
 
     point: FloatArray  # (n,) the best of them
     error: float
     size: int  # points in the cluster
-    low: FloatArray  # (n,) least value of each parameter in the cluster
+    low: FloatArray  # (n,) smallest value of each parameter in the cluster
     high: FloatArray  # (n,)
-    members: np.ndarray  # (size,) their rows among the points given, best first
+    members: np.ndarray  # (size,) row numbers of its points, best first
 
 
 class SupportFeatures(NamedTuple):
-    """What a push can feel of a support; k of them."""
+    """Features of k supports that affect a push."""
 
     mean_radius: FloatArray  # (k,) load-weighted mean distance from the centre of mass: torsional
     radii: FloatArray  # (k, 2) root mean square along the principal axes, the larger first
@@ -49,21 +49,21 @@ def find_solutions(
     threshold: float,
     distance: float = 1.0,
 ) -> tuple[Solution, ...]:
-    """The clusters among the points whose error is within a threshold of the least.
+    """Return the clusters of the points whose error is within a threshold of the smallest.
 
     Parameters
     ----------
     points : (k, n) array
-        Results of several starts, or everything that was evaluated.
+        Results of several starts, or all evaluated points.
     errors : (k,) array
-        Deviances or other errors; inf where a point failed.
+        Deviances or other errors; inf for failed points.
     scale : (n,) array
-        Of the box.
+        Scales of the box.
     threshold : float
-        Rise of the error above the least.
+        Largest rise of the error above the smallest.
     distance : float
-        Gap that separates two clusters [scales]. Points of one valley are one cluster however long
-        it is, if they lie closer than this to one another.
+        Smallest gap between two clusters [scales]. Points of a valley are one cluster, however long
+        it is, if neighbours are closer than this.
 
     Returns
     -------
@@ -91,15 +91,15 @@ def find_solutions(
 def support_features(
     points: ArrayLike, loads: ArrayLike, com: ArrayLike = (0.0, 0.0)
 ) -> SupportFeatures:
-    """Load-weighted radii and axes of supports.
+    """Compute load-weighted radii and axes of supports.
 
     Parameters
     ----------
     points : (k, n, 2) array
         Support points, in the frame of the body [m].
     loads : (k, n) array
-        Non-negative, not all zero; only their ratios count. `model.support.triangle_shares` gives
-        those of three points.
+        Loads, non-negative and not all zero; only their ratios matter.
+        `model.support.triangle_shares` returns those of three points.
     com : (2,) or (k, 2) array
         Centre of mass, in the same frame [m].
 
@@ -130,7 +130,7 @@ def support_features(
 
 
 def _clusters(points: FloatArray, gap: float) -> np.ndarray:
-    """(k,) labels; single linkage, so that a valley is not cut into pieces."""
+    """Return cluster labels (k,) by single linkage, which does not divide valleys."""
     from scipy.cluster.hierarchy import fcluster, linkage
 
     if len(points) < 2:

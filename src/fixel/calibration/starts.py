@@ -1,4 +1,4 @@
-"""Random points of a box that can be evaluated."""
+"""Random feasible points of a box."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from fixel.calibration.optimiser import Feasible, SearchBox
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
-BATCH = 256  # points drawn at a time; a power of two, as the sequence wants
+BATCH = 256  # points drawn at a time; a power of two, as the sequence requires
 TRIES = 64 * BATCH
 
 
 def feasible_points(
     box: SearchBox, count: int, seed: int = 0, feasible: Feasible | None = None
 ) -> FloatArray:
-    """The first `count` feasible points of a scrambled Sobol' sequence over the box.
+    """Return the first `count` feasible points of a scrambled Sobol' sequence over a box.
 
     Returns
     -------
     (k, n) float64
-        Fewer than `count` where `TRIES` points hold no more, but one at least.
+        At least one point, but fewer than `count` if `TRIES` points contain no more.
 
     Source
     ------

@@ -1,8 +1,8 @@
-"""Studies: which simulations a calibration wants, as a conversation.
+"""Studies: calibrations as generators that request simulations.
 
-A study is a generator that asks for rollouts, is sent their errors, and returns its result. It
-never simulates: `conducted` does, or a cluster, or a journal of what was evaluated before an
-interruption. Sent the same errors, a study asks for the same rollouts, bit by bit.
+A study is a generator that requests rollouts, receives their errors, and returns its result. The
+errors come from `conducted`, a cluster, or a journal of an interrupted job; a study itself does not
+simulate. For the same errors it requests the same rollouts, bit for bit.
 
 Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's search in
 `fixel.calibration.pattern_search`.
@@ -25,9 +25,9 @@ T = TypeVar("T")
 
 
 class RolloutRequest(NamedTuple):
-    """Rollouts a study wants next."""
+    """Rollouts that a study requests."""
 
-    which: IntArray  # (n,) target of each
+    which: IntArray  # (n,) index of the target of each
     points: FloatArray  # (n, n_free)
 
 
@@ -37,18 +37,18 @@ OUT_OF_BUDGET: Final = "the budget is used up"
 
 
 class Trace(NamedTuple):
-    """All that one search evaluated, in order."""
+    """All evaluations of one search, in order."""
 
-    point: FloatArray  # (n_free,) the best
-    error: float  # inf where nothing could be evaluated
+    point: FloatArray  # (n_free,) best point
+    error: float  # inf if nothing could be evaluated
     points: FloatArray  # (n, n_free)
     errors: FloatArray  # (n,)
-    reasons: list[str]  # why an evaluation failed; empty where it did not
+    reasons: list[str]  # why an evaluation failed; empty if it did not
     ended: str  # why the search ended
 
 
 def box_of(space: ParameterSpace) -> SearchBox:
-    """Where a search of the space goes."""
+    """Return the search box of a parameter space."""
     return SearchBox(space.low, space.high, space.nominal, space.scale)
 
 
@@ -57,7 +57,7 @@ def conducted(
     evaluate: Callable[[RolloutRequest], Evaluation],
     progress: Callable[[RolloutRequest, Evaluation], None] | None = None,
 ) -> T:
-    """Hold the conversation to its end."""
+    """Run a study to its end and return its result."""
     try:
         ask = next(study)
         while True:
@@ -80,9 +80,9 @@ def each_alone(
     seed: int = 0,
     feasible: Feasible | None = None,
 ) -> Study[list[Trace]]:
-    """Calibrate every member by itself; all searches go in step, so that batches are large.
+    """Calibrate every member alone; all searches advance together, so that batches are large.
 
-    A member's result does not depend on which others there are.
+    The result of a member does not depend on the others.
     """
     logs = [_Log(optimiser.start(box, seed, feasible)) for _ in members]
     while True:
@@ -108,14 +108,14 @@ def together(
     feasible: Feasible | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Study[tuple[Trace, Search]]:
-    """One set of parameters for all members, by direct minimisation of their combined error.
+    """Calibrate one parameter set for all members, by minimisation of their combined error.
 
     Parameters
     ----------
     combine : callable
-        (k, n_member) errors -> (k,): their sum, mean or largest.
+        Function of errors (k, n_member) -> (k,): their sum, mean or largest.
     stop : callable
-        Whether to end the search early; called after every answer.
+        Test whether to end the search early; called after every batch.
     """
     log = _Log(optimiser.start(box, seed, feasible))
     while not log.search.done:
@@ -129,7 +129,7 @@ def together(
 
 
 def at_points(members: Sequence[int], points: FloatArray) -> Study[tuple[FloatArray, list[str]]]:
-    """Errors (k, n_member) of all members at points (k, n_free), and why a point has none."""
+    """Evaluate all members at points (k, n_free): errors (k, n_member) and reasons of failures."""
     k, n = len(points), len(members)
     answer = yield RolloutRequest(
         np.tile(np.asarray(members, np.int64), k), np.repeat(points, n, axis=0)
@@ -142,7 +142,7 @@ def at_points(members: Sequence[int], points: FloatArray) -> Study[tuple[FloatAr
 
 
 class _Log:
-    """A search and what it was told."""
+    """Search with all its evaluations."""
 
     def __init__(self, search: Search) -> None:
         self.search = search
@@ -175,12 +175,12 @@ class _Log:
 def polished(
     points: FloatArray, errors: FloatArray, groups: Sequence[Sequence[int]]
 ) -> Study[tuple[FloatArray, FloatArray]]:
-    """Give each member the best of its neighbours' parameters, where they do better than its own.
+    """Replace parameters of each member by the best ones of its neighbours, if these are better.
 
     Parameters
     ----------
     points : (n_member, n_free) float64
-        Of the single calibrations.
+        Results of the single calibrations.
     errors : (n_member,) float64
     groups : sequence of sequences of int
         Neighbours: the members that differ in x, in y or in theta only.
@@ -188,7 +188,7 @@ def polished(
     Returns
     -------
     points, errors
-        The same or better.
+        Parameters and errors, the same or better.
 
     Source: RPI thesis, section 5.2.1.
     """
@@ -204,22 +204,22 @@ def polished(
     return best, least
 
 
-NOMINAL: Final = "nominal"  # axis of the experiment that all others of a layout are offset from
+NOMINAL: Final = "nominal"  # axis of the experiment without an offset
 
-# Errors smaller than this count as this, or one perfect fit would rule alone [mm^2 or mm].
+# Smallest error in weights; otherwise one perfect fit would decide alone [mm^2 or mm].
 MIN_ERROR: Final = 1e-6
 
 
 def weighted_mean(
     points: FloatArray, errors: FloatArray, informed: BoolArray | None = None
 ) -> FloatArray:
-    """(n_free,) mean of points (n, n_free), each weighted with the inverse of its error (n,).
+    """Return the mean (n_free,) of points (n, n_free), weighted with inverse errors (n,).
 
     Parameters
     ----------
     points, errors : arrays
     informed : (n, n_free) bool, optional
-        Which member could say anything of which unknown; the others have left it at its start.
+        Whether a member depends on an unknown; otherwise its value is the start value.
 
     Source: RPI thesis, section 5.2.2.
     """
@@ -239,11 +239,11 @@ def weighted_mean(
 
 
 class CombinedFit(NamedTuple):
-    """One set of parameters made of those of single calibrations."""
+    """Parameter set computed from those of single calibrations."""
 
     point: FloatArray  # (n_free,)
-    members: FloatArray  # (n_member,) errors of all members with it
-    used: tuple[int, ...]  # places of the members whose parameters went in
+    members: FloatArray  # (n_member,) errors of all members
+    used: tuple[int, ...]  # indices of the members whose parameters were used
 
 
 def weighted(
@@ -252,7 +252,7 @@ def weighted(
     errors: FloatArray,
     informed: BoolArray | None = None,
 ) -> Study[CombinedFit]:
-    """The weighted mean of all single calibrations, and how every member does with it."""
+    """Evaluate all members at the weighted mean of all single calibrations."""
     mean = weighted_mean(points, errors, informed)
     found, _ = yield from at_points(members, mean[None])
     return CombinedFit(mean, found[0], tuple(np.flatnonzero(np.isfinite(errors)).tolist()))
@@ -268,13 +268,13 @@ def best_subset(
     rounds: int = 20,
     informed: BoolArray | None = None,
 ) -> Study[CombinedFit]:
-    """The weighted mean of the subset of single calibrations that does best on all members.
+    """Find the subset of single calibrations whose weighted mean is best for all members.
 
-    From all members on, each round leaves members out one at a time and in random halves, and goes
-    on with the best subset found, until none does better.
+    It begins with all members. Each round tries subsets without one member and random halves, and
+    continues with the best subset, until there is no improvement.
 
     Source: RPI thesis, section 5.2.2, "iteratively with many different combinations of the sample
-    set"; which combinations it does not say.
+    set"; the combinations are not specified there.
     """
     draw = np.random.default_rng(seed)
     said = np.ones(points.shape, bool) if informed is None else informed
@@ -297,7 +297,7 @@ def best_subset(
 def _smaller(
     used: tuple[int, ...], draw: np.random.Generator, candidates: int
 ) -> list[tuple[int, ...]]:
-    """Subsets to try: each without one member, and halves, `candidates` of each kind at most."""
+    """Return subsets: without one member, and random halves, at most `candidates` of each kind."""
     n = len(used)
     if n < 2:
         return []
@@ -311,20 +311,20 @@ def _smaller(
 
 
 def best_stored(members: Sequence[int], points: FloatArray) -> Study[CombinedFit]:
-    """Of stored points (k, n_free), the one whose largest error over the members is smallest."""
+    """Find the point among (k, n_free) whose largest error over the members is smallest."""
     found, _ = yield from at_points(members, points)
     k = int(np.argmin(found.max(axis=1)))
     return CombinedFit(points[k], found[k], (k,))
 
 
 def neighbours(conditions: Sequence[Mapping[str, str | float]]) -> list[list[int]]:
-    """Groups of experiments of one shape and layout that differ along one axis only.
+    """Return groups of experiments of one shape and layout that differ along one axis only.
 
     Parameters
     ----------
     conditions : sequence of mappings
-        Of the experiments, as a sampling plan writes them: `shape`, `layout` and `axis`, which is
-        `"nominal"` for the one that belongs to every group. Experiments without are in none.
+        Conditions of the experiments, as in a sampling plan: `shape`, `layout` and `axis`, which is
+        `"nominal"` for the one that belongs to every group. Those without an axis are ignored.
     """
     groups: dict[tuple[str, str, str], list[int]] = {}
     for k, own in enumerate(conditions):

@@ -1,4 +1,4 @@
-"""What a simulation of an experiment is held against."""
+"""Measured poses that simulations of an experiment are compared with."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but 
 
 
 class Target(NamedTuple):
-    """The useful part of an experiment."""
+    """Part of an experiment that simulations are compared with."""
 
     key: str  # dataset/name
     conditions: Mapping[str, str | float]  # and "experiment", the key
-    case: RolloutCase  # its scene, and the measured instants on the scene's clock
-    pose: FloatArray  # (n_sample, 3) measured at these
+    case: RolloutCase  # scene, and measured instants on the clock of the scene
+    pose: FloatArray  # (n_sample, 3) measured poses at these
 
 
 def target_of(experiment: Experiment) -> Target:
-    """What can be compared of an experiment.
+    """Return the target of an experiment.
 
     Raises
     ------
     InvalidInput
-        No scene, no measured pose after the first within `effective`, or poses that are no numbers.
+        There is no scene, no measured pose after the first within `effective`, or no motion.
     """
     scene = scene_of(experiment)
     useful = useful_poses(experiment)
@@ -53,7 +53,7 @@ def target_of(experiment: Experiment) -> Target:
 
 
 def targets_of(experiments: Iterable[Experiment]) -> list[Target]:
-    """Of several experiments; one at least."""
+    """Return the targets of several experiments, at least one."""
     targets = [target_of(experiment) for experiment in experiments]
     if not targets:
         raise InvalidInput(
@@ -66,7 +66,7 @@ def targets_of(experiments: Iterable[Experiment]) -> list[Target]:
 
 
 def scene_of(experiment: Experiment) -> Scene:
-    """The scene of an experiment, or a refusal with what its flags say."""
+    """Return the scene of an experiment, or raise `InvalidInput` with the details of its flags."""
     if experiment.scene is None:
         reasons = "; ".join(flag.detail for flag in experiment.flags if flag.detail)
         raise InvalidInput(
@@ -79,7 +79,7 @@ def scene_of(experiment: Experiment) -> Scene:
 
 
 def useful_poses(experiment: Experiment) -> BoolArray:
-    """(n,) which measured poses after the first lie within `effective`."""
+    """Return a mask (n,) of the measured poses after the first within `effective`."""
     time = experiment.trajectory.time
     first, last = experiment.effective or (time[0], time[-1])
     useful = np.asarray((time >= first - ON_CLOCK) & (time <= last + ON_CLOCK))
@@ -94,10 +94,10 @@ def useful_poses(experiment: Experiment) -> BoolArray:
 
 
 def clock_start(experiment: Experiment, scene: Scene) -> float:
-    """Instant of the experiment's clock at which the scene's own clock starts [s].
+    """Return the instant of the experiment's clock at which the clock of the scene starts [s].
 
-    A measured path of the pusher is on the experiment's clock. A planned line starts when the
-    scene does, and the recording may have been running for a while by then.
+    A measured path of the pusher is on the clock of the experiment. A planned line starts with
+    the scene, and the recording may have started earlier.
     """
     planned = [pusher for pusher in scene.pushers if isinstance(pusher.drive, LineDrive)]
     if not planned:

@@ -1,4 +1,4 @@
-"""Tasks that each ask for points and wait for their residuals, run side by side."""
+"""Parallel tasks that request points and wait for their residuals."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Task = Generator[FloatArray, FloatArray, None]
 
 @final
 class Tasks:
-    """Several tasks whose points make one batch.
+    """Several tasks whose points are combined into batches.
 
     Parameters
     ----------
     tasks : iterable of Task
     most : int
-        Points of a batch, unless one task alone asks for more; later tasks then wait.
+        Maximum number of points of a batch, unless one task alone requests more.
     """
 
     def __init__(self, tasks: Iterable[Task], most: int) -> None:
@@ -32,15 +32,15 @@ class Tasks:
 
     @property
     def done(self) -> bool:
-        """Whether all have ended."""
+        """Whether all tasks have ended."""
         return not self._running
 
     def ask(self) -> FloatArray:
-        """(k, n) points of those whose turn it is."""
+        """Return the points (k, n) of the next tasks."""
         return np.concatenate([points for _, points in self._turn()])
 
     def tell(self, residuals: FloatArray) -> None:
-        """Residuals (k, m) of the points asked for."""
+        """Take the residuals (k, m) of the requested points."""
         turn = self._turn()
         waiting = self._running[len(turn) :]
         self._running = []
@@ -48,7 +48,7 @@ class Tasks:
         for task, points in turn:
             self._advance(task, residuals[begin : begin + len(points)])
             begin += len(points)
-        # Those that waited go first, or the first ones alone would be served until they end.
+        # Tasks that waited go first; otherwise the first tasks would run alone until they end.
         self._running = waiting + self._running
 
     def _turn(self) -> list[tuple[Task, FloatArray]]:
@@ -57,7 +57,7 @@ class Tasks:
         return self._running[:count]
 
     def _advance(self, task: Task, residuals: FloatArray | None) -> None:
-        """Run a task to the next points it needs; an empty request is answered at once."""
+        """Run a task until it requests points; empty requests are answered at once."""
         try:
             points = next(task) if residuals is None else task.send(residuals)
             while not len(points):

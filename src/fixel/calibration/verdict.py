@@ -1,9 +1,9 @@
-"""Whether the data determine each unknown, in one word and one sentence.
+"""Verdicts: how well the data determine each unknown, in one word and one sentence.
 
-The first rule that holds decides. An interval is *closed* on a side where the profile crosses the
-threshold inside the bounds; its *width* counts up to the bound on a side where it is open. *Narrow*
-is a width of at most `NARROW` of the range. Where the model misfits, the interval is that of
-`honest`, which allows for it; it is *safe* if it would be narrow at `UNSURE` times the width.
+The first rule that applies decides. An interval is *closed* on a side where the profile crosses
+the threshold inside the bounds; on an open side its *width* ends at the bound. *Narrow* is a width
+of at most `NARROW` of the range. If the model misfits, the interval is that of `honest`, which
+allows for the misfit; it is *safe* if it would also be narrow at `UNSURE` times the width.
 
 ================================================================ =======================
 rule                                                             verdict
@@ -59,27 +59,27 @@ Word = Literal[
 
 WORDS: Final[tuple[Word, ...]] = get_args(Word)
 
-# Share of the range that an interval may cover. Random values in the range would be right half of
-# the time within half of it: less than that is something learnt.
+# Largest share of the range that a narrow interval covers. An interval of half the range contains
+# random values half of the time.
 NARROW: Final = 0.5
-# How far an interval that allows for misfit is itself in doubt: it stands on one disagreement of
+# Uncertainty factor of an interval that allows for misfit, since it depends on one difference of
 # two fits, and on few experiments.
 UNSURE: Final = 2.0
-# A slice is narrow beside a profile that is so many times as wide. Twice is a correlation of 0.87.
+# Ratio of profile to slice width from which the slice is narrow. Two means a correlation of 0.87.
 CLEARLY_WIDER: Final = 2.0
-# A partner of a trade-off: putting it back costs this share of the threshold...
+# A partner of a trade-off: resetting it costs this share of the threshold...
 COSTS: Final = 0.5
-# ... and this share of what putting back the most needed one costs; three at most are named.
+# ... and this share of the cost of the most important partner; at most three are named.
 BESIDE_MOST: Final = 0.1
 MAX_PARTNERS: Final = 3
-# ... and it moved by this share of its scale at least; less is the roughness of the surface.
+# ... and it moved by at least this share of its scale; less is roughness of the deviance.
 MOVES: Final = 0.05
-# An interval is said to be widened by misfit from so many times on.
+# Widening of an interval by misfit from which it is mentioned.
 SAID: Final = 2.0
-# Share of the interval's width by which its ends, interpolated between values, may be off.
+# Error of the ends of an interval, which are interpolated, as a share of its width.
 SLACK: Final = 0.1
-# The interval of the prior alone, over which one that is not shorter than this share was not learnt
-# from the data.
+# Share of the prior's interval from which an interval counts as that of the prior, not of the
+# data.
 LIKE_PRIOR: Final = 0.9
 
 Excited = Callable[[str], bool]
@@ -89,27 +89,27 @@ Excited = Callable[[str], bool]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterVerdict:
-    """What is known of one unknown after a calibration.
+    """Interval and verdict of one unknown after a calibration.
 
     Parameters
     ----------
     label, unit : str
-        Of the unknown.
+        Name and unit of the unknown.
     value : float
-        At the best point.
+        Value at the best point.
     low, high : float or None
-        Ends of the interval; None where the data do not bound it inside the bounds.
+        Ends of the interval; None if the data do not limit it within the bounds.
     level : float
-        Confidence of the interval.
+        Confidence level of the interval.
     word : str
         One of `WORDS`.
     partners : tuple of str
-        Labels of what it trades off with, the most needed first; mostly empty.
+        Labels of the unknowns that it trades off with, the most important first.
     reason : str
-        One sentence.
+        Reason of the verdict, in one sentence.
     formal_low, formal_high : float or None
-        Ends of the interval that noise alone would give; None where it has none, or where `low` and
-        `high` do not allow for misfit.
+        Ends of the interval for noise alone; None if it is open, or if `low` and `high` do not
+        allow for misfit.
     """
 
     label: str
@@ -125,12 +125,12 @@ class ParameterVerdict:
     formal_high: float | None = None
 
     def __str__(self) -> str:
-        """The word, with the partners: `"trades off with mu_fixel, mu_pusher"`."""
+        """Return the word with the partners: `"trades off with mu_fixel, mu_pusher"`."""
         return f"{self.word} with {', '.join(self.partners)}" if self.partners else self.word
 
 
 class _ParameterCase(NamedTuple):
-    """One unknown, as the rules see it."""
+    """Data of one unknown for the rules."""
 
     unknown: Unknown
     labels: tuple[str, ...]
@@ -138,11 +138,11 @@ class _ParameterCase(NamedTuple):
     best: FloatArray
     low: float | None
     high: float | None
-    others: tuple[float, ...]  # values outside the interval that are as good
-    rough: bool  # whether bumps of the deviance count for more than the noise
+    others: tuple[float, ...]  # values outside the interval that fit as well
+    rough: bool  # whether roughness of the deviance exceeds the noise
     level: float
     centre: float | None = None  # of an interval that allows for misfit
-    misfits: bool = False  # by so much that it has to be said
+    misfits: bool = False  # whether the misfit requires a warning
 
     @property
     def value(self) -> float:
@@ -154,13 +154,13 @@ class _ParameterCase(NamedTuple):
 
     @property
     def precise(self) -> bool:
-        """Whether the interval that noise alone would give is closed and narrow."""
+        """Whether the interval for noise alone is closed and narrow."""
         closed = self.profile.low is not None and self.profile.high is not None
         return closed and self.formal_width <= NARROW * self.range
 
     @property
     def widened(self) -> float:
-        """How many times as wide as the formal interval the one that allows for misfit is."""
+        """Width of the interval that allows for misfit, over that of the formal interval."""
         if self.centre is None or not self.formal_width > 0.0:
             return 1.0
         return self.width / self.formal_width
@@ -191,7 +191,7 @@ class _ParameterCase(NamedTuple):
 
     @property
     def bound(self) -> float | None:
-        """The bound that the best value lies on."""
+        """Bound that the best value lies on; None if it lies inside."""
         for bound in (self.unknown.low, self.unknown.high):
             if abs(self.value - bound) <= ON_BOUND * self.range:
                 return bound
@@ -213,25 +213,25 @@ def judge(
     honest: Honest | None = None,
     misfits: bool = False,
 ) -> tuple[ParameterVerdict, ...]:
-    """A verdict on each free unknown; frozen ones are not judged.
+    """Return a verdict for each free unknown; frozen ones have none.
 
     Parameters
     ----------
     space : ParameterSpace
     profiles : Profiles
-        Of its free unknowns, in their order, at the threshold of `level`.
+        Profiles of its free unknowns, in their order, at the threshold of `level`.
     level : float
-        Confidence of the intervals.
+        Confidence level of the intervals.
     excited : callable, optional
-        Label of an unknown -> bool. All are taken to be where left out.
+        Test whether an unknown was excited, by its label; by default all were.
     solutions : sequence of (n,) arrays, optional
-        Points known to be nearly as good as the best, as `find_solutions` finds them.
+        Points that fit almost as well as the best, from `find_solutions`.
     dispersion : Dispersion, optional
-        The one that the prior was weighted with: `Prior.weighted`.
+        Dispersion that the prior was weighted with: `NormalPrior.weighted`.
     honest : Honest, optional
-        Estimate that allows for misfit, where there is any.
+        Estimate that allows for misfit, if there is any.
     misfits : bool
-        Whether there is so much that it has to be said.
+        Whether the misfit requires a warning.
     """
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")
@@ -283,7 +283,7 @@ def _case(
         high = top if top < space.free[j].high else None
         values = _outside(values, space.free[j], low, high)
     others = tuple(sorted(values))
-    if others:  # the interval about all of them
+    if others:  # extend the interval to all of them
         low = None if low is None else min(low, others[0])
         high = None if high is None else max(high, others[-1])
     return _ParameterCase(
@@ -303,7 +303,7 @@ def _case(
 def _outside(
     values: Sequence[float], unknown: Unknown, low: float | None, high: float | None
 ) -> list[float]:
-    """Values clearly outside an interval."""
+    """Return the values clearly outside an interval."""
     slack = SLACK * _up_to(unknown, low, high)
     bottom = -math.inf if low is None else low - slack
     top = math.inf if high is None else high + slack
@@ -313,7 +313,7 @@ def _outside(
 def _prior_width(
     unknown: Unknown, profiles: Profiles, dispersion: Dispersion | None
 ) -> float | None:
-    """Width of the interval that the prior alone would give."""
+    """Return the width of the prior's interval; None without a prior."""
     if unknown.prior is None:
         return None
     ratio = profiles.limit / (dispersion.value if dispersion else 1.0)
@@ -321,7 +321,7 @@ def _prior_width(
 
 
 def _judged(case: _ParameterCase, prior_width: float | None) -> ParameterVerdict:
-    """The rules of the table, in order."""
+    """Apply the rules of the table, in order."""
     if case.others and not case.narrow:
         values = ", ".join(case.shown(value) for value in case.others[:3])
         reason = f"{values} explains the data as well as {case.shown(case.value)}"
@@ -369,20 +369,20 @@ def _one_sided(case: _ParameterCase) -> str:
 
 
 def _falls_outwards(case: _ParameterCase) -> bool:
-    """Whether the deviance rises in a line from the bound, rather than from a minimum there."""
+    """Whether the deviance rises linearly from the bound, instead of from a minimum there."""
     known = np.isfinite(case.profile.deviances)
     values, deviances = case.profile.values[known], case.profile.deviances[known]
     crossing = case.high if case.low is None else case.low
     if crossing is None:
         return False
-    # Of a line the first half rises half as much as the whole, of a parabola a quarter.
+    # Half-way, a line has risen by half of the whole, a parabola by a quarter.
     places = [case.value, 0.5 * (case.value + crossing), crossing]
     start, half, whole = np.interp(places, values, deviances)
     return bool(half - start > 0.375 * (whole - start))
 
 
 def _needed(case: _ParameterCase) -> list[int]:
-    """Numbers of the unknowns that must move to reach the ends of the interval."""
+    """Return the indices of the unknowns that must move to reach the ends of the interval."""
     rise, moved = case.profile.rise, case.profile.moved
     least = max(COSTS, BESIDE_MOST * float(rise.max(initial=0.0)))
     found = [k for k in range(len(rise)) if rise[k] >= least and moved[k] >= MOVES]
@@ -416,7 +416,7 @@ def _extent(case: _ParameterCase) -> str:
 
 
 def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
-    """Width of an interval, up to the bound where it is open."""
+    """Return the width of an interval, up to the bound on an open side."""
     return (unknown.high if high is None else high) - (unknown.low if low is None else low)
 
 

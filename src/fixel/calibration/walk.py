@@ -1,4 +1,4 @@
-"""Searches whose algorithm is written from top to bottom, as a generator."""
+"""Base class of searches whose algorithm is a generator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Moves = Generator[FloatArray, FloatArray, str]
 
 
 class GeneratorSearch(Search):
-    """A search that follows a generator."""
+    """Search whose algorithm is a generator."""
 
     def __init__(self, box: SearchBox) -> None:
         super().__init__(box)
@@ -24,7 +24,7 @@ class GeneratorSearch(Search):
 
     @abc.abstractmethod
     def _walk(self) -> Moves:
-        """The algorithm. `evaluations` and `best` already count what was sent last."""
+        """Yield points to evaluate; `evaluations` and `best` include the last errors received."""
 
     def _next(self) -> FloatArray:
         if self._moves is None:
@@ -42,5 +42,5 @@ class GeneratorSearch(Search):
 
 
 def inside(box: SearchBox, points: FloatArray) -> np.ndarray:
-    """(k,) bool: which of the points (k, n) lie within the bounds."""
+    """Return a mask (k,) of the points (k, n) within the bounds."""
     return np.asarray(((points >= box.low) & (points <= box.high)).all(axis=1))

@@ -1,1 +1,1 @@
-"""Where a calibrated simulator can be trusted: growth, maps, promises; no files."""
+"""Domain of applicability of a calibrated simulator: growth, maps, error bounds; no files."""

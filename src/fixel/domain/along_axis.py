@@ -1,4 +1,4 @@
-"""One set of parameters, found on a few experiments along an axis, on all experiments of it.
+"""Errors of a parameter set, from a few experiments along an axis, on all experiments there.
 
 Source: RPI thesis, chapter 6, figures 6.1 to 6.13.
 """
@@ -23,28 +23,28 @@ MOST_SAMPLES: Final = 5
 
 
 class AxisEdges(NamedTuple):
-    """How far from the nominal experiment an error stays within a threshold, in steps."""
+    """Ends of the domain about the nominal experiment along an axis, in steps."""
 
-    low: float | None  # none where it is beyond at the nominal experiment already
+    low: float | None  # None if the nominal experiment is not in the domain
     high: float | None
-    low_open: bool = False  # still within at the last experiment
+    low_open: bool = False  # the domain contains the last experiment
     high_open: bool = False
 
 
 def edges(steps: IntArray, errors: FloatArray, threshold: float) -> AxisEdges:
-    """Where a curve through the nominal experiment first meets a threshold, on either side.
+    """Return where an error curve first exceeds a threshold on both sides of the nominal.
 
-    Between two experiments the error is taken to change in proportion. What comes back below the
-    threshold farther out is no part of the domain.
+    Errors are interpolated linearly between experiments. Experiments farther out that are below
+    the threshold again are not part of the domain.
 
     Parameters
     ----------
     steps : (n,) int
-        Ascending; 0 among them.
+        Steps of the experiments, ascending, with 0.
     errors : (n,) float64
-        Not finite where there is none: the domain ends at the last one before.
+        Errors; if not finite, the domain ends at the experiment before.
     threshold : float
-        What is equal to it is within.
+        Largest error in the domain.
     """
     start = int(np.flatnonzero(steps == 0)[0])
     if not errors[start] <= threshold:
@@ -69,24 +69,24 @@ def _walked(steps: IntArray, errors: FloatArray, threshold: float) -> tuple[floa
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisStudy:
-    """All layouts of one shape along one axis, each under the set of its own interval.
+    """Errors of all layouts of one shape along an axis, each with the set of its interval.
 
     Attributes
     ----------
     shape, axis : str
     size : int
-        Samples in the interval.
+        Number of samples in the interval.
     interval : (int, int)
-        First and last step of these.
+        First and last step of the samples.
     steps : (n_step,) int
-        Of the experiments on the axis, ascending.
+        Steps of the experiments on the axis, ascending.
     layouts : tuple of str
     sets : tuple of OneSet
-        One a layout.
+        Parameter sets, one per layout.
     error : (n_layout, n_step) float64
-        E under the set; nan where there is no experiment or no set, inf where it failed.
+        Error E with the set; nan without an experiment or set, inf for a failure.
     own : (n_layout, n_step) float64
-        E of each under its own best set.
+        Error E of each experiment with its own best set.
     """
 
     shape: str
@@ -101,44 +101,44 @@ class AxisStudy:
 
     @property
     def average(self) -> FloatArray:
-        """(n_step,) mean error over the layouts that have one; inf where any failed."""
+        """Mean error (n_step,) over the layouts that have one; inf if any failed."""
         return _mean(self.error)
 
     @property
     def own_average(self) -> FloatArray:
-        """(n_step,) the same under the experiments' own best sets, over the same layouts."""
+        """Mean error (n_step,) with the own best sets of experiments, over the same layouts."""
         return _mean(np.where(np.isnan(self.error), np.nan, self.own))
 
     @property
     def excess(self) -> FloatArray:
-        """(n_layout, n_step) error minus the experiment's own best: the relative error of 6.4.3."""
+        """Error (n_layout, n_step) minus the own best: the relative error of section 6.4.3."""
         return _against(self.error, self.own, np.subtract)
 
     @property
     def average_excess(self) -> FloatArray:
-        """(n_step,) mean of these over the layouts."""
+        """Mean excess (n_step,) over the layouts."""
         return _mean(self.excess)
 
     @property
     def ratio(self) -> FloatArray:
-        """(n_step,) average error over average own best."""
+        """Ratio (n_step,) of average error to average own best."""
         return _against(self.average, self.own_average, np.divide)
 
     def counted(self) -> IntArray:
-        """(n_step,) layouts in the average."""
+        """Return the number of layouts (n_step,) in the average."""
         return np.asarray((~np.isnan(self.error)).sum(axis=0))
 
     def edges(self, threshold: float) -> AxisEdges:
-        """Of the average."""
+        """Return the ends of the domain by the average error."""
         return edges(self.steps, self.average, threshold)
 
     def relative_edges(self, threshold: float) -> AxisEdges:
-        """Of the average excess."""
+        """Return the ends of the domain by the average excess."""
         return edges(self.steps, self.average_excess, threshold)
 
 
 def _against(error: FloatArray, own: FloatArray, how: np.ufunc) -> FloatArray:
-    """Of two errors; no number where one has none, infinite where the first failed alone."""
+    """Combine two errors; nan if either is missing, inf if only the first failed."""
     known = np.isfinite(own) & ~np.isnan(error)
     found = np.full(error.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,7 +147,7 @@ def _against(error: FloatArray, own: FloatArray, how: np.ufunc) -> FloatArray:
 
 
 def _mean(table: FloatArray) -> FloatArray:
-    """Mean of each column over what is there; nan where nothing is."""
+    """Return the mean of each column without nan; nan if there is nothing else."""
     there = ~np.isnan(table)
     count = there.sum(axis=0)
     total = np.where(there, table, 0.0).sum(axis=0)
@@ -155,14 +155,14 @@ def _mean(table: FloatArray) -> FloatArray:
 
 
 class AxisStudies:
-    """Says which rollouts the studies take, then reads the answers.
+    """Computation of studies: collects rollouts in a queue, then evaluates their results.
 
     Parameters
     ----------
     groups : sequence of ExperimentGroup
     singles : Singles
     sizes : mapping from axis to sizes, optional
-        Samples of the intervals; the thesis's where left out.
+        Numbers of samples of the intervals; by default those of the thesis.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class AxisStudies:
         self._plan: list[_PlannedStep] = []
 
     def ask(self, wanted: RolloutQueue) -> None:
-        """Collect the rollouts."""
+        """Add the required rollouts to a queue."""
         self._plan = [
             self._planned(shape, axis, size, wanted)
             for shape, groups in self._layouts.items()
@@ -210,7 +210,7 @@ class AxisStudies:
         return _PlannedStep(shape, axis, size, steps, tuple(sets), places)
 
     def read(self, answer: Evaluation) -> list[AxisStudy]:
-        """The studies, of the answers to what was collected."""
+        """Return the studies from the results of the queue."""
         return [self._study(planned, answer) for planned in self._plan]
 
     def _study(self, planned: _PlannedStep, answer: Evaluation) -> AxisStudy:
@@ -241,7 +241,7 @@ class _PlannedStep(NamedTuple):
     size: int
     steps: IntArray
     sets: tuple[OneSet, ...]
-    places: IntArray  # (n_layout, n_step) of the rollouts among the answers; -1 where there is none
+    places: IntArray  # (n_layout, n_step) indices of the rollouts; -1 for none
 
 
 def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:

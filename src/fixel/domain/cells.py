@@ -1,4 +1,4 @@
-"""Cells of a map: values or ranges of some coordinates, and which of them touch."""
+"""Cells of a map: values or ranges of some coordinates, and their neighbours."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 
-FEW_VALUES: Final = 25  # distinct values that get a cell each
-BINS: Final = 8  # ranges of equal share, of more than that
+FEW: Final = 25  # largest number of distinct values with a cell each
+BINS: Final = 8  # ranges with equal numbers of values, for more distinct values
 MAX_CELLS: Final = 2500
-SAME_VALUE: Final = 1e-9  # share of the extent by which equal values may differ
+SAME: Final = 1e-9  # difference of values that count as equal, over the extent
 
 _READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 
@@ -25,18 +25,18 @@ _READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellAxis:
-    """A coordinate cut into cells.
+    """Coordinate divided into cells.
 
     Parameters
     ----------
     name : str
-        Of the condition.
+        Name of the condition.
     labels : tuple of str
-        Values of a text; empty for numbers.
+        Values of a text coordinate; empty for numbers.
     centres : tuple of float
-        Of numbers [SI], ascending.
+        Centres of cells of numbers, ascending [SI].
     edges : tuple of float
-        Where cells are ranges, one more than centres; empty where they are values.
+        Ends of ranges, one more than centres; empty if cells are values.
     """
 
     name: str
@@ -49,21 +49,21 @@ class CellAxis:
 
     @property
     def is_text(self) -> bool:
-        """Whether its values have no order."""
+        """Whether the coordinate is text, whose values have no order."""
         return bool(self.labels)
 
     @property
     def unit(self) -> str:
-        """As people read it; empty for none."""
+        """Displayed unit; empty for none."""
         return _READ.get(unit_in(self.name), (unit_in(self.name), 1.0))[0]
 
     @property
     def factor(self) -> float:
-        """From SI to that unit."""
+        """Factor from SI to the displayed unit."""
         return _READ.get(unit_in(self.name), ("", 1.0))[1]
 
     def text(self, k: int) -> str:
-        """A cell as people read it, without the unit."""
+        """Return a cell as text, without the unit."""
         if self.is_text:
             return self.labels[k]
         if self.edges:
@@ -71,11 +71,11 @@ class CellAxis:
         return self.shown(self.centres[k])
 
     def shown(self, value: float) -> str:
-        """A number in the unit people read."""
+        """Return a number in the displayed unit, as text."""
         return f"{self.factor * value + 0.0:.4g}"
 
     def find(self, values: Sequence[Value]) -> IntArray:
-        """(n,) cell of each value; -1 for none."""
+        """Return the cell (n,) of each value; -1 for none."""
         return np.array([self._find(value) for value in values], np.int64)
 
     def _find(self, value: Value) -> int:
@@ -96,8 +96,8 @@ class CellAxis:
 
     @property
     def places(self) -> FloatArray:
-        """(n, d) where cells are, for distances between them: numbers as shares of the extent,
-        texts as corners that are all equally far from one another."""
+        """Positions (n, d) of cells, for distances between them: numbers as shares of the extent,
+        texts as the corners of a simplex."""
         if self.is_text:
             return np.eye(len(self)) / math.sqrt(2.0)
         centres = np.array(self.centres)
@@ -106,14 +106,14 @@ class CellAxis:
 
 
 def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> CellAxis:
-    """An axis for values: a cell a value where these are few or text, else ranges.
+    """Return an axis for values: one cell per value if these are few or text, else ranges.
 
     Parameters
     ----------
     name : str
     values : sequence of (str, float or None)
     step : float, optional
-        Width of ranges, one of which is about zero [SI].
+        Width of ranges, one of which is centred at zero [SI].
     """
     known = [value for value in values if value is not None]
     if not known:
@@ -150,17 +150,17 @@ def _ranges(name: str, edges: FloatArray) -> CellAxis:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
-    """The cells of a map.
+    """Cells of a map.
 
     Parameters
     ----------
     axes : tuple of CellAxis
     index : tuple of tuple of int
-        Place of each cell along every axis.
+        Position of each cell along every axis.
     nominal : int
-        Which of them is the nominal.
+        Index of the nominal cell.
     arms : bool
-        Whether they are only those that differ from the nominal along one axis.
+        Whether all cells differ from the nominal one along at most one axis.
     """
 
     axes: tuple[CellAxis, ...]
@@ -172,7 +172,7 @@ class Cells:
         return len(self.index)
 
     def text(self, k: int) -> str:
-        """A cell in the user's words."""
+        """Return a cell as text, with names and units."""
         parts = []
         for axis, place in zip(self.axes, self.index[k], strict=True):
             nominal = place == self.index[self.nominal][self.axes.index(axis)]
@@ -182,14 +182,14 @@ class Cells:
 
     @property
     def places(self) -> FloatArray:
-        """(n_cell, d), for distances between them."""
+        """Positions (n_cell, d) of the cells, for distances between them."""
         columns = [
             axis.places[[index[a] for index in self.index]] for a, axis in enumerate(self.axes)
         ]
         return np.concatenate(columns, axis=1)
 
     def find(self, evidence: HeldOutErrors) -> IntArray:
-        """(n,) cell of every experiment; -1 for none."""
+        """Return the cell (n,) of every experiment; -1 for none."""
         columns = [axis.find(evidence.column(axis.name)) for axis in self.axes]
         number = {index: k for k, index in enumerate(self.index)}
         rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -197,7 +197,7 @@ class Cells:
 
     @property
     def edges(self) -> list[tuple[int, int]]:
-        """Pairs of cells that touch: one step along one axis, or another text on one axis."""
+        """Pairs of neighbours, which differ by one step along an axis, or in one text."""
         number = {index: k for k, index in enumerate(self.index)}
         found = []
         for index, k in number.items():
@@ -210,7 +210,7 @@ class Cells:
         return found
 
     def component(self, inside: Sequence[bool]) -> list[int]:
-        """Cells inside that are connected to the nominal; none where that is not inside."""
+        """Return the cells inside that are connected to the nominal; none if that is outside."""
         touching: dict[int, list[int]] = {k: [] for k in range(len(self))}
         for a, b in self.edges:
             touching[a].append(b)
@@ -232,16 +232,16 @@ def cells_of(
     nominal: Mapping[str, str | float] | None = None,
     steps: Mapping[str, float] | None = None,
 ) -> Cells:
-    """Cut coordinates of the evidence into cells.
+    """Divide coordinates of the evidence into cells.
 
     Parameters
     ----------
     evidence : HeldOutErrors
     axes : sequence of str
-        Names of coordinates. More than two only where every experiment differs from the nominal
-        along one of them at most, as in a plan of offsets axis by axis.
+        Names of coordinates. More than two are allowed only if every experiment differs from the
+        nominal along at most one of them, as in a plan of offsets axis by axis.
     nominal : mapping of name to value, optional
-        Zero for numbers that include it, else their middle; the most frequent of texts.
+        Nominal values; by default zero, or the median without it, and the most frequent text.
     steps : mapping of name to float, optional
         Widths of ranges [SI].
     """
@@ -300,7 +300,7 @@ def _nominal(axis: CellAxis, evidence: HeldOutErrors, wanted: str | float | None
 
 
 def varying(evidence: HeldOutErrors, names: Sequence[str]) -> list[str]:
-    """Those of the coordinates that take more than one value."""
+    """Return the coordinates that have more than one value."""
     return [
         name
         for name in names

@@ -1,7 +1,7 @@
-"""Maps of where one parameter set can be trusted, and D(tau), the domain of applicability.
+"""Maps of the accuracy of one parameter set, and D(tau), the domain of applicability.
 
-Theory: docs/theory/domain.md. Source of the question: RPI thesis, section 6 and
-appendix C.6; here on held-out experiments, with a confidence, and never beyond evidence.
+Theory: docs/theory/domain.md. Source of the question: RPI thesis, section 6 and appendix C.6;
+here on held-out experiments, with a confidence, and without extrapolation.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ TRUSTED: Final = "trusted"
 DOUBTFUL: Final = "doubtful"
 NOT_TRUSTED: Final = "not trusted"
 NO_DATA: Final = "no data"
-PREDICTED: Final = "predicted"  # no data, but a bound from elsewhere says it is below
+PREDICTED: Final = "predicted"  # no data, but a predicted bound below the threshold
 COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
 
-MIN_EXPERIMENTS: Final = 6  # below, not even the scatter of the errors is known
+MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """Claim that a trusted (blue) cell meets.
+    """Claim that is true for trusted (blue) cells.
 
     Parameters
     ----------
     threshold : float
-        tau: root mean square error [mm], or share above the own best E.
+        Threshold tau: root mean square error [mm], or share above the own best E.
     measure : str
         `"absolute"` or `"relative"`.
     level : float
-        Share of new members whose error has to stay below.
+        Share of new members whose error must be below the threshold.
     confidence : float
-        Probability at which that is said; of the contrary likewise.
+        Probability from which a cell counts as trusted, or as not trusted.
     """
 
     threshold: float
@@ -64,16 +64,16 @@ class Claim:
 
     @property
     def score(self) -> float:
-        """The threshold, as scores are."""
+        """Score of the threshold."""
         return threshold_score(self.threshold, self.measure)
 
     @property
     def needed(self) -> int:
-        """Members below tau in one cell that make the claim by counting alone."""
+        """Number of members of a cell, all below tau, that prove the claim by counting alone."""
         return max(1, math.ceil(math.log1p(-self.confidence) / math.log(self.level)) - 1)
 
     def text(self, threshold: float | None = None) -> str:
-        """The threshold in words."""
+        """Return a threshold as text; by default that of the claim."""
         value = self.threshold if threshold is None else threshold
         if self.measure == "absolute":
             return f"{value:.3g} mm"
@@ -81,31 +81,31 @@ class Claim:
 
 
 class CellVerdict(NamedTuple):
-    """What is said of one cell."""
+    """Colour of one cell, with its confidence and reason."""
 
     colour: str
-    confidence: float  # that the claim holds; nan without data
+    confidence: float  # probability of the claim; nan without data
     reason: str
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class DomainMap:
-    """One or more maps over the same cells.
+    """Map of the cells for each group of experiments.
 
     Parameters
     ----------
     evidence : HeldOutErrors
-        All of it, also what lies in no cell.
+        All experiments, also those in no cell.
     cells : Cells
     groups : tuple of str
-        One a map.
+        Groups, one per map.
     place : (n,) int
         Cell of every experiment; -1 for none.
     measure : str
     surface : Surface
     predicted_mm : (n_group, n_cell) float64, optional
-        Bounds that something else promises for configurations nobody tried; nan for none.
+        Predicted error bounds for cells without experiments; nan for none.
     """
 
     evidence: HeldOutErrors
@@ -118,12 +118,12 @@ class DomainMap:
 
     @cached_property
     def scores(self) -> FloatArray:
-        """(n,) of all experiments."""
+        """Scores (n,) of all experiments."""
         return self.evidence.scores(self.measure)
 
     @cached_property
     def members(self) -> list[list[IntArray]]:
-        """Experiments with evidence in each cell of each map."""
+        """Indices of the experiments with held-out errors in each cell of each map."""
         known = ~np.isnan(self.scores)
         found = []
         for group in self.groups:
@@ -133,13 +133,13 @@ class DomainMap:
 
     @cached_property
     def counts(self) -> IntArray:
-        """(n_group, n_cell) members."""
+        """Number of members (n_group, n_cell) of the cells."""
         return np.array([[len(cell) for cell in own] for own in self.members])
 
     def confidence(self, claim: Claim) -> FloatArray:
-        """(n_group, n_cell) that the claim holds; nan without data.
+        """Return the probability (n_group, n_cell) of the claim; nan without data.
 
-        By counting, where a cell has members enough for a claim by itself; else by the surface.
+        Computed by counting if a cell has enough members for a claim, else from the surface.
         """
         from scipy.special import betainc
 
@@ -155,8 +155,8 @@ class DomainMap:
         return found
 
     def statistic(self, level: float) -> FloatArray:
-        """(n_group, n_cell) the members' error that a share `level` does not exceed, in the
-        measure's unit; the largest of few. nan without data, inf where a simulation failed."""
+        """Return the quantile (n_group, n_cell) of the members' errors at `level`, in the unit of
+        the measure; the largest of few. nan without data, inf for a failed simulation."""
         found = np.full(self.counts.shape, np.nan)
         for g, own in enumerate(self.members):
             for c, rows in enumerate(own):
@@ -166,7 +166,7 @@ class DomainMap:
         return found
 
     def verdicts(self, claim: Claim) -> list[list[CellVerdict]]:
-        """Of every cell of every map."""
+        """Return the verdict of every cell of every map."""
         confidence, statistic = self.confidence(claim), self.statistic(claim.level)
         return [
             [
@@ -209,14 +209,14 @@ class DomainMap:
         return untried(self.evidence, self.cells)
 
     def domains(self, claim: Claim) -> list[list[int]]:
-        """D(tau) of every map: trusted cells that are connected to the nominal."""
+        """Return D(tau) of every map: the trusted cells that are connected to the nominal one."""
         return [
             self.cells.component([verdict.colour == TRUSTED for verdict in own])
             for own in self.verdicts(claim)
         ]
 
     def extents(self, claim: Claim) -> list[dict[str, tuple[str, str] | None]]:
-        """How far D(tau) reaches along each axis through the nominal: first and last cell."""
+        """Return the first and last cell of D(tau) along each axis through the nominal cell."""
         found = []
         for domain in self.domains(claim):
             inside = {self.cells.index[k] for k in domain}
@@ -230,13 +230,13 @@ class DomainMap:
         return found
 
     def curve(self, claim: Claim, thresholds: Sequence[float]) -> FloatArray:
-        """(n_group, n_threshold) cells in D(tau)."""
+        """Return the number of cells (n_group, n_threshold) in D(tau)."""
         sizes = [[len(domain) for domain in self.domains(_at(claim, tau))] for tau in thresholds]
         return np.array(sizes, np.float64).T
 
     @property
     def usual_thresholds(self) -> FloatArray:
-        """Thresholds over which a curve of D(tau) is interesting, ascending."""
+        """Default thresholds of a curve of D(tau), ascending."""
         good = self.scores[np.isfinite(self.scores)]
         low, high = np.quantile(good, [0.02, 0.98])
         ends = (low - 0.2, high + 0.9)
@@ -275,13 +275,13 @@ def _reach(
 
 
 def _quantile(scores: FloatArray, level: float) -> float:
-    """The smallest score that a share `level` does not exceed."""
+    """Return the smallest score that a share `level` of the scores does not exceed."""
     ordered = np.sort(scores)
     return float(ordered[min(len(ordered) - 1, math.ceil(level * len(ordered) - 1e-9) - 1)])
 
 
 def usual_threshold(evidence: HeldOutErrors, measure: Measure = "absolute") -> float:
-    """Twice the median error, to two digits: where one looks first."""
+    """Return the default threshold: twice the median error, to two digits."""
     scores = evidence.scores(measure)
     good = scores[np.isfinite(scores)]
     if not len(good):
@@ -298,7 +298,7 @@ def domain_map(
     predicted_mm: FloatArray | None = None,
     surface: Surface | None = None,
 ) -> DomainMap:
-    """Put evidence into cells, and find out how errors vary over them.
+    """Assign experiments to cells, and fit a surface of errors over them.
 
     Parameters
     ----------
@@ -306,15 +306,15 @@ def domain_map(
     cells : Cells
     measure : str
     seed : int
-        Of the versions of the surface.
+        Seed of the versions of the surface.
     predicted_mm : (n_group, n_cell) float64, optional
     surface : Surface, optional
-        Of the same evidence in the same cells, where it is at hand: finding it takes seconds.
+        Surface of the same evidence in the same cells, to save the fit, which takes seconds.
 
     Raises
     ------
     InvalidInput
-        Too few experiments for any claim.
+        There are too few experiments for any claim.
     """
     groups = tuple(dict.fromkeys(evidence.group))
     place = cells.find(evidence)
@@ -340,9 +340,9 @@ def domain_map(
 def _seen(
     place: IntArray, group: IntArray, scores: FloatArray, usable: BoolArray
 ) -> CellObservations:
-    """Counts, means and squares of the cells that have members.
+    """Return counts, means and squares of the cells with members.
 
-    A failed simulation counts as three times the largest error: far above whatever matters.
+    A failed simulation counts as three times the largest error.
     """
     finite = scores[usable & np.isfinite(scores)]
     most = float(finite.max()) + math.log(3.0) if len(finite) else 0.0

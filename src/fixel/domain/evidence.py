@@ -1,4 +1,4 @@
-"""What experiments say about parameters that were found without them."""
+"""Held-out errors: errors of experiments that a calibration did not use."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ Value = str | float | None
 Measure = Literal["absolute", "relative"]
 
 MEASURES: Final[tuple[Measure, ...]] = get_args(Measure)
-# Endings of names that say a unit; what ends otherwise has none.
+# Suffixes of names with a unit; other names have none.
 _UNITS: Final = {"_m_s": "m/s", "_rad_s": "rad/s", "_rad": "rad", "_m": "m", "_s": "s", "_n": "N"}
-# An error of nothing has no logarithm [mm^2]; simulations are not more exact than a micrometre.
-MIN_ERROR: Final = 1e-6
+# Smallest error, since zero has no logarithm; simulations are exact to a micrometre [mm^2].
+LEAST: Final = 1e-6
 
 
 def unit_in(name: str) -> str:
-    """Unit at the end of a condition's name; empty where there is none."""
+    """Return the unit in the suffix of a condition's name; empty without one."""
     return next((unit for end, unit in _UNITS.items() if re.fullmatch(rf"\w+{end}", name)), "")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOutErrors(Comparable):
-    """Held-out errors, one row an experiment.
+    """Held-out errors, one row per experiment.
 
     Parameters
     ----------
     keys : tuple of str
         Names of the experiments.
     ids : tuple of int
-        Of the same in the project.
+        Ids of the experiments in the project.
     coordinates : mapping of name to tuple of (str, float or None)
-        Conditions [SI]; None where an experiment has none of the name.
+        Conditions [SI]; None if an experiment lacks one.
     error_mm2 : (n,) array_like
-        E of each under a parameter set that was found without it [mm^2]; inf where the simulation
-        failed, nan where there is no evidence.
+        Error E of each with a parameter set that was calibrated without it [mm^2]; inf if the
+        simulation failed, nan if there is no held-out error.
     own_mm2 : (n,) array_like, optional
-        The least E that parameters of its own reach [mm^2]; nan where nobody looked.
+        Smallest E of each with parameters of its own [mm^2]; nan if it was not calibrated.
     fold : (n,) array_like of int, optional
-        In which it was held out.
+        Fold in which it was held out.
     group : tuple of str, optional
-        Which map it belongs to; one map for all where left out.
+        Map to which it belongs; by default one map for all.
     configuration : tuple of str, optional
-        The same for repetitions of one experiment; its key where left out.
+        Label that repetitions of one experiment share; by default the key.
     notes : tuple of str, optional
-        Why there is no evidence, where there is none.
+        Reason why there is no held-out error, else empty.
     """
 
     keys: tuple[str, ...]
@@ -98,7 +98,7 @@ class HeldOutErrors(Comparable):
         return len(self.keys)
 
     def column(self, name: str) -> tuple[Value, ...]:
-        """A coordinate of all experiments, or a refusal that names those there are."""
+        """Return a coordinate of all experiments, or raise `InvalidInput` with the known names."""
         if name not in self.coordinates:
             raise InvalidInput(
                 f"axis {name}",
@@ -108,7 +108,7 @@ class HeldOutErrors(Comparable):
         return self.coordinates[name]
 
     def rows(self, which: Sequence[int] | IntArray) -> HeldOutErrors:
-        """Some of the experiments."""
+        """Return the rows of some of the experiments."""
         own = np.asarray(which, np.int64)
         pick = own.tolist()
         return replace(
@@ -127,27 +127,27 @@ class HeldOutErrors(Comparable):
         )
 
     def scores(self, measure: Measure = "absolute") -> FloatArray:
-        """(n,) logarithms that a threshold is held against.
+        """Return scores (n,), logarithms of errors that are compared with a threshold.
 
-        Absolute: log of the root of E, in millimetres. Relative: log of E over the experiment's own
-        best, nan where that is not known. inf where the simulation failed.
+        Absolute: log of the root of E, in millimetres. Relative: log of E over the own best of the
+        experiment, nan if that is unknown. inf if the simulation failed.
         """
         error = np.maximum(self.error_mm2, MIN_ERROR)
         if measure == "absolute":
             return np.asarray(0.5 * np.log(error))
-        own = np.maximum(self.own_mm2, MIN_ERROR)
-        # The best found is an upper bound of the best there is: nothing can be better than itself.
+        own = np.maximum(self.own_mm2, LEAST)
+        # The best known is an upper bound of the true best, so ratios below 1 are set to 1.
         return np.asarray(np.log(np.maximum(error / own, 1.0)))
 
 
 def threshold_score(threshold: float, measure: Measure) -> float:
-    """What scores are held against.
+    """Return the score of a threshold, to compare scores with.
 
     Parameters
     ----------
     threshold : float
-        Root mean square error [mm]; or, relative, how much larger than an experiment's own best E
-        may be, as a share of it: 1 for twice as large.
+        Root mean square error [mm]; or, if relative, the excess of E over the own best of an
+        experiment, as a share of it: 1 for twice as large.
     """
     if not (np.isfinite(threshold) and threshold > 0.0):
         raise InvalidInput("threshold", found=threshold, expected="a positive number")
@@ -155,5 +155,5 @@ def threshold_score(threshold: float, measure: Measure) -> float:
 
 
 def value_of(score: float, measure: Measure) -> float:
-    """The other way round."""
+    """Inverse of `threshold_score`."""
     return float(np.exp(score) if measure == "absolute" else np.expm1(score))

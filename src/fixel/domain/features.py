@@ -1,8 +1,8 @@
-"""What is known of a configuration before it is tried: from where things are, and from cheap
-simulations of it.
+"""Features of a configuration that are known before an experiment, from geometry and from cheap
+simulations.
 
-None of it reads a measurement of the configuration itself, so any of it may be used to promise how
-far the simulator will be off.
+They do not depend on measurements of the configuration itself, so they may be used to predict the
+error of the simulator.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from fixel.errors import InvalidInput
 from fixel.model import Disk, Shape, wrapped
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-# How far a configuration may be from what was asked for: what trackers and tables leave open.
-SIDEWAYS: Final = 0.7e-3  # of the object, across the push [m]
-TURN: Final = float(np.radians(1.0))  # of the object [rad]
+# Disturbances of a configuration, as large as the uncertainty of trackers and tables.
+SIDEWAYS: Final = 0.7e-3  # shift of the object across the push [m]
+TURN: Final = float(np.radians(1.0))  # rotation of the object [rad]
 FRICTION: Final = 1.25  # factor on the friction at the pusher
-CENTRE: Final = 2.0e-3  # of the centre of friction, along the axes of the body [m]
+CENTRE: Final = 2.0e-3  # shift of the centre of friction along the axes of the body [m]
 
-# A pusher farther away than this has let go [m].
+# Gap above which the pusher has lost contact [m].
 PARTED: Final = 0.3e-3
-# Nearer to a corner than this, a contact is on it [m].
+# Distance from a corner below which a contact is on it [m].
 AT_CORNER: Final = 2.0e-3
-# Below this, a contact stays where it is [m].
+# Motion of a contact below which it sticks [m].
 STUCK: Final = 0.5e-3
-# Turns of an outline by less than this are no corners [rad].
+# Smallest turn of an outline at a corner [rad].
 CORNER_TURN: Final = float(np.radians(20.0))
 
 Tracks = tuple[FloatArray, BoolArray]  # (m, k, 3) poses after the start, and (m,) whether it ended
-# Simulates configurations `which` (m,) with parameters by name (m,) in place of the calibrated.
+# Simulates configurations `which` (m,) with parameters by name (m,) that replace calibrated ones.
 Roll = Callable[[IntArray, Mapping[str, FloatArray]], Tracks]
 
 
 class Configurations(NamedTuple):
-    """Straight pushes of one object by a round pusher, as they are asked for."""
+    """Intended straight pushes of one object by a round pusher."""
 
     shape: Shape
     radius: float  # of the pusher [m]
@@ -49,17 +49,17 @@ class Configurations(NamedTuple):
 
 
 class Features(NamedTuple):
-    """A table with names for its columns."""
+    """Table of features with named columns."""
 
     names: tuple[str, ...]
     table: FloatArray  # (n, n_name), finite
 
     def with_more(self, names: tuple[str, ...], table: FloatArray) -> Features:
-        """With columns appended."""
+        """Return the features with more columns."""
         return Features((*self.names, *names), np.column_stack((self.table, table)))
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
-        """(n, len(names)) by name."""
+        """Return columns (n, len(names)) by name."""
         return self.table[:, [self.names.index(name) for name in names]]
 
 
@@ -67,8 +67,8 @@ PLACE: Final = ("tip_x", "tip_y", "along_x", "along_y", "object_cos", "object_si
 
 
 def configuration_features(asked: Configurations) -> Features:
-    """From geometry alone: where the pusher stands beside the object and which way it goes (axes of
-    the object), how and where the object lies on the table, angle to the normal, lever arm."""
+    """Return features from geometry alone: position and direction of the pusher in the frame of the
+    object, pose of the object on the table, angle to the normal, lever arm, nearest corner."""
     angle = asked.start[:, 2]
     heading = _headings(asked)
     tip = _into(angle, asked.tip_start - asked.start[:, :2])
@@ -88,14 +88,14 @@ def configuration_features(asked: Configurations) -> Features:
 
 
 def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features:
-    """From eleven rollouts a configuration: how it goes, what the contact does, and how the end
-    answers to a slightly different start, friction at the pusher and centre of friction.
+    """Return features from eleven rollouts per configuration: motion, contact, and sensitivity of
+    the end to the start, the friction at the pusher and the centre of friction.
 
     Parameters
     ----------
     asked : Configurations
     roll : callable
-        Of the calibrated simulator, at equal intervals up to the end of the push.
+        Calibrated simulator; its poses are at equal intervals up to the end of the push.
     mu : float
         Calibrated friction at the pusher.
 
@@ -103,8 +103,8 @@ def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features
     -------
     Features
         Lengths in metres, angles in radians at 35 mm. A disturbed rollout that did not finish
-        counts as undisturbed; `lost` is the share of these. Where the undisturbed one did not
-        finish, `lost` is 1 and the rest as far as it came.
+        counts as undisturbed; `lost` is the share of these. If the undisturbed one did not
+        finish, `lost` is 1 and the other features describe the motion so far.
     """
     n = len(asked.start)
     pose, good = roll(np.arange(n), {})
@@ -121,8 +121,8 @@ def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features
 def _answers(
     asked: Configurations, roll: Roll, mu: float, end: FloatArray, good: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Half of what separates the ends of opposite disturbances (n, 5), how far their middle is
-    from the undisturbed end (n, 5), and the share of lost rollouts (n,)."""
+    """Return half the distance of the ends of opposite disturbances (n, 5), the distance of their
+    middle from the undisturbed end (n, 5), and the share of lost rollouts (n,)."""
     n = len(end)
     heading = _headings(asked)
     across = np.column_stack((-heading[:, 1], heading[:, 0])) * SIDEWAYS
@@ -149,7 +149,7 @@ def _answers(
 
 
 def _way(asked: Configurations, pose: FloatArray) -> tuple[list[str], list[FloatArray]]:
-    """Motion of the object, and what the contact does."""
+    """Return names and columns of features of the motion and the contact."""
     n, k = pose.shape[:2]
     share = np.linspace(0.0, 1.0, k + 1)[None, :, None]
     tip = asked.tip_start[:, None] * (1.0 - share) + asked.tip_end[:, None] * share
@@ -191,20 +191,20 @@ def neighbour_features(
     groups: int = 8,
     itself: IntArray | None = None,
 ) -> Features:
-    """From the nearest configurations whose outcome is known: how far these are, how far off the
-    simulator was there, and how much of that pointed the same way.
+    """Return features from the nearest configurations with known outcomes: their distances, the
+    errors of the simulator there, and the part of these errors in a common direction.
 
     Parameters
     ----------
     place : (n, f) float64
-        Of configurations; a unit of any column counts as much as one of another.
+        Coordinates of configurations; all columns have the same weight.
     known_place : (m, f) float64
     known_residual : (m, 3) float64
-        Measured less simulated, along the axes of the object [m, m, m at 35 mm/rad].
+        Measured minus simulated, along the axes of the object [m, m, m at 35 mm/rad].
     groups : int
-        Neighbours that are asked, fewer where fewer are known.
+        Maximum number of neighbours.
     itself : (n,) int, optional
-        Row among the known that is the configuration itself, and is not asked; -1 for none.
+        Row of the known ones that is the configuration itself, which is skipped; -1 for none.
     """
     if len(known_place) < 2 or len(known_place) != len(known_residual):
         raise InvalidInput(
@@ -233,13 +233,13 @@ def neighbour_features(
 
 
 def scaled(difference: FloatArray) -> FloatArray:
-    """Differences of poses (n, 3) in metres, the angle the short way and at 35 mm/rad."""
+    """Return differences of poses (n, 3) in metres, angles within half a turn at 35 mm/rad."""
     return np.column_stack((difference[:, :2], ANGLE_SCALE * wrapped(difference[:, 2])))
 
 
 def corner_distance(shape: Shape, point: FloatArray, radius: float) -> FloatArray:
-    """(n,) from the surface of a pusher centred at points (n, 2), in the frame of the shape, to the
-    nearest corner; a hundred radii where the outline has none [m]."""
+    """Return distances (n,) from the surface of a pusher at points (n, 2), in the frame of the
+    shape, to the nearest corner; a hundred radii if the outline has none [m]."""
     corners = _corners(shape)
     if not len(corners):
         return np.full(len(point), 100.0 * radius)
@@ -248,7 +248,7 @@ def corner_distance(shape: Shape, point: FloatArray, radius: float) -> FloatArra
 
 
 def _corners(shape: Shape) -> FloatArray:
-    """Vertices at which the outline turns sharply, (n, 2)."""
+    """Return the vertices (n, 2) at which the outline turns sharply."""
     if isinstance(shape, Disk):
         return np.zeros((0, 2))
     outline = shape.outline
@@ -265,7 +265,7 @@ def _headings(asked: Configurations) -> FloatArray:
 
 
 def _into(angle: FloatArray, vector: FloatArray) -> FloatArray:
-    """Vectors (n, 2) of the world along axes at angles (n,)."""
+    """Return vectors (n, 2) of the world in axes at angles (n,)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = vector[:, 0], vector[:, 1]
     return np.column_stack((c * x + s * y, c * y - s * x))

@@ -1,4 +1,4 @@
-"""Which experiments are held out together."""
+"""Folds of experiments for cross-validation."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from fixel.errors import InvalidInput
 from fixel.typing import IntArray
 
 FOLDS: Final = 5
-MANY: Final = 2000  # experiments from which on two folds are enough: either half says all there is
+MANY: Final = 2000  # experiments above which two folds are sufficient
 
 
 def usual_folds(n: int) -> int:
-    """How many folds so many experiments get where nobody asks."""
+    """Return the default number of folds for n experiments."""
     return 2 if n > MANY else FOLDS
 
 
 def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int = 0) -> IntArray:
-    """Share experiments out among folds.
+    """Distribute experiments over folds.
 
     Parameters
     ----------
     blocks : sequence of str
-        Experiments of one block are held out together: repetitions of one configuration, or a
-        group that is to be left out whole.
+        Label of the block of each experiment. Blocks are held out as a whole: repetitions of one
+        configuration, or a group.
     strata : sequence of str
-        Blocks of one stratum are spread over the folds as evenly as can be.
+        Label of the stratum, whose blocks are distributed over the folds as evenly as possible.
     folds : int
     seed : int
-        Of the order within a stratum.
+        Seed of the order within a stratum.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     Raises
     ------
     InvalidInput
-        Fewer than two folds, or fewer blocks than folds.
+        There are fewer than two folds, or fewer blocks than folds.
     """
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
     if folds < 2:
@@ -58,7 +58,7 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     for stratum in sorted(set(first.values())):
         own = sorted(block for block, s in first.items() if s == stratum)
         for k in rng.permutation(len(own)).tolist():
-            # Counting on from the last stratum: many small ones still fill all folds evenly.
+            # The count continues from the last stratum, so that small strata fill all folds evenly.
             place[own[k]] = at % folds
             at += 1
     return np.array([place[block] for block in blocks], np.int64)

@@ -1,7 +1,7 @@
-"""Growth of a domain from the nominal experiment outwards: how far one set of parameters reaches.
+"""Growth of the domain of one parameter set from the nominal experiment outwards.
 
-Nothing is searched here. A set of parameters is a stored one, or a mean of those of single
-experiments; what takes time is asked for once, as one batch of rollouts.
+There is no search: a parameter set is a stored one, or a mean of those of single experiments. All
+rollouts are requested as one batch.
 
 Source: RPI thesis, appendix C.6.
 """
@@ -23,14 +23,14 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import settle
 from fixel.typing import FloatArray, IntArray
 
-OWN: Final = "own"  # of the one experiment
+OWN: Final = "own"  # parameters of a single experiment
 STORED: Final = "stored"
 AVERAGED: Final = "averaged"  # weighted with inverse errors
 NONE: Final = "none"
 
 
 class Joint(NamedTuple):
-    """A stored set of parameters for several experiments."""
+    """Stored parameter set of several experiments."""
 
     calibration: int
     point: FloatArray  # (n_parameter,)
@@ -39,15 +39,15 @@ class Joint(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Singles:
-    """What calibrations of single experiments found, experiment by experiment.
+    """Results of the calibrations of single experiments.
 
     Parameters
     ----------
     points : (n, n_parameter) float64
     errors : (n,) float64
-        E of each under its own set; inf where none could be simulated.
+        Error E of each with its own set; inf if it could not be simulated.
     joint : mapping from sorted tuple of int to Joint
-        Stored sets by exactly the experiments they are for.
+        Stored sets by their experiments.
     """
 
     points: FloatArray
@@ -65,20 +65,20 @@ class Singles:
 
 
 class OneSet(NamedTuple):
-    """One set of parameters for some experiments."""
+    """Parameter set for some experiments."""
 
-    members: tuple[int, ...]  # one twice counts twice
-    point: FloatArray | None  # (n_parameter,); none where there is none, for the reason
+    members: tuple[int, ...]  # repeated members count repeatedly
+    point: FloatArray | None  # (n_parameter,); None for `reason`
     source: str
-    calibration: int | None = None  # where stored
+    calibration: int | None = None  # id, if stored
     reason: str = ""
 
 
 def one_set(members: Sequence[int], singles: Singles) -> OneSet:
-    """The stored set for exactly these experiments, else the mean of their own sets.
+    """Return the stored set for exactly these experiments, else the mean of their own sets.
 
-    The mean is weighted with inverse errors, as in the thesis, section 5.2.2; experiments without
-    an error do not count.
+    The mean is weighted with inverse errors, as in section 5.2.2 of the thesis; experiments without
+    an error are ignored.
     """
     own = tuple(members)
     if len(own) == 1:
@@ -95,7 +95,7 @@ def one_set(members: Sequence[int], singles: Singles) -> OneSet:
 
 
 def weights(members: Sequence[int], singles: Singles) -> FloatArray:
-    """(n_member,) shares of the members in their mean."""
+    """Return the weights (n_member,) of the members in their mean."""
     errors = singles.errors[np.array(members)]
     weight = np.where(np.isfinite(errors), 1.0 / np.maximum(errors, MIN_ERROR), 0.0)
     return np.asarray(weight / weight.sum())
@@ -107,8 +107,8 @@ Evaluate = Callable[[IntArray, FloatArray], Evaluation]
 
 
 class RolloutQueue:
-    """Collects rollouts of several askers, each pair of experiment and set once, and runs them all
-    in one call."""
+    """Queue of rollouts, each pair of experiment and parameter set once, which are evaluated in
+    one call."""
 
     def __init__(self) -> None:
         self._place: dict[tuple[int, bytes], int] = {}
@@ -118,7 +118,7 @@ class RolloutQueue:
         return len(self._points)
 
     def add(self, sample: int, point: FloatArray) -> int:
-        """Place of a rollout among the answers."""
+        """Add a rollout and return its index among the results."""
         key = (sample, point.tobytes())
         if key not in self._place:
             self._place[key] = len(self._points)
@@ -127,11 +127,11 @@ class RolloutQueue:
 
     @property
     def which(self) -> IntArray:
-        """(n,) experiment of each rollout."""
+        """Experiment (n,) of each rollout."""
         return np.array([sample for sample, _ in self._place], np.int64)
 
     def run(self, evaluate: Evaluate) -> Evaluation:
-        """The answers."""
+        """Evaluate all rollouts."""
         return evaluate(self.which, np.array(self._points))
 
 
@@ -141,18 +141,18 @@ class RolloutQueue:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """The domain of one group after one step.
+    """Domain of one group after one step.
 
     Attributes
     ----------
     group : ExperimentGroup
     step : int
     used : OneSet
-        The set of parameters, and the members.
+        Parameter set, with its members.
     errors : (n_member,) float64
-        E of every member under it; inf where the simulation failed; empty where there is no set.
+        Error E of every member with it; inf for a failed simulation; empty without a set.
     reason : str
-        Why there is no largest error; empty where there is one.
+        Reason why there is no largest error, else empty.
     """
 
     group: ExperimentGroup
@@ -163,21 +163,21 @@ class Step:
 
     @property
     def largest(self) -> float | None:
-        """Of the errors; none where a member is missing or could not be simulated."""
+        """Largest error; None if a member is missing or could not be simulated."""
         return None if self.reason else float(self.errors.max())
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """How the domains of all groups grew.
+    """Growth of the domains of all groups.
 
     Attributes
     ----------
     groups : tuple of ExperimentGroup
     index : str
     steps : tuple of tuple of Step
-        By group, from step 0.
+        Steps of each group, from step 0.
     """
 
     groups: tuple[ExperimentGroup, ...]
@@ -186,17 +186,17 @@ class Growth:
 
     @property
     def matrix(self) -> list[list[float | None]]:
-        """Largest errors, a row a group, a column a step."""
+        """Largest errors, one row per group and one column per step."""
         return [[step.largest for step in row] for row in self.steps]
 
 
 def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
-    """Steps that the experiments allow.
+    """Return the number of steps that the experiments allow.
 
     Raises
     ------
     InvalidInput
-        Nothing to grow by.
+        There is no group, or none with all experiments of the first step.
     """
     if not groups:
         raise InvalidInput(
@@ -217,7 +217,7 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
 
 
 class Grower:
-    """Says which rollouts the growth of the groups takes, then reads the answers.
+    """Computation of the growth: collects rollouts in a queue, then evaluates their results.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class Grower:
         self._plan: list[list[tuple[OneSet, list[int], str]]] = []
 
     def ask(self, wanted: RolloutQueue) -> None:
-        """Collect the rollouts."""
+        """Add the required rollouts to a queue."""
         self._plan = [
             [self._planned(group, step, wanted) for step in range(self.n_steps + 1)]
             for group in self.groups
@@ -255,7 +255,7 @@ class Grower:
         return used, [wanted.add(member, used.point) for member in used.members], ""
 
     def read(self, answer: Evaluation) -> Growth:
-        """The growth, of the answers to what was collected."""
+        """Return the growth from the results of the queue."""
         rows = [
             tuple(
                 self._step(group, step, planned, answer)
@@ -287,14 +287,14 @@ def grow(
     evaluate: Evaluate,
     index: Index = "corrected",
 ) -> Growth:
-    """Grow the domains of groups, all rollouts in one call.
+    """Compute the growth of the domains of groups, with all rollouts in one call.
 
     Parameters
     ----------
     groups, singles, index
-        As for `Grower`.
+        Arguments of `Grower`.
     evaluate : callable
-        (n,) experiments and (n, n_parameter) points -> their errors; `Comparer.errors`.
+        Function of experiments (n,) and points (n, n_parameter) -> errors; `Comparer.errors`.
     """
     grower, wanted = Grower(groups, singles, index), RolloutQueue()
     grower.ask(wanted)

@@ -1,7 +1,7 @@
-"""Which experiment would teach most about a map.
+"""Proposals of the next experiments, by the information they add to a map.
 
-Where the domain might still grow, or a cell is doubtful: the cell at which one more experiment is
-expected to leave the colours of the map's cells least open, before it is known how it turns out.
+Candidates are doubtful cells, and cells by which the domain may grow. The best cell is the one in
+which another experiment is expected to reduce the entropy of the colours of the map most.
 Source: Lindley (1956), on the information an experiment provides.
 """
 
@@ -16,23 +16,23 @@ import numpy as np
 from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim, DomainMap
 from fixel.typing import FloatArray
 
-NODES: Final = 9  # of the quadrature over how the experiment might turn out
+NODES: Final = 9  # nodes of the quadrature over results of the experiment
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """An experiment worth making.
+    """Proposed experiment.
 
     Attributes
     ----------
     group : str
-        Of which map.
+        Group of the map.
     cell : int
     where : str
-        In the user's words.
+        Cell as text.
     bits : float
-        Expected fall of the entropy of the colours of all cells of the map [bit].
+        Expected decrease of the entropy of the colours of all cells of the map [bit].
     reason : str
     """
 
@@ -46,16 +46,16 @@ class Proposal:
 def proposals(
     domain: DomainMap, claim: Claim, most: int = 5, verdicts: list[list[CellVerdict]] | None = None
 ) -> list[Proposal]:
-    """The most instructive experiments over all maps, the best first; one a map at most once each.
+    """Return the most informative experiments over all maps, the best first.
 
     Parameters
     ----------
     domain : DomainMap
     claim : Claim
     most : int
-        How many.
+        Maximum number of proposals.
     verdicts : list of list of CellVerdict, optional
-        Of the claim, where they are at hand.
+        Verdicts of the claim, if already computed.
     """
     verdicts = domain.verdicts(claim) if verdicts is None else verdicts
     inside = domain.domains(claim)
@@ -77,7 +77,7 @@ def proposals(
 
 
 def _candidates(domain: DomainMap, verdicts: list[CellVerdict], inside: list[int]) -> list[int]:
-    """Doubtful cells, those without data that touch the domain, a nominal without data."""
+    """Return doubtful cells, and cells without data next to the domain or at the nominal."""
     near = {b for a, b in domain.cells.edges if a in inside}
     near |= {a for a, b in domain.cells.edges if b in inside}
     near.add(domain.cells.nominal)
@@ -91,7 +91,7 @@ def _candidates(domain: DomainMap, verdicts: list[CellVerdict], inside: list[int
 
 
 def _bits(domain: DomainMap, claim: Claim, g: int) -> FloatArray:
-    """(n_cell,) expected fall of the entropy if one more experiment is made in each cell."""
+    """Return the expected decrease (n_cell,) of the entropy by an experiment in each cell."""
     from scipy.special import ndtr, ndtri
 
     surface = domain.surface
@@ -116,7 +116,7 @@ def _bits(domain: DomainMap, claim: Claim, g: int) -> FloatArray:
 
 
 def _entropy(chance: FloatArray) -> FloatArray:
-    """Of yes or no [bit]."""
+    """Return the entropy of a binary event with these probabilities [bit]."""
     p = np.clip(chance, 1e-12, 1.0 - 1e-12)
     return np.asarray(-(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)))
 

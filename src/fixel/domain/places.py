@@ -1,4 +1,4 @@
-"""Where the experiments of a group stand, and which join the domain at which step.
+"""Places of the experiments of a group, and the order in which they join the domain.
 
 Source: RPI thesis, section 5.3 for the places and appendix C.6 for the order.
 """
@@ -19,20 +19,20 @@ INDEXES: Final = ("corrected", "printed")
 
 
 class AxisPlace(NamedTuple):
-    """Steps from the nominal pose along one axis."""
+    """Number of steps from the nominal pose along one axis."""
 
     axis: str
     step: int
 
     @property
     def name(self) -> str:
-        """As the thesis's plan writes it: `y-5`."""
+        """Name in the thesis's plan: `y-5`."""
         return self.axis if self == NOMINAL else f"{self.axis}{self.step}"
 
 
 NOMINAL: Final = AxisPlace("nominal", 0)
 
-# The 21 rows of a group in the order in which the printed code numbers them, from 1.
+# The 21 rows of a group in the order of the printed code, numbered from 1.
 ROWS: Final = (
     NOMINAL,
     *(AxisPlace("x", k) for k in range(1, 6)),
@@ -44,9 +44,9 @@ PRINTED_STEPS: Final = 5
 
 
 def joining(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
-    """Places that join the domain at a step, from 1: x+i, y+i, y-i, theta+i.
+    """Return the places that join the domain at a step, from 1: x+i, y+i, y-i, theta+i.
 
-    The printed code takes theta from row 15 + i, one too early: at step 1 that is y-5, which comes
+    The printed code takes theta from row 15 + i, one too early: at step 1 this is y-5, which joins
     again at step 5, and theta+5, row 21, never joins. `"printed"` does the same.
     """
     if index == "corrected":
@@ -64,17 +64,17 @@ def joining(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
 
 
 def domain(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
-    """Places in the domain after a step, in the order they joined; 4 a step and the nominal one."""
+    """Return the places in the domain after a step, in order: the nominal one, then 4 per step."""
     joined = (place for k in range(1, step + 1) for place in joining(k, index))
     return (NOMINAL, *joined)
 
 
 def interval(axis: str, size: int) -> tuple[int, int]:
-    """First and last step of a domain of so many samples along an axis.
+    """Return the first and last step of a domain of `size` samples along an axis.
 
-    They contain the nominal one: "when the domain size is expanded to 4 samples" (6.2.1). Along x
-    and theta, sampled one way, they begin there: 4 is 0 to 3. Along y they are centred: 3 is -1 to
-    1; of an even number the odd one stands on the positive side, which the thesis does not use.
+    The samples include the nominal one: "when the domain size is expanded to 4 samples" (6.2.1).
+    Along x and theta, sampled in one direction, they begin there: 4 is 0 to 3. Along y they are
+    centred: 3 is -1 to 1; even numbers, unused in the thesis, have one more on the positive side.
     """
     if axis not in AXES:
         raise InvalidInput("axis", found=repr(axis), expected="x, y or theta")
@@ -85,7 +85,7 @@ def interval(axis: str, size: int) -> tuple[int, int]:
 
 
 def along(axis: str, step: int) -> AxisPlace:
-    """A place on an axis; the nominal one is on all of them."""
+    """Return a place on an axis; step 0 is the nominal place."""
     return AxisPlace(axis, step) if step else NOMINAL
 
 
@@ -97,8 +97,8 @@ class ExperimentGroup:
     Parameters
     ----------
     shape, layout : str
-    at : mapping from Place to int
-        Number of the experiment at each place that has one.
+    at : mapping from AxisPlace to int
+        Index of the experiment at each place that has one.
     """
 
     shape: str
@@ -117,18 +117,18 @@ class ExperimentGroup:
 
     @property
     def name(self) -> str:
-        """Shape and layout."""
+        """Shape and layout as one name."""
         return f"{self.shape} {self.layout}"
 
     @property
     def reach(self) -> int:
-        """Largest step at which any experiment would join."""
+        """Largest step at which an experiment joins."""
         return max(abs(place.step) for place in self.at)
 
     def found(self, places: Sequence[AxisPlace]) -> tuple[int, ...]:
-        """Experiments at places, those without left out."""
+        """Return the experiments at places, without those that are missing."""
         return tuple(self.at[place] for place in places if place in self.at)
 
     def missing(self, places: Sequence[AxisPlace]) -> list[AxisPlace]:
-        """Places without an experiment, each once."""
+        """Return the places without an experiment, each once."""
         return [place for place in dict.fromkeys(places) if place not in self.at]

@@ -1,4 +1,4 @@
-"""Error bounds for experiments in the cells of a map, tried or not."""
+"""Error bounds for experiments in the cells of a map, with or without experiments."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from fixel.typing import FloatArray, IntArray
 def promised_cells(
     evidence: HeldOutErrors, cells: Cells, level: float, seed: int = 0
 ) -> FloatArray | None:
-    """(n_group, n_cell) bounds that new experiments stay within with a probability [mm].
+    """Return bounds (n_group, n_cell) that errors of new experiments satisfy [mm].
 
-    Root mean square errors; inf where there is no data, or a coordinate that was never tried in
-    the map. None where there are too few experiments for any bound.
+    They apply to root mean square errors; inf without data, or for coordinates that no experiment
+    of the map has. None if there are too few experiments for any bound.
 
     Parameters
     ----------
     evidence : HeldOutErrors
     cells : Cells
     level : float
-        The probability.
+        Probability of each bound.
     seed : int
     """
     place = cells.find(evidence)
     known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))
     groups = list(dict.fromkeys(evidence.group))
     group = np.array([groups.index(name) for name in evidence.group])
-    # A cell nobody tried is like the next of the cells, not like one more repetition in one of
-    # them: one experiment a cell judges it, and models have not seen another of the same cell.
+    # A cell without experiments is like another cell, not like another repetition in one of them.
+    # So its bound uses one experiment per cell, and models have seen no other of the same cell.
     slots = {(int(group[k]), int(place[k])): k for k in reversed(known.tolist())}
     first = np.sort(np.fromiter(slots.values(), np.int64, len(slots)))
     bounds = _bounds(evidence, cells, place, known, level, seed)
@@ -50,11 +50,11 @@ def promised_cells(
 
 
 def untried(evidence: HeldOutErrors, cells: Cells) -> dict[str, list[str]]:
-    """Return by map which coordinate of each cell was never tried; empty for none.
+    """Return, by map, the coordinate of each cell that no experiment has; empty for none.
 
-    New are a text that no experiment of the map has, a contact angle or a speed unlike all of the
-    map (as in `contacts`), and any other number beyond those of the map. Such a cell is an
-    extrapolation, however near the others it looks.
+    New are a text that no experiment of the map has, a contact angle or speed unlike all of the
+    map (as in `contacts`), and any other number outside those of the map. Such a cell is an
+    extrapolation, however close it is to others.
     """
     answer = {}
     group = np.array(evidence.group)
@@ -99,7 +99,7 @@ def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
 def _bounds(
     evidence: HeldOutErrors, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
 ) -> FloatArray | None:
-    """Of all cells, from some of the experiments; none from too few."""
+    """Return the bounds of all cells from some of the experiments; None from too few."""
     if len(rows) < least_experiments(level):
         return None
     groups = list(dict.fromkeys(evidence.group))

@@ -1,7 +1,7 @@
-"""How large an error to expect from features, learned from errors that were seen.
+"""Models of the expected size of errors, learned from features and errors of experiments.
 
-None of these has to be right: whatever a promise adds on top is measured on experiments that the
-model has not seen. A better model makes bounds sharper, not truer.
+A model need not be correct: the conformal correction of a bound is measured on experiments that
+the model has not seen. A better model makes bounds narrower, not more reliable.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from fixel.typing import FloatArray
 
-# Models predict this power of the error: a bound that scales with the error alone would be too wide
-# where errors are large, one that adds a length to all of them where they are small.
+# Power of the error that models predict: bounds proportional to the error would be too wide for
+# large errors, and bounds with a constant addition too wide for small ones.
 POWER: Final = 1.0 / 3.0
 # Fewer experiments than this give a constant.
 MIN_MODEL: Final = 30
@@ -24,23 +24,23 @@ NEIGHBOURS: Final = 12
 
 
 class ScaleModel(Protocol):
-    """Powers of errors (n,) to expect of features (n, f)."""
+    """Function from features (n, f) to expected powers of errors (n,)."""
 
     def __call__(self, features: FloatArray, /) -> FloatArray: ...
 
 
 def powered(errors: FloatArray) -> FloatArray:
-    """Errors as models see them."""
+    """Return the powers of errors that models predict."""
     return np.asarray(errors**POWER)
 
 
 def unpowered(values: FloatArray) -> FloatArray:
-    """Errors again; nothing below zero."""
+    """Inverse of `powered`; negative values count as zero."""
     return np.asarray(np.maximum(values, 0.0) ** (1.0 / POWER))
 
 
 def usual_model(n: int) -> str:
-    """Name of the best model there is for n experiments."""
+    """Return the name of the best available model for n experiments."""
     if n < MIN_MODEL:
         return "constant"
     try:
@@ -51,13 +51,13 @@ def usual_model(n: int) -> str:
 
 
 def fitted_model(name: str, features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
-    """A model of `values` (n,), finite powers of errors.
+    """Fit a model to `values` (n,), finite powers of errors.
 
     Parameters
     ----------
     name : str
         `"forest"`: extremely randomised trees (Geurts, Ernst & Wehenkel 2006), of scikit-learn.
-        `"neighbours"`: the mean of the nearest. `"constant"`: the median.
+        `"neighbours"`: mean of the nearest experiments. `"constant"`: median.
     """
     if name == "forest":
         return _forest(features, values, seed)
@@ -67,7 +67,7 @@ def fitted_model(name: str, features: FloatArray, values: FloatArray, seed: int)
 
 
 class Scale(NamedTuple):
-    """Centre and spread of columns; those that never vary have none."""
+    """Standardisation of columns by centre and spread; constant columns are dropped."""
 
     centre: FloatArray
     spread: FloatArray

@@ -1,4 +1,4 @@
-"""How logarithms of errors vary over the cells of several maps: a Gaussian process.
+"""Gaussian process of the logarithms of errors over the cells of several maps.
 
 Theory: docs/theory/domain.md. Source: Rasmussen & Williams (2006), chapters 2, 5.
 """
@@ -13,30 +13,30 @@ import numpy as np
 
 from fixel.typing import FloatArray, IntArray
 
-DRAWS: Final = 32  # of what is not known of the surface itself
+DRAWS: Final = 32  # draws of the parameters of the surface
 WIDE_MEAN: Final = 3.0  # standard deviation of the overall mean, in logarithms: a factor of 20
 JITTER: Final = 1e-8
-MAX_LEARNT: Final = 300  # cells that reach, changes and scatter are learnt from
+MAX_LEARNT: Final = 300  # cells that the parameters are fitted to
 
-# Logarithms of: reach (share of an axis), what all maps share, what each has of its own, offset of
-# a map, what a cell has of its own, scatter of a new member. Middle and standard deviation of each,
-# wide but for the last: without repetitions nothing tells scatter from what a cell has of its own,
-# and then it is what benches like the simulated one show, some 15 %.
+# Priors (mean and standard deviation) of the logarithms of: reach (share of an axis), variation
+# shared by all maps, variation of each map, offset of a map, variation of a cell, scatter of a new
+# member. They are wide except for the last: without repetitions, scatter cannot be distinguished
+# from the variation of a cell, and is then as on testbeds like the simulated one, about 15 %.
 _MIDDLE: Final = np.log([0.35, 0.35, 0.35, 0.35, 0.40, 0.15])
 _WIDTH: Final = np.array([0.7, 0.9, 0.9, 0.9, 0.7, 0.4])
-# By what factor scatter differs from cell to cell, as the standard deviation of its logarithm:
-# where a push may go either way it is many times the usual.
+# Standard deviation of the logarithm of the scatter over the cells: in cells where a push may go
+# either way, it is many times the usual.
 UNEVEN: Final = 0.8
 NODES: Final = 7
 NAMES: Final = ("reach", "shared", "own", "offset", "cell", "scatter")
 
 
 class CellObservations(NamedTuple):
-    """What members say, cell by cell."""
+    """Scores of the members of each cell, summarised."""
 
     group: IntArray  # (m,) map of each cell that has members
     cell: IntArray  # (m,) its number
-    members: IntArray  # (m,) how many
+    members: IntArray  # (m,) number of members
     mean: FloatArray  # (m,) of their scores
     squares: FloatArray  # (m,) sum of squared distances from the mean
 
@@ -44,22 +44,22 @@ class CellObservations(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Scores of every cell of every map as far as the members tell, in several versions.
+    """Posterior of the scores of every cell of every map, in several versions.
 
     Attributes
     ----------
     mean, variance : (n_draw, n_group, n_cell) float64
-        Of a cell's own typical score.
+        Mean and variance of the typical score of a cell.
     covariance : (n_group, n_cell, n_cell) float64
-        Between cells of a map, in the likeliest version.
+        Covariance between cells of a map, in the likeliest version.
     scatter : (n_draw,) float64
-        Standard deviation of a new member about its cell's score, usually.
+        Usual standard deviation of a new member about the score of its cell.
     factors : (n_node,) float64
-        By which it differs from cell to cell.
+        Factors of the scatter in a cell.
     weights : (n_draw, n_node, n_group, n_cell) float64
-        Probabilities of the factors, in the light of the cell's own repetitions.
+        Probabilities of the factors, given the repetitions in the cell.
     values : (6,) float64
-        The likeliest of `NAMES`.
+        Likeliest values of `NAMES`.
     """
 
     mean: FloatArray
@@ -71,7 +71,7 @@ class Surface:
     values: FloatArray
 
     def below(self, score: float, level: float) -> FloatArray:
-        """(n_group, n_cell) probability that a share `level` of new members stays below."""
+        """Return the probability (n_group, n_cell) that a share `level` of new members is below."""
         from scipy.special import ndtr, ndtri
 
         z = float(ndtri(level))
@@ -82,23 +82,23 @@ class Surface:
 
     @property
     def best(self) -> FloatArray:
-        """(n_group, n_cell) mean over the versions."""
+        """Mean (n_group, n_cell) over the versions."""
         return np.asarray(self.mean.mean(axis=0))
 
 
 def fit_surface(places: FloatArray, n_group: int, seen: CellObservations, seed: int = 0) -> Surface:
-    """Find the surface that members most likely lie on, and how far others are as likely.
+    """Fit the likeliest surface to the scores of members, and draw other versions.
 
     Parameters
     ----------
     places : (n_cell, d) float64
-        Where the cells are, as shares of the axes.
+        Positions of the cells, as shares of the axes.
     n_group : int
-        Maps.
-    seen : CellObservations
-        One cell at least.
-    seed : int
-        Of the versions.
+        Number of maps.
+            seen : CellObservations
+        Scores of at least one cell.
+            seed : int
+        Seed of the versions.
     """
     best, spread = _likeliest(_SurfaceModel(places, n_group, _some(seen, seed)))
     model = _SurfaceModel(places, n_group, seen)
@@ -123,7 +123,7 @@ def fit_surface(places: FloatArray, n_group: int, seen: CellObservations, seed: 
 def _uneven(
     scatter: FloatArray, seen: CellObservations, n_group: int, n_cell: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Factors of the scatter, and how probable each is in every cell (by Bayes's rule)."""
+    """Return the factors of the scatter, and their probabilities in every cell (Bayes's rule)."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     factors = np.exp(UNEVEN * nodes)
     found = np.zeros((len(scatter), NODES, n_group, n_cell))
@@ -136,7 +136,7 @@ def _uneven(
 
 
 def _some(seen: CellObservations, seed: int) -> CellObservations:
-    """At most so many of the cells, at random, for what a few tell as well as all."""
+    """Return a random selection of at most `MAX_LEARNT` cells."""
     n = len(seen.mean)
     if n <= MAX_LEARNT:
         return seen
@@ -145,7 +145,7 @@ def _some(seen: CellObservations, seed: int) -> CellObservations:
 
 
 class _SurfaceModel:
-    """Prior and data; parameters are logarithms, in the order of `NAMES`."""
+    """Gaussian process with its data; parameters are logarithms, in the order of `NAMES`."""
 
     def __init__(self, places: FloatArray, n_group: int, seen: CellObservations) -> None:
         self.distance = np.linalg.norm(places[:, None] - places[None], axis=-1)
@@ -156,9 +156,9 @@ class _SurfaceModel:
         self.y = seen.mean - self.centre
 
     def kernels(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n_cell, n_cell) what all maps share, and what each has of its own."""
+        """Return the covariances (n_cell, n_cell) shared by all maps, and of each map alone."""
         reach, shared, own, offset, cell, _ = np.exp(values)
-        if self.n_group == 1:  # one map cannot tell these apart
+        if self.n_group == 1:  # cannot be distinguished in one map
             offset = shared = 0.0
         r = math.sqrt(3.0) * self.distance / reach
         form = (1.0 + r) * np.exp(-r)  # Matern, 3/2
@@ -173,7 +173,7 @@ class _SurfaceModel:
         return common, single, covariance + np.diag(noise + JITTER)
 
     def loss(self, values: FloatArray) -> float:
-        """Negative logarithm of the posterior of the parameters."""
+        """Return the negative logarithm of the posterior of the parameters."""
         from scipy.linalg import cholesky, solve_triangular
 
         _, _, covariance = self._observed(values)
@@ -190,7 +190,7 @@ class _SurfaceModel:
         return float(prior - likelihood)
 
     def posterior(self, values: FloatArray, whole: bool = False) -> tuple[FloatArray, FloatArray]:
-        """(n_group, n_cell) means, and as many variances; whole covariances where wanted."""
+        """Return means (n_group, n_cell), and their variances, or covariances if `whole`."""
         from scipy.linalg import cholesky, solve_triangular
 
         common, single, covariance = self._observed(values)
@@ -210,7 +210,7 @@ class _SurfaceModel:
 
 
 def _likeliest(model: _SurfaceModel) -> tuple[FloatArray, FloatArray]:
-    """The most probable parameters, and the covariance about them (Laplace)."""
+    """Return the most probable parameters, and the covariance about them (Laplace)."""
     from scipy.optimize import minimize
 
     low, high = _MIDDLE - 3.0 * _WIDTH, _MIDDLE + 3.0 * _WIDTH
@@ -226,7 +226,7 @@ def _likeliest(model: _SurfaceModel) -> tuple[FloatArray, FloatArray]:
 
 
 def _spread(model: _SurfaceModel, best: FloatArray) -> FloatArray:
-    """Inverse of the loss's curvature, at least that of the prior in no direction."""
+    """Return the inverse curvature of the loss, at most the widest prior in any direction."""
     n, h = len(best), 0.1
     eye = h * np.eye(n)
     middle = model.loss(best)
@@ -249,7 +249,7 @@ def _spread(model: _SurfaceModel, best: FloatArray) -> FloatArray:
 
 
 def _versions(best: FloatArray, spread: FloatArray, seed: int) -> FloatArray:
-    """(n_draw, 6) parameters, the likeliest first."""
+    """Draw parameters (n_draw, 6), the likeliest first."""
     from scipy.special import ndtri
     from scipy.stats import qmc
 
