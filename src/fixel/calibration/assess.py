@@ -1,4 +1,4 @@
-"""What the experiments of a calibration determine: noise, profiles, verdicts."""
+"""Assessment of a calibration: noise, profiles and verdicts."""
 
 from __future__ import annotations
 
@@ -381,7 +381,7 @@ class Frames:
         return self._comparer.space
 
     def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:
-        """Residuals (m,) at the best beside the scatter of the measurements; None without either.
+        """Compare residuals (m,) at the best with the measurements' scatter; None without either.
 
         Parameters
         ----------
@@ -404,7 +404,7 @@ class Frames:
         return 3 * int(self._seen.sum())
 
     def dispersion(self, noise: Noise, at_best: FloatArray, unknowns: int) -> Dispersion:
-        """Of the residuals (m,) at the best, in standard deviations."""
+        """Return the dispersion of the residuals (m,) at the best, in standard deviations."""
         known = at_best.size > 0 and bool(np.isfinite(at_best).all())
         deviance = float(at_best @ at_best) if known else math.inf
         # Of frames so far apart, fewer say as much as one.
@@ -440,7 +440,7 @@ def repeated(comparer: Comparer, members: IntArray) -> Noise | None:
 
 
 def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Callable[[str], bool]:
-    """Whether the simulations at a point have the contact that an unknown acts on.
+    """Return a test whether simulations at a point have the contact that an unknown acts on.
 
     Friction at a fixel says nothing where no fixel is touched, whatever its value; likewise at the
     pusher.

@@ -320,7 +320,7 @@ def _share(shifted: ShiftModel, member: int) -> FloatArray:
 
 
 def _condition(target: Target) -> object:
-    """What experiments done under the same conditions have in common."""
+    """Return a label that experiments under the same conditions share."""
     same = same_configuration(target)
     return target.case.scene if same == target.key else same
 

@@ -173,7 +173,7 @@ class ProfileLikelihood:
 
 @final
 class ProfileSearch:
-    """Running profiles. `ask` and `tell` take turns; the same residuals give the same points."""
+    """Running profiles, advanced by residuals; the same residuals give the same points."""
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class ProfileSearch:
 
     @property
     def done(self) -> bool:
-        """Whether it has ended; `reason` then says why."""
+        """Whether the search has ended, for `reason`."""
         return bool(self.reason)
 
     def ask(self) -> FloatArray:
@@ -242,7 +242,7 @@ class ProfileSearch:
 
     @property
     def left(self) -> int | None:
-        """Estimated number of points after those asked for; None while nobody knows."""
+        """Estimated number of points after the requested ones; None while unknown."""
         if self.done:
             return 0
         if not self._sides:
@@ -255,7 +255,7 @@ class ProfileSearch:
 
     @property
     def profiles(self) -> Profiles:
-        """What is known so far; complete once done."""
+        """Profiles as far as they are known; complete at the end."""
         given = math.inf if self._given is None else self._given
         better = self._best.error < given - 1e-3 * self._nominal and math.isfinite(given)
         return Profiles(
@@ -333,7 +333,7 @@ class ProfileSearch:
             self._set_sides(covariance, fitted)
 
     def _covariance(self) -> FloatArray:
-        """(n, n) inverse of the Hessian, very large where it says nothing."""
+        """Return the inverse (n, n) of the Hessian, very large where there is no information."""
         scale = np.outer(self.box.scale, self.box.scale)
         hessian = self._hessian * scale
         ridge = RIDGE * max(float(np.diag(hessian).max()), np.finfo(float).tiny / RIDGE)
@@ -443,7 +443,7 @@ class ProfileSearch:
         self._moved[j, others] = np.maximum(self._moved[j, others], moved)
 
     def _width(self, j: int) -> float:
-        """Of the interval, up to the bound where it is open."""
+        """Return the width of the interval, up to the bound on an open side."""
         ends = [
             side.bound if (end := side.crossing(self._threshold)) is None else end
             for side in self._sides[2 * j : 2 * j + 2]
@@ -493,7 +493,7 @@ def _run(descent: Descent) -> Task:
 
 
 def _first_crossing(values: FloatArray, length: Sequence[float] | FloatArray) -> float | None:
-    """Where lengths that begin at 0 first reach 1."""
+    """Return the value at which lengths that begin at 0 first reach 1; None without one."""
     for k in range(1, len(values)):
         if length[k] >= 1.0:
             if math.isinf(length[k]):

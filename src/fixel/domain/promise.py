@@ -47,8 +47,8 @@ Labels = Sequence[Hashable]
 
 
 class Experience(NamedTuple):
-    """Features and errors that may shape the model of errors, and never judge it: those of the
-    experiments that the calibration was fitted to, say."""
+    """Features and errors for fitting the model of errors, but never for judging it, such as those
+    of the experiments of the calibration."""
 
     features: FloatArray  # (n, f)
     errors: FloatArray  # (n,)
@@ -291,7 +291,7 @@ class Promise:
 
 
 def least_experiments(level: float) -> int:
-    """How many held-out experiments a finite bound takes: 9 for 90 %, 19 for 95 %."""
+    """Return the number of held-out experiments for a finite bound: 9 for 90 %, 19 for 95 %."""
     _refuse_share(level)
     return math.ceil(round(level / (1.0 - level), 9))
 
@@ -331,7 +331,7 @@ def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: floa
 
 
 class PredictedBounds(NamedTuple):
-    """What is promised of configurations never tried."""
+    """Predicted error bounds of configurations without experiments."""
 
     bound: FloatArray  # (m,) inf where nothing is
     expected: FloatArray  # (m,) median; inf where nothing is
@@ -382,7 +382,7 @@ def promised(
 
 
 class _Near(NamedTuple):
-    """What is near evidence: within a multiple of how far evidence lies apart."""
+    """Neighbourhood of the evidence: within a multiple of the distances between its rows."""
 
     evidence: FloatArray
     scale: Scale

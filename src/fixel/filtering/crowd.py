@@ -39,7 +39,7 @@ FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was
 
 
 class FrameMeasurement(NamedTuple):
-    """What was measured in one frame, or in a few of them together, apart from the pusher."""
+    """Measurements of one frame, or of a few of them together, without the pusher."""
 
     time: float  # [s] of the last frame
     seen: FloatArray | None = None  # (3,) mean pose of the object

@@ -25,7 +25,7 @@ KNOWN: Final = 1e-9  # [m], [rad]: deviations below it say that the noise is not
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterMisfit:
-    """Residuals of a simulation that the camera does not correct, beside the camera's noise.
+    """Residuals of a simulation without correction by the camera, and the noise of the camera.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FilterMisfit:
 
 
 def noise_of(scene: Scene, track: Trajectory) -> FloatArray:
-    """(2,) standard deviations of white noise [m, rad]; zeros where they cannot be told."""
+    """Return standard deviations (2,) of white noise [m, rad]; zeros if unknown."""
     if len(track.time) < 2:
         return np.zeros(2)
     case = RolloutCase(scene, track.time[1:] - track.time[0])

@@ -1,4 +1,4 @@
-"""How well a pose agrees with what the camera saw and what the fixels felt."""
+"""Agreement of poses with the measurements of the camera and the fixels."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> Floa
 def told(
     contact: FloatArray, ones: FloatArray, zeros: FloatArray, silent: float, heard: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what readings say, and probabilities of contact after them, by Bayes' rule.
+    """Return the log likelihood of readings, and probabilities of contact after them (Bayes' rule).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is believed of the parameters beforehand, and the scale on which beliefs are moved."""
+"""Prior of the parameters, and the free scale on which particles are moved."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _idle(scene: Scene) -> dict[str, str]:
 
 
 def excited(prior: UniformPrior, low: FloatArray, high: FloatArray) -> list[bool]:
-    """Which parameters a run has told something about: the 90 % interval has become narrower.
+    """Return which parameters a run has informed: their 90 % intervals have become narrower.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ TACTILE: Final = "tactile"  # the channel of the fixels
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterEstimates:
-    """What a filter made of a recorded experiment, frame by frame.
+    """Estimates of a filter for a recorded experiment, frame by frame.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class FilterEstimates:
 
     @property
     def excited(self) -> dict[str, bool]:
-        """By parameter, whether the run has told something about it."""
+        """Parameters by name, with whether the run has informed them."""
         last = self.quantiles[-1]
         return dict(zip(self.prior.names, excited(self.prior, last[:, 0], last[:, 2]), strict=True))
 
@@ -218,7 +218,7 @@ def _frames(
     use_tactile: bool,
     occlusion: tuple[float, float] | None,
 ) -> list[FilterFrame]:
-    """What a filter would have been told, in order. The first frame always sees the object."""
+    """Return the frames that a filter receives, in order. The first one always sees the object."""
     track, pusher = experiment.trajectory, _pusher(experiment)
     first, last = experiment.effective or (track.time[0], track.time[-1])
     first = max(float(first), float(track.time[0]))

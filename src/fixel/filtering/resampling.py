@@ -25,7 +25,7 @@ def normalised(log_weight: FloatArray) -> FloatArray:
 
 
 def effective_sample_size(weight: FloatArray) -> float:
-    """How many equal weights would estimate as well, 1 to n [-].
+    """Return the number of equal weights that would estimate as well, 1 to n [-].
 
     Source: Kong, Liu & Wong (1994), Sequential imputations and Bayesian missing data problems.
     """

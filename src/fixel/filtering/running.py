@@ -47,7 +47,7 @@ POSE: Final = "x [m], y [m], angle [rad]"
 
 
 class FilterFrame(NamedTuple):
-    """What is known at one instant."""
+    """Measurements of one instant."""
 
     time: float  # [s]
     pusher: ArrayLike  # (3,) measured pose [m, m, rad]
@@ -58,7 +58,7 @@ class FilterFrame(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterEstimate:
-    """What the particles say at one instant.
+    """Estimate of the particles at one instant.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class RunningFilter:
         return crowd.place, self._unknowns.values(crowd.free), normalised(self._log_weight)
 
     def draws(self, n: int) -> FloatArray:
-        """(n, n_name) parameters, each particle's as often as its weight says."""
+        """Draw parameters (n, n_name) of the particles, in proportion to their weights."""
         _, values, weight = self.particles
         place = (np.arange(n) + 0.5) / n
         return np.asarray(
@@ -263,15 +263,15 @@ class RunningFilter:
         self._moves = [self._proposed(island) for island in self._islands]
 
     def _smooth(self) -> None:
-        """Of the latest frames; what is older stays as it was."""
-        recent = slice(-MAX_PATH_FRAMES, None)
+        """Smooth the latest frames of the path of the pusher; older ones are unchanged."""
+        recent = slice(-LONGEST, None)
         time = np.array([sight.time for sight in self._sights[recent]])
         path, rate = smoothed(time, np.array(self._measured[recent]))
         self._shake = np.array([0.5 * (rate[0] + rate[1]), rate[2]])
         self._path = np.concatenate((self._path[: len(self._sights) - len(path)], path))
 
     def _surprise(self, seen: FloatArray | None) -> tuple[float, BoolArray]:
-        """Of what was seen, and which particles (n,) are not far from it."""
+        """Return the surprise of a seen pose, and a mask (n,) of the particles near it."""
         crowd, options = self._crowd, self.options
         if seen is None:
             return 0.0, np.ones(len(crowd.free), np.bool_)

@@ -1,4 +1,4 @@
-"""What weighted particles say: means, spreads, quantiles."""
+"""Statistics of weighted particles: means, covariances, quantiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a particle does not know and keeps for the whole run, as numbers without bounds."""
+"""Unknowns of a particle, constant during a run, as numbers without bounds."""
 
 from __future__ import annotations
 
