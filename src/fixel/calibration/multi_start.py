@@ -1,4 +1,4 @@
-"""One optimiser from several starts."""
+"""Searches of one optimiser from several starts."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 The options of an optimiser are a frozen dataclass; `start` begins a search in a box. The search is
 a state machine that evaluates nothing itself, so the same search runs in a loop, on a cluster, or
-from a journal of an interrupted job. For the same errors it returns the same points, bit for
-bit.
+from a journal of an interrupted job. The same errors give the same points, bit for bit.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ TAIL: Final = 12  # lines of a log in an error message
 
 
 class AbstractPool(abc.ABC):
-    """Pool that keeps `size` workers running."""
+    """Pool of `size` workers, which are replaced when they end."""
 
     size: int  # workers that are wanted
     interface: str = link.LOOPBACK

@@ -6,7 +6,6 @@ the way add up. The error is therefore modelled as a random walk over the distan
 object: between two frames its variance grows by tau^2 times the share of the way between them,
 independently in x, y and L theta. At the end of the way its standard deviation is tau.
 
-
 Alternatives are worse. A constant error would not vanish at the start. An error proportional to
 the way has only one shape, so parameters would have to explain all other errors. A walk has all
 shapes. The likelihood of a drift of size d depends on d / tau only, not on the number of frames:
@@ -66,7 +65,7 @@ class ModelError:
 
     @property
     def sides(self) -> FloatArray:
-        """(3,) divisors of tau for x, y, theta [-, -, m/rad]."""
+        """Divisors (3,) of tau for x, y, theta [-, -, m/rad]."""
         return np.array([1.0, 1.0, self.angle_scale])
 
 

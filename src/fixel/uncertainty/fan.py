@@ -125,7 +125,7 @@ def fan_of(
     times : (n_time,) array_like, optional
         Instants to record [s]; by default twelve up to the end of the scene.
     motion, stepper, threads : optional
-        As for `Ensemble`.
+        Options of `Ensemble`.
     seed : int
     progress : callable, optional
         Called with the number of starts done and in all.

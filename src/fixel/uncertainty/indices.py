@@ -208,7 +208,7 @@ def indices_of(
     values : mapping of name to float, optional
         Parameters without uncertainty.
     motion, stepper, seed, threads, progress
-        As for `fan_of`.
+        Options of `fan_of`.
 
     Returns
     -------

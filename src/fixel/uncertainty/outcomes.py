@@ -82,8 +82,10 @@ class Sensitivity:
     modes : dict of str to float
         Share of each final contact mode.
     torn : bool
-        Whether the outcomes of neighbouring starts lie farther apart than the start error is wide,
-        for 1 % of the starts: more than the roughness of the simulation.
+        Whether the outcomes of neighbouring starts are farther apart than the size of the start
+        error, for 1 % of the starts: more than the roughness of the simulation.
+    bifurcates : bool
+        Whether several outcomes or contact modes are farther apart than the start error is large.
     apart : float
         Largest distance between the means of two outcomes or contact modes, with rotations [m].
     failed : dict of str to int

@@ -41,13 +41,13 @@ class ParameterPrior:
 
     @property
     def low(self) -> FloatArray:
-        """(n,) lower bounds."""
+        """Lower bounds (n,)."""
         more = [] if self.model_error is None else [self.model_error.low]
         return np.array([*self.space.low, *more])
 
     @property
     def high(self) -> FloatArray:
-        """(n,) upper bounds."""
+        """Upper bounds (n,)."""
         more = [] if self.model_error is None else [self.model_error.high]
         return np.array([*self.space.high, *more])
 

@@ -38,12 +38,12 @@ class Ranks(NamedTuple):
 
     @property
     def uniformity(self) -> FloatArray:
-        """(n,) p-values of the test that ranks are uniform."""
+        """P-values (n,) of the test that ranks are uniform."""
         return np.array([uniformity(column) for column in self.ranks.T])
 
     @property
     def coverage(self) -> FloatArray:
-        """(n,) share of truths inside the central 95 % interval."""
+        """Share (n,) of truths inside the central 95 % interval."""
         return np.asarray(np.mean(np.abs(self.ranks - 0.5) <= 0.5 * LEVEL, axis=0))
 
 

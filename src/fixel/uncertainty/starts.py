@@ -59,17 +59,17 @@ class StartError:
 
     @property
     def size(self) -> FloatArray:
-        """(3,) half-widths or standard deviations [m, m, rad]."""
+        """Half-widths or standard deviations (3,) [m, m, rad]."""
         return np.array([self.x, self.y, self.theta])
 
     @property
     def deviation(self) -> FloatArray:
-        """(3,) standard deviations [m, m, rad]."""
+        """Standard deviations (3,) [m, m, rad]."""
         return self.size / math.sqrt(3.0) if self.kind == "uniform" else self.size
 
     @property
     def reach(self) -> FloatArray:
-        """(3,) limits that errors hardly ever exceed [m, m, rad]."""
+        """Limits (3,) that errors hardly ever exceed [m, m, rad]."""
         return self.size if self.kind == "uniform" else 4.0 * self.size
 
     def samples(self, n: int, seed: int = 0) -> FloatArray:
