@@ -59,9 +59,9 @@ class LeastSquares:
         Number of steps of different damping in one batch.
     tolerance : float
         Relative decrease of the deviance below which the search ends.
-            enough : float
+    enough : float
         Decrease of the deviance below which the search ends.
-            most_iterations : int
+    most_iterations : int
         Maximum number of accepted steps.
     secant : bool
         Whether derivatives are corrected after a good step instead of computed again: one
@@ -116,7 +116,7 @@ class LeastSquares:
         box : SearchBox
         seed : int
             Seed of the random starts.
-                    feasible : callable, optional
+        feasible : callable, optional
             Test of points for the random starts.
         prior : NormalPrior, optional
         """

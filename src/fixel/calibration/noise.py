@@ -165,7 +165,7 @@ def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
     ----------
     series : sequence of (n_frame, 3) arrays
         Residuals of x, y, theta [m, m, rad], one array per experiment.
-            unknowns : int
+    unknowns : int
         Number of fitted unknowns.
     """
     rows = [np.asarray(one, np.float64) for one in series]

@@ -49,9 +49,9 @@ def gaps_and_normals(
     ----------
     shape : Shape
         Shape of the object.
-            radius : float
+    radius : float
         Radius of the tip [m].
-            pose : (n, 3) float64
+    pose : (n, 3) float64
         Poses of the object [m, m, rad].
     tip : (n, 2) float64
         Centres of the tip [m].

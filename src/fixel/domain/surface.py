@@ -95,9 +95,9 @@ def fit_surface(places: FloatArray, n_group: int, seen: CellObservations, seed: 
         Positions of the cells, as shares of the axes.
     n_group : int
         Number of maps.
-            seen : CellObservations
+    seen : CellObservations
         Scores of at least one cell.
-            seed : int
+    seed : int
         Seed of the versions.
     """
     best, spread = _likeliest(_SurfaceModel(places, n_group, _some(seen, seed)))

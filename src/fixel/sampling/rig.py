@@ -98,7 +98,7 @@ class PlannedShape:
         Unique among the plan's objects; see `plain_name`.
     outline : Polygon, Disk or RegularPolygon
         Outline in the frame of the object.
-            mass : float
+    mass : float
         Mass of the object [kg].
     support : Support
         Support of the object on the plane.
@@ -185,13 +185,13 @@ class SamplingRig:
         Force at which the drive stalls [N]; None for a rigid drive.
     head_friction, fixel_friction : float
         Nominal friction coefficients against the object [-].
-            fixel_radius : float
+    fixel_radius : float
         Radius of the fixels [m].
-            zone_side : float
+    zone_side : float
         Side of the square fixel zone, which is symmetric about the x axis [m].
-            gap : float
+    gap : float
         Distance along the motion from the head to the object in its nominal pose [m].
-            angle : float
+    angle : float
         Angle of the object in its nominal pose [rad].
     """
 

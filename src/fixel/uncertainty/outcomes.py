@@ -85,7 +85,7 @@ class Sensitivity:
         Whether the outcomes of neighbouring starts are farther apart than the size of the start
         error, for 1 % of the starts: more than the roughness of the simulation.
     bifurcates : bool
-        Whether several outcomes or contact modes are farther apart than the start error is large.
+        Whether outcomes or contact modes are farther apart than the size of the start error.
     apart : float
         Largest distance between the means of two outcomes or contact modes, with rotations [m].
     failed : dict of str to int

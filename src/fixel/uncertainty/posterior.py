@@ -81,11 +81,11 @@ class Posterior:
     ----------
     labels, units : tuple of str
         Names and units of the n unknowns.
-            low, high : (n,) float64
+    low, high : (n,) float64
         Bounds of the prior.
-            samples : (k, n) float64
+    samples : (k, n) float64
         Samples of equal weight.
-            log_likelihood : (k,) float64
+    log_likelihood : (k,) float64
         Log likelihood of the samples.
     log_evidence, log_evidence_error : float
         Natural logarithm of the probability of the data under the prior, and its standard error.
