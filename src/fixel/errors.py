@@ -180,7 +180,7 @@ class StoreRefused(FixelError, RuntimeError):
     reason : str
         Cause: locked by another process, read-only, too new, on a network file system.
     hint : str
-        The command that helps.
+        Command that helps.
     """
 
     def __init__(self, reason: str, hint: str | None = None) -> None:
@@ -201,7 +201,7 @@ class JobRefused(FixelError, RuntimeError):
     reason : str
         Cause: run by another process, begun with another version, no such command.
     hint : str
-        The command that helps.
+        Command that helps.
     """
 
     def __init__(self, reason: str, hint: str | None = None) -> None:

@@ -24,9 +24,9 @@ MOST: Final = 2000
 class Solution(NamedTuple):
     """Cluster of points that are almost as good as the best."""
 
-    point: FloatArray  # (n,) the best of them
+    point: FloatArray  # (n,) best point
     error: float
-    size: int  # points in the cluster
+    size: int  # number of points
     low: FloatArray  # (n,) smallest value of each parameter in the cluster
     high: FloatArray  # (n,)
     members: np.ndarray  # (size,) row numbers of its points, best first
@@ -37,9 +37,9 @@ class SupportFeatures(NamedTuple):
 
     mean_radius: FloatArray  # (k,) load-weighted mean distance from the centre of mass: torsional
     radii: FloatArray  # (k, 2) root mean square along the principal axes, the larger first
-    angle: FloatArray  # (k,) of the larger axis, in (-pi/2, pi/2] [rad]
+    angle: FloatArray  # (k,) angle of the larger axis, in (-pi/2, pi/2] [rad]
     centre: FloatArray  # (k, 2) centre of load, from the centre of mass
-    share: FloatArray  # (k, n) of the load on each point
+    share: FloatArray  # (k, n) share of the load on each point
 
 
 def find_solutions(
@@ -68,7 +68,7 @@ def find_solutions(
     Returns
     -------
     tuple of Solution
-        Best first; empty if all points failed.
+        Clusters, the best first; empty if all points failed.
     """
     table, told = np.asarray(points, np.float64), np.asarray(errors, np.float64)
     widths = np.asarray(scale, np.float64)

@@ -141,7 +141,7 @@ class _ParameterCase(NamedTuple):
     others: tuple[float, ...]  # values outside the interval that fit as well
     rough: bool  # whether roughness of the deviance exceeds the noise
     level: float
-    centre: float | None = None  # of an interval that allows for misfit
+    centre: float | None = None  # centre of the interval that allows for misfit
     misfits: bool = False  # whether the misfit requires a warning
 
     @property

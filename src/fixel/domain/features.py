@@ -42,7 +42,7 @@ class Configurations(NamedTuple):
     """Intended straight pushes of one object by a round pusher."""
 
     shape: Shape
-    radius: float  # of the pusher [m]
+    radius: float  # radius of the pusher [m]
     start: FloatArray  # (n, 3) pose of the object [m, m, rad]
     tip_start: FloatArray  # (n, 2) centre of the pusher [m]
     tip_end: FloatArray  # (n, 2)

@@ -25,7 +25,7 @@ from fixel.typing import FloatArray, IntArray
 
 OWN: Final = "own"  # parameters of a single experiment
 STORED: Final = "stored"
-AVERAGED: Final = "averaged"  # weighted with inverse errors
+AVERAGED: Final = "averaged"  # mean, weighted with inverse errors
 NONE: Final = "none"
 
 

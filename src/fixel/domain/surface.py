@@ -35,10 +35,10 @@ class CellObservations(NamedTuple):
     """Scores of the members of each cell, summarised."""
 
     group: IntArray  # (m,) map of each cell that has members
-    cell: IntArray  # (m,) its number
+    cell: IntArray  # (m,) number of the cell
     members: IntArray  # (m,) number of members
-    mean: FloatArray  # (m,) of their scores
-    squares: FloatArray  # (m,) sum of squared distances from the mean
+    mean: FloatArray  # (m,) mean of their scores
+    squares: FloatArray  # (m,) sum of squared deviations from the mean
 
 
 @final

@@ -135,7 +135,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _locked(descriptor: int, shared: bool = False) -> bool:
-        """Take the system's lock; False where there is none."""
+        """Take the lock of the operating system; return False if there is none."""
         os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond the owner's name, which stays readable
         try:
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
@@ -147,7 +147,7 @@ else:
     import fcntl
 
     def _locked(descriptor: int, shared: bool = False) -> bool:
-        """Take the system's lock; False where there is none."""
+        """Take the lock of the operating system; return False if there is none."""
         try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:

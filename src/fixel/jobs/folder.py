@@ -5,7 +5,7 @@
     inputs/         files the work and its chunks read; never changed
     run.json        settings of the last `submit` or `resume`: workers, site
     journal         every answer; a job continues from it alone
-    state.json      progress, for display only
+    state.json      state and progress, for display
     log.txt         messages with their time
     result          bytes that the work returned
     cancel          exists if the job is to end
@@ -42,7 +42,7 @@ State = Literal[
 ]
 STATES: Final[tuple[State, ...]] = get_args(State)
 ENDED: Final = ("done", "failed", "stopped", "cancelled")
-VERSION: Final = 1  # of the layout
+VERSION: Final = 1  # version of the layout
 
 JOURNAL: Final = "journal"
 RESULT: Final = "result"

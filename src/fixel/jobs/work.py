@@ -55,7 +55,7 @@ class Round(NamedTuple):
     Attributes
     ----------
     function : str
-        `"module:function"` in fixel, called as `function(inputs: Path, payload: bytes) -> bytes`.
+        `"KIND:FUNCTION"`, called as `function(inputs: Path, payload: bytes) -> bytes`.
         It may be called again for the same payload, and must then return the same.
     chunks : sequence of Chunk
     note : str

@@ -34,7 +34,7 @@ MU_PLANE: Final = 0.757
 # Position of the probe on the side, from its midpoint, over its length: points C, B, D, A, E of the
 # long side, then G, F, H of the short one.
 PLACES: Final = (0.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.5, -0.5)
-LONG: Final = 5  # of these on the long side
+LONG: Final = 5  # number of these on the long side
 
 
 def probe_offset(test: int) -> float:

@@ -45,7 +45,7 @@ class Ellipse(NamedTuple):
     level: float
     centre: FloatArray  # (2,) [m]
     radii: FloatArray  # (2,) half axes, the larger first [m]
-    angle: float  # of the larger axis [rad]
+    angle: float  # angle of the larger axis [rad]
 
 
 class EndBounds(NamedTuple):

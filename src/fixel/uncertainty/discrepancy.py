@@ -73,8 +73,8 @@ class WalkAxes(NamedTuple):
     """Principal axes of a random walk over the frames of one experiment."""
 
     axes: FloatArray  # (n_frame, n_frame) one column each
-    variance: FloatArray  # (n_frame,) along them, of a walk with tau = 1
-    share: FloatArray  # (n_frame,) of the way that lies behind each frame
+    variance: FloatArray  # (n_frame,) variances along them for tau = 1
+    share: FloatArray  # (n_frame,) share of the way up to each frame
 
 
 def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> FloatArray:

@@ -23,10 +23,10 @@ GAP: Final = 0.1
 class NearOptimal(NamedTuple):
     """Range and clusters of the nearly optimal points."""
 
-    least: float  # error of the best
-    rise: float  # above it that noise explains
-    size: int  # points within
-    low: FloatArray  # (n,) of all of them
+    least: float  # smallest error
+    rise: float  # rise above it that noise explains
+    size: int  # number of points within the rise
+    low: FloatArray  # (n,) smallest values of these points
     high: FloatArray  # (n,)
     clusters: tuple[Solution, ...]  # best first
 

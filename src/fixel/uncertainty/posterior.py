@@ -57,14 +57,14 @@ class SamplerProgress(NamedTuple):
 
     evaluations: int
     per_second: float
-    remaining: float  # evidence left to be found, as the logarithm of a factor
-    share: float  # of the work, roughly
+    remaining: float  # remaining evidence, as the logarithm of a factor
+    share: float  # approximate share of the work done
 
 
 class Mode(NamedTuple):
     """Separate part of the posterior."""
 
-    weight: float  # of the probability
+    weight: float  # share of the probability
     best: FloatArray  # (n,) its likeliest sample
     log_likelihood: float  # there
     low: FloatArray  # (n,) 2.5 % quantile of each parameter

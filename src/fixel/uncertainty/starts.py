@@ -98,7 +98,7 @@ def _length(metres: float) -> str:
     return f"{1e6 * metres:.3g} um" if metres < 1e-4 else f"{1e3 * metres:.3g} mm"
 
 
-# Experimental errors of the ASME paper: one pixel in x and y; 0.5 deg is read from its figure of
+# Experimental errors of the ASME paper: +-1 pixel in x and y; 0.5 deg is read from its figure of
 # the same simulations.
 ASME: Final = StartError(x=5e-6, y=5e-6, theta=math.radians(0.5))
 # Static noise of the stickers' poses in RPI's trials.
