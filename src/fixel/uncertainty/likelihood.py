@@ -114,7 +114,7 @@ class LogLikelihood:
             n = difference.shape[1]
             scale = n * float(np.log(2.0 * math.pi * self._white).sum())
             return np.asarray(-0.5 * (np.sum(difference**2 / self._white, axis=(1, 2)) + scale))
-        # (n, n) x (n, 3) for each point: the same bit for bit for any number of points in a batch.
+        # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
         rotated = np.matmul(walk.axes.T, difference)
         return log_density(rotated, walk.variance, tau, self._white)
 
