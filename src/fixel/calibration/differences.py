@@ -17,7 +17,7 @@ PLAIN: Final = 1000.0
 TRIES: Final = 4
 GROWTH: Final = 10.0
 # Smallest step over the first one; if it still fails, the point is at an edge of feasibility.
-SMALLEST: Final = 1e-3
+MIN_STEP_SHARE: Final = 1e-3
 
 
 @final

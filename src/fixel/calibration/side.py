@@ -27,13 +27,13 @@ STRIDE: Final = 0.4
 # Intended length of a value beyond the crossing.
 AIM: Final = 1.1
 # Longest step, as a share of the way to the bound, and relative to the previous step.
-LONGEST: Final = 0.5
+MAX_STEP: Final = 0.5
 GROWTH: Final = 2.0
 # Shortest step [scales].
-SHORTEST: Final = 1e-6
+MIN_STEP: Final = 1e-6
 # A bracket is narrow enough if an end is this close to the threshold, or its width is this share
 # of the distance: 3 per cent of the half-width of an interval do not matter.
-CLOSE: Final = 0.06
+CLOSE_RISE: Final = 0.06
 NARROW: Final = 0.03
 # Maximum number of fixed values on a side.
 MAX_NODES: Final = 30
@@ -119,7 +119,7 @@ class Side:
 
     def next_value(self, threshold: float) -> float | None:
         """Return the next value to fix; None if the crossing is known, or there is none."""
-        if self._room <= SHORTEST * self._scale or len(self.nodes) > MAX_NODES:
+        if self._room <= MIN_STEP * self._scale or len(self.nodes) > MAX_NODES:
             return None
         above = self.first_above(threshold)
         if above is None:
@@ -192,7 +192,7 @@ class Side:
     def _between(self, inner: Node, outer: Node, threshold: float) -> float | None:
         a, b = (self._length(node, threshold) for node in (inner, outer))
         from_, to = self._distance(inner.value), self._distance(outer.value)
-        narrow = to - from_ <= max(NARROW * to, SHORTEST * self._scale)
+        narrow = to - from_ <= max(NARROW * to, MIN_STEP * self._scale)
         # The optimum and one value do not distinguish a parabola from a line: add one in between.
         predicted = a == 0.0 and abs(to - FIRST_SHARE * self._reach) <= 1e-6 * to
         if narrow or (predicted and b - 1.0 <= CONFIRMED):

@@ -20,7 +20,7 @@ LOOKS: Final = 3
 AIM: Final = 1.05
 # Tolerances of the crossing: shares of the root of the rise, and for a bracket of the
 # distance.
-CLOSE: Final = 0.1
+CLOSE_RISE: Final = 0.1
 CONFIRMED: Final = 0.05
 NARROW: Final = 0.2
 # Maximum number of rounds of points inside a bracket.
@@ -114,7 +114,7 @@ class Slicer:
                 placed = abs(distance - AIM * self._reach) <= 1e-6 * distance
                 if not (placed and abs(b - AIM) <= CONFIRMED):
                     found.append(pair[0] + 0.5 / b * (pair[1] - pair[0]))
-            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE:
+            elif width > NARROW * distance and min(1.0 - a, b - 1.0) > CLOSE_RISE:
                 # Interpolation converges slowly for curved deviances: alternate with bisection.
                 share = 0.5 if self._round % 2 == 0 else self._share(*pair)
                 found.append(pair[0] + share * (pair[1] - pair[0]))

@@ -18,7 +18,7 @@ from fixel.model.fields import non_negative, positive
 from fixel.typing import FloatArray
 
 # Maximum number of compared points, the best ones: their distances take 8 bytes per pair.
-MOST: Final = 2000
+MAX_SOLUTIONS: Final = 2000
 
 
 class Solution(NamedTuple):

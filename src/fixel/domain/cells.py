@@ -14,10 +14,10 @@ from fixel.domain.evidence import HeldOutErrors, Value, unit_in
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 
-FEW: Final = 25  # largest number of distinct values with a cell each
+FEW_VALUES: Final = 25  # largest number of distinct values with a cell each
 BINS: Final = 8  # ranges with equal numbers of values, for more distinct values
 MAX_CELLS: Final = 2500
-SAME: Final = 1e-9  # difference of values that count as equal, over the extent
+SAME_VALUE: Final = 1e-9  # difference of values that count as equal, over the extent
 
 _READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 

@@ -20,7 +20,7 @@ MEASURES: Final[tuple[Measure, ...]] = get_args(Measure)
 # Suffixes of names with a unit; other names have none.
 _UNITS: Final = {"_m_s": "m/s", "_rad_s": "rad/s", "_rad": "rad", "_m": "m", "_s": "s", "_n": "N"}
 # Smallest error, since zero has no logarithm; simulations are exact to a micrometre [mm^2].
-LEAST: Final = 1e-6
+MIN_ERROR: Final = 1e-6
 
 
 def unit_in(name: str) -> str:
@@ -135,7 +135,7 @@ class HeldOutErrors(Comparable):
         error = np.maximum(self.error_mm2, MIN_ERROR)
         if measure == "absolute":
             return np.asarray(0.5 * np.log(error))
-        own = np.maximum(self.own_mm2, LEAST)
+        own = np.maximum(self.own_mm2, MIN_ERROR)
         # The best known is an upper bound of the true best, so ratios below 1 are set to 1.
         return np.asarray(np.log(np.maximum(error / own, 1.0)))
 

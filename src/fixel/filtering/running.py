@@ -264,7 +264,7 @@ class RunningFilter:
 
     def _smooth(self) -> None:
         """Smooth the latest frames of the path of the pusher; older ones are unchanged."""
-        recent = slice(-LONGEST, None)
+        recent = slice(-MAX_PATH_FRAMES, None)
         time = np.array([sight.time for sight in self._sights[recent]])
         path, rate = smoothed(time, np.array(self._measured[recent]))
         self._shake = np.array([0.5 * (rate[0] + rate[1]), rate[2]])

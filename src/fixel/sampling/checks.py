@@ -16,7 +16,7 @@ from fixel.model import LineDrive, Scene, Shape, placed
 from fixel.typing import FloatArray
 
 # [m] Larger than any plate.
-FAR: Final = 1e6
+FAR_AWAY: Final = 1e6
 
 
 class PlanProblem(NamedTuple):

@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 Bounds = tuple[float, float]
 
 # Configurations of one scheme, and steps of one axis. More could not be measured in a year.
-MOST: Final = 100_000
+MAX_OFFSETS: Final = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,8 +29,8 @@ LABEL: Final = "model_error"
 MEANING: Final = "standard deviation of the model's own error at the end of the way"
 
 # Range of its standard deviation: from below the camera's resolution to a useless model.
-SMALLEST: Final = 5e-5  # [m]
-LARGEST: Final = 2e-2  # [m]
+MIN_DISCREPANCY: Final = 5e-5  # [m]
+MAX_DISCREPANCY: Final = 2e-2  # [m]
 
 
 @final

@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.fan import Fan
 
-FEWEST: Final = 50  # outcomes that an ensemble needs for an analysis
+MIN_OUTCOMES: Final = 50  # outcomes that an ensemble needs for an analysis
 
 # Smallest share of an outcome that counts for a bifurcation.
 RARE: Final = 0.01
