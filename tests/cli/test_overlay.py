@@ -14,7 +14,7 @@ from tests.vision.plate import plate_picture, small_rig
 from fixel.cli.main import run
 from fixel.formats.rig_file import save_rig
 from fixel.formats.video_file import VideoWriter
-from fixel.testbed import frame_source
+from fixel.testbed import open_source
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Frame
 
@@ -120,7 +120,7 @@ def test_the_page_until_the_film_ends(bench, capsys):
 
 def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     source = Endless()
-    monkeypatch.setattr(frame_source, "source_of", lambda *_, **__: source)
+    monkeypatch.setattr(open_source, "source_of", lambda *_, **__: source)
     seen = {}
 
     def visit():
@@ -196,7 +196,7 @@ def test_a_camera_that_fails_says_so(bench, capsys, monkeypatch):
             yield CameraPicture(0.0, pixels=picture(0.11))
             raise OSError("the plug was pulled")
 
-    monkeypatch.setattr(frame_source, "source_of", lambda *_, **__: Failing())
+    monkeypatch.setattr(open_source, "source_of", lambda *_, **__: Failing())
     code, out, err = fixel(capsys, *asked(bench, "0"))
     assert code == 0
     assert "the plug was pulled" in err

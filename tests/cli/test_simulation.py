@@ -48,7 +48,8 @@ def test_json_has_the_keys_of_the_contract(scene, capsys):
     assert answer["status"] == "converged"
     assert "stopped_at" not in answer
     assert answer["pushers"]["actuator"] == {
-        "travel": pytest.approx(answer["final"]["actuator"][0]),
+        # Where it stalls it may go on by the tolerance of a step, 0.4 um, and give way again.
+        "travel": pytest.approx(answer["final"]["actuator"][0], abs=1e-6),
         "force": pytest.approx(34.3),
         "stalled": True,
     }

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "filter-a-run.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "filtering.md"
 
 
 def test_the_examples_of_the_page_run():

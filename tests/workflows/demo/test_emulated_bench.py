@@ -15,7 +15,7 @@ from fixel.workflows.acquisition.film import Shooting, film
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.demo.emulated_bench import record_film
 
-EXAMPLE = Path(__file__).parents[2] / "examples/scenes/peg_slip.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples/scenes/peg_slip.yaml"
 FRAMES = 45
 
 
