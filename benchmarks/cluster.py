@@ -73,10 +73,12 @@ def _engine(folder: Path, slurm: bool, workers: int) -> LocalEngine | DaskEngine
         return LocalEngine()
     if slurm:
         name = f"fixel-{time.time_ns():x}"[:18]
-        pool: SlurmPool | LocalPool = SlurmPool(folder, workers, SITE, name, say=print, poll_s=0.5)
+        pool: SlurmPool | LocalPool = SlurmPool(
+            folder, workers, SITE, name, notify=print, poll_s=0.5
+        )
     else:
         pool = LocalPool(folder, workers)
-    return DaskEngine(folder, pool, say=print)
+    return DaskEngine(folder, pool, notify=print)
 
 
 def _warm_up(engine: LocalEngine | DaskEngine) -> Generator[Round, Any, Any]:

@@ -31,7 +31,7 @@ class Operator:
             return f"{1e3 * self.drive.position():.3f}"
         return ""
 
-    def say(self, sentence: str) -> None:
+    def notify(self, sentence: str) -> None:
         if "Set in" in sentence:
             self.set_to = 1e-3 * float(sentence.split(" to ")[1].split(" mm")[0])
         elif "STOP" in sentence:
@@ -48,7 +48,7 @@ class TestManual(ActuatorContract):
     @pytest.fixture
     def actuator(self) -> AbstractActuator:
         operator = Operator()
-        return ManualActuator(ask=operator.ask, say=operator.say)
+        return ManualActuator(ask=operator.ask, notify=operator.notify)
 
     def test_who_is_interrupted_at_the_click_is_asked_to_stop_the_drive(self) -> None:
         said: list[str] = []
@@ -58,7 +58,7 @@ class TestManual(ActuatorContract):
                 raise KeyboardInterrupt
             return "0"
 
-        drive = ManualActuator(ask=ask, say=said.append).connect()
+        drive = ManualActuator(ask=ask, notify=said.append).connect()
         with pytest.raises(KeyboardInterrupt):
             drive.move(to=0.01)
         assert said[-1].startswith("STOP THE DRIVE NOW")

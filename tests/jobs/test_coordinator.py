@@ -29,7 +29,7 @@ OPTIONS = {"rounds": 3, "chunks": 6}
 def test_a_job_in_one_process(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS)
     seen, said = [], []
-    status = coordinate(folder, progress=seen.append, say=said.append)
+    status = coordinate(folder, progress=seen.append, notify=said.append)
     assert status.state == "done"
     assert said == ["preparing", "running", "collecting", "done"]
     assert seen[-1].done == seen[-1].total == 18
@@ -154,7 +154,7 @@ def test_a_damaged_journal_costs_what_is_damaged(tmp_path):
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
     said = []
-    coordinate(folder, say=said.append)
+    coordinate(folder, notify=said.append)
     assert any("damaged in 1 places" in sentence for sentence in said)
     assert (folder / files.RESULT).read_bytes() == before
     assert blocks_written(folder) == 19  # the damaged one, and it once more

@@ -40,8 +40,8 @@ def chunks(n, **options):
 
 
 def workers(folder, size=2, said=None, **options):
-    say = (said if said is not None else []).append
-    return DaskEngine(folder, LocalPool(folder, size), say=say, **options)
+    notify = (said if said is not None else []).append
+    return DaskEngine(folder, LocalPool(folder, size), notify=notify, **options)
 
 
 def answers(engine, folder, asked):
@@ -154,7 +154,7 @@ def test_workers_that_cannot_start_are_not_started_for_ever(folder, tmp_path):
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\necho no such module >&2\nexit 1\n")
     python.chmod(0o755)
-    engine = DaskEngine(folder, LocalPool(folder, 1, str(python)), say=lambda _: None)
+    engine = DaskEngine(folder, LocalPool(folder, 1, str(python)), notify=lambda _: None)
     with engine, pytest.raises(JobRefused, match=r"3 workers in a row .*said:\nno such module"):
         answers(engine, folder, chunks(1))
 

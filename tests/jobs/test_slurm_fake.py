@@ -53,7 +53,7 @@ def pool(folder, said):
 
 def make_pool(folder, said, size=2, **site):
     site = Site(**{"submit_interval_s": 0.0, "max_jobs": 4} | site)
-    return SlurmPool(folder, size, site, NAME, say=said.append, poll_s=0.0, back_off_s=0.01)
+    return SlurmPool(folder, size, site, NAME, notify=said.append, poll_s=0.0, back_off_s=0.01)
 
 
 def steps(pool, n=3):

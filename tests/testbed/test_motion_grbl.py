@@ -130,13 +130,13 @@ def lose_the_banner(controller: EmulatedGrbl) -> None:
 
 def damage_a_report(controller: EmulatedGrbl) -> None:
     """A letter of the next report arrives as another: it says no place any more."""
-    say = controller._say
+    notify = controller._say
 
     def damaged(*lines: str) -> None:
         if lines[0].startswith("<"):
-            controller._say = say
+            controller._say = notify
             lines = (lines[0].replace("MPos", "MQos"),)
-        say(*lines)
+        notify(*lines)
 
     controller._say = damaged
 

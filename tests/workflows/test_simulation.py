@@ -100,10 +100,10 @@ def test_plain_and_compiled_loops_give_the_same(scene):
 def test_compiling_is_announced_only_when_the_cache_is_cold(scene, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compilation, "cache_folder", lambda: str(scene.parent / "no-such-folder"))
-    simulate_file(scene, say=said.append)
+    simulate_file(scene, notify=said.append)
     assert said == [compilation.COMPILING]
 
     (scene.parent / "no-such-folder").mkdir()
     (scene.parent / "no-such-folder" / "batch.roll-1.nbc").touch()
-    simulate_file(scene, say=said.append)
+    simulate_file(scene, notify=said.append)
     assert len(said) == 1

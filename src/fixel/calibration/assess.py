@@ -191,7 +191,7 @@ def fitting(
     """Fit by least squares, and where the model misfits also with mixed effects.
 
     The parameters are those of `assess`. A wrong valley looks like misfit: where there is any,
-    least squares begins once more from the mixed fit before anything is said of it.
+    least squares begins once more from the mixed fit before it is assessed.
     """
     own = distinct(comparer, members)
     chosen = Frames(comparer, own)
@@ -442,7 +442,7 @@ def repeated(comparer: Comparer, members: IntArray) -> Noise | None:
 def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Callable[[str], bool]:
     """Return a test whether simulations at a point have the contact that an unknown acts on.
 
-    Friction at a fixel says nothing where no fixel is touched, whatever its value; likewise at the
+    Friction at a fixel means nothing where no fixel is touched, whatever its value; likewise at the
     pusher.
     """
     acts_on = {"mu_fixel": "fixel", "mu_pusher": "pusher"}

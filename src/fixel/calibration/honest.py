@@ -10,7 +10,7 @@ all experiments share. The interval is that of the mixed fit, with the variance
 over the two descents of least squares, from the search's best and from the mixed fit, and Student's
 t with the effective number of experiments.
 
-Source: Hausman (1978) for what two estimators that disagree say; `clusters` and `mixed` have
+Source: Hausman (1978) for the difference of two estimators; `clusters` and `mixed` have
 theirs. Measured on simulated laboratories: `python -m benchmarks misfit`.
 """
 

@@ -160,7 +160,7 @@ class ProfileLikelihood:
         prior : NormalPrior, optional
             As in the calibration.
         fitted : LeastSquaresFit, optional
-            Of all parameters, ending at the point, with the residuals that will be told and without
+            Of all parameters, ending at the point, with residuals as passed to it, without
             a prior; saves fitting again.
         """
         given = np.asarray(point, np.float64)

@@ -42,10 +42,10 @@ def ports(as_json: AsJson = False) -> None:
 @app.command("home")
 def home(port: Port = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Let the drive go to its end switch, and know where it is."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.acquisition.actuator import chosen_actuator, home_actuator
 
-    _show(home_actuator(chosen_actuator(driver, port, say=say)), as_json, port)
+    _show(home_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
 
 
 @app.command("move")
@@ -74,13 +74,13 @@ def move(
     as_json: AsJson = False,
 ) -> None:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.acquisition.actuator import chosen_actuator, move_actuator
 
     if sys.stdin.isatty() and driver == "grbl":
-        say("Any key stops the drive.")
+        notify("Any key stops the drive.")
     answer = move_actuator(
-        chosen_actuator(driver, port, say=say, dead_man=dead_man),
+        chosen_actuator(driver, port, notify=notify, dead_man=dead_man),
         to=None if to is None else 1e-3 * to,
         by=None if by is None else 1e-3 * by,
         speed=1e-3 * speed,
@@ -108,10 +108,10 @@ def stop(port: Port = None, as_json: AsJson = False) -> None:
 @app.command("where")
 def where(port: Port = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Show the position of the drive; it does not move."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
 
-    _show(where_is_actuator(chosen_actuator(driver, port, say=say)), as_json, port)
+    _show(where_is_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
 
 
 def _show(answer: "ActuatorAnswer", as_json: bool, port: str | None) -> None:

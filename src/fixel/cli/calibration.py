@@ -229,9 +229,9 @@ def calibrate(
             progress=job_bar(),
         )
     except KeyboardInterrupt:
-        from fixel.cli.screen import say
+        from fixel.cli.screen import notify
 
-        say(f"what is finished is kept in {job}; the same command goes on from there")
+        notify(f"what is finished is kept in {job}; the same command goes on from there")
         raise
     command = "fixel " + shlex.join(sys.argv[1:])
     done = run.collect(project, job, command, chosen.left_out)
@@ -273,10 +273,10 @@ def _options(settings: list[str]) -> dict[str, Any]:
 
 def _announce(scene: Any, as_json: bool) -> None:
     """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.compilation import get_ready
 
-    get_ready(scene, say if sys.stderr.isatty() or not as_json else None)
+    get_ready(scene, notify if sys.stderr.isatty() or not as_json else None)
 
 
 def _prepared(job: Path, as_json: bool) -> None:

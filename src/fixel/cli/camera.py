@@ -90,8 +90,8 @@ def calibrate(
             expected="the board in the pictures: charuco:7x5:30mm:22mm or checkerboard:9x6:25mm",
             hint="to print one: fixel camera board",
         )
-    with counting_bar() as tell:
-        answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, tell=tell)
+    with counting_bar() as bar:
+        answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, progress=bar)
     show(
         answer.summary(),
         [

@@ -35,7 +35,7 @@ def demo(
 ) -> None:
     """Simulate and film a grasp; then calibrate simulated experiments and report how far to
     believe the simulator."""
-    from fixel.cli.screen import progress_bar, say
+    from fixel.cli.screen import notify, progress_bar
 
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
@@ -43,14 +43,13 @@ def demo(
         begin = time.monotonic()
         tour = run_camera_tour(
             out / CAMERA,
-            say=lambda what: say(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
+            notify=lambda what: notify(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
             progress=progress_bar("Filming"),
         )
-        typer.echo("\n".join(_whole_way(tour)))
-        return
+        return typer.echo("\n".join(_whole_way(tour)))
     from fixel.workflows.demo.scene_demo import run_demo
 
-    result = run_demo(out, say=say, progress=progress_bar("Filming"))
+    result = run_demo(out, notify=notify, progress=progress_bar("Filming"))
     typer.echo("\n".join(_told(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
@@ -58,7 +57,8 @@ def demo(
         from fixel.workflows.demo.laboratory_demo import run_tour
 
         typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
-        typer.echo("\n".join(_reported(run_tour(out / LAB, say=lambda what: say(f"  {what} ...")))))
+        believed = run_tour(out / LAB, notify=lambda what: notify(f"  {what} ..."))
+        typer.echo("\n".join(_reported(believed)))
 
 
 def _whole_way(tour: "CameraTour") -> list[str]:

@@ -15,10 +15,10 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check this installation and report what to do about anything that is wrong."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.diagnostics.doctor import examine
 
-    found = examine(say if sys.stderr.isatty() or not as_json else None)
+    found = examine(notify if sys.stderr.isatty() or not as_json else None)
     if as_json:
         import json
 

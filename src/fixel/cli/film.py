@@ -69,7 +69,7 @@ def film(
     as_json: AsJson = False,
 ) -> None:
     """Film simulated experiments: recordings with known truth, to test tracking against."""
-    from fixel.cli.screen import progress_bar, say
+    from fixel.cli.screen import notify, progress_bar
     from fixel.workflows.acquisition.film import Shooting, film
 
     filmed = film(
@@ -89,7 +89,7 @@ def film(
         project=folder,
         limit=limit,
         video=video,
-        say=say if sys.stderr.isatty() or not as_json else None,
+        notify=notify if sys.stderr.isatty() or not as_json else None,
         progress=None if as_json else progress_bar("Filming"),
     )
     if as_json:

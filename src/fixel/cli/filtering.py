@@ -177,7 +177,7 @@ def _origin(answer: "FilterAnswer") -> str:
 
 
 def _misfit(answer: "FilterAnswer") -> list[str]:
-    """Said first: how far the intervals below can be trusted."""
+    """Return the first lines: how far the intervals below can be trusted."""
     misfit, found = answer.estimates.misfit, answer.estimates
     if misfit.ratio is None or not misfit.warns:
         return []
@@ -256,7 +256,7 @@ def _parameters(answer: "FilterAnswer") -> list[str]:
 
 
 def _calibrated(answer: "FilterAnswer") -> list[str]:
-    """What calibrations with this experiment say of the same parameters."""
+    """Return estimates of the same parameters by calibrations with this experiment."""
     from fixel.cli.screen import table
 
     rows = []

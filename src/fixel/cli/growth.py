@@ -60,7 +60,7 @@ def growth(
     Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
     simulates them all, and the largest error counts.
     """
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.database.project import Project
     from fixel.domain.places import INDEXES
     from fixel.workflows.growth.run import GrowthRequest, run_growth
@@ -87,7 +87,7 @@ def growth(
         asked,
         command=command,
         where=where,
-        say=say if sys.stderr.isatty() else None,
+        notify=notify if sys.stderr.isatty() else None,
     )
     copied = [] if plot is None else kept.copy_pictures(plot)
     if as_json:

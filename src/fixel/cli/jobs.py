@@ -67,7 +67,7 @@ def resume(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Go on with a job that was stopped, cancelled or lost; run as before unless told otherwise."""
+    """Resume a job that was stopped, cancelled or lost, with its last settings by default."""
     _run(folder, site, workers, detach, coordinator, as_json, accept_version)
 
 
@@ -201,9 +201,9 @@ def _run(
 
 
 def _say(sentence: str) -> None:
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
 
-    say(sentence)
+    notify(sentence)
 
 
 def job_bar() -> "Callable[[JobProgress], None]":
@@ -224,7 +224,7 @@ def job_bar() -> "Callable[[JobProgress], None]":
 
 
 def _bar(progress: "JobProgress") -> str:
-    """One line: the bar stays empty while nobody knows how much work follows."""
+    """One line: the bar stays empty while the amount of work is unknown."""
     full = int(BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (BAR - full)}]"
     return "  ".join([bar, _share(progress), *_details(progress)])

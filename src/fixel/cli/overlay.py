@@ -167,7 +167,7 @@ def _live(
     looks: "Overlay", source: "FrameSource", heading: str, port: int | None, *, show: bool
 ) -> "Look":
     """Show the overlay in a browser until the pictures end, or Ctrl-C."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.web import require_server
     from fixel.workflows.acquisition.overlay import frames_of, watch
 
@@ -181,12 +181,12 @@ def _live(
     stream = source.open()
 
     def end(reason: str) -> None:
-        say(f"The pictures ended: {reason}.")
+        notify(f"The pictures ended: {reason}.")
         if look is not None:
             view.show(None, look.summary() | {"problems": [f"The pictures ended: {reason}"]})
 
     with WebServer([overlay_page(view, heading)], port=port) as server:
-        say(f"Open {server.link}\nCtrl-C ends.")
+        notify(f"Open {server.link}\nCtrl-C ends.")
         with suppress(KeyboardInterrupt):
             for look in watch(looks, frames_of(source, stream.live, end), view.show):
                 if show and sys.stderr.isatty():

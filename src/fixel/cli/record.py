@@ -207,7 +207,7 @@ def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterat
     if not preview:
         yield None
         return
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.web.record_page import RecordPreview
     from fixel.web.serve import WebServer
 
@@ -230,7 +230,7 @@ def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterat
         )
 
     with WebServer([shown.page()]) as server:
-        say(f"preview: {server.link}")
+        notify(f"preview: {server.link}")
         yield page
 
 

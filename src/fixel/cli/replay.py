@@ -120,7 +120,7 @@ class ReplayColumn(NamedTuple):
     """Heading over two lines, and a function that formats the value of a row."""
 
     heading: str
-    say: Callable[[dict[str, Any]], str]
+    notify: Callable[[dict[str, Any]], str]
 
 
 def _print(answer: Replay, dataset: Path, plot: Path | None) -> None:
@@ -143,7 +143,7 @@ def _print(answer: Replay, dataset: Path, plot: Path | None) -> None:
 
 
 def _print_table(console: Console, columns: list[ReplayColumn], rows: list[dict[str, Any]]) -> None:
-    cells = [[column.say(row) for column in columns] for row in rows]
+    cells = [[column.notify(row) for column in columns] for row in rows]
     if not console.is_terminal:
         headings = [column.heading.replace("\n", " ") for column in columns]
         widths = [max(map(len, column)) for column in zip(headings, *cells, strict=True)]

@@ -34,7 +34,7 @@ def report(
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.database.project import Project
     from fixel.workflows.report.write import write_report
 
@@ -44,7 +44,7 @@ def report(
         number=calibration,
         title=title,
         command="fixel " + shlex.join(sys.argv[1:]),
-        say=say if sys.stderr.isatty() else None,
+        notify=notify if sys.stderr.isatty() else None,
     )
     if as_json:
         typer.echo(json.dumps(done.summary()))

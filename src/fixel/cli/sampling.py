@@ -50,7 +50,7 @@ def sample(
     ] = False,
 ) -> None:
     """Lay out a plan of experiments, and report its problems."""
-    from fixel.cli.screen import say
+    from fixel.cli.screen import notify
     from fixel.workflows.sampling.run import sample as sample_plan
 
     if eight_push and plan is not None:
@@ -61,7 +61,7 @@ def sample(
         output=output,
         plot=plot,
         simulate=simulate,
-        say=say if sys.stderr.isatty() or not as_json else None,
+        notify=notify if sys.stderr.isatty() or not as_json else None,
     )
     if as_json:
         typer.echo(json.dumps(answer.summary(), allow_nan=False))

@@ -13,7 +13,7 @@ BAR = 30  # [characters]
 BETWEEN_BARS = 0.1  # [s] between two updates of a bar
 
 
-def say(sentence: str) -> None:
+def notify(sentence: str) -> None:
     """Print a sentence on standard error."""
     print(sentence, file=sys.stderr, flush=True)
 

@@ -83,7 +83,7 @@ def sensitivity(
     as_json: AsJson = False,
 ) -> None:
     """Report how errors of the start grow, and which pushes part ways, before they are executed."""
-    from fixel.cli.screen import progress_bar, say
+    from fixel.cli.screen import notify, progress_bar
     from fixel.database.project import Project
     from fixel.workflows.compilation import get_ready
     from fixel.workflows.figures import make_folder, write_picture
@@ -104,7 +104,7 @@ def sensitivity(
     )
     if plot is not None:
         make_folder(plot)
-    speaks = say if sys.stderr.isatty() or not as_json else None
+    speaks = notify if sys.stderr.isatty() or not as_json else None
     answer = analyse_sensitivity(
         things or (),
         request,

@@ -290,10 +290,10 @@ def _parameters(settings: list[str]) -> "Parameters":
 def _announce(experiment: "Experiment", as_json: bool) -> None:
     """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
     if experiment.scene is not None:
-        from fixel.cli.screen import say
+        from fixel.cli.screen import notify
         from fixel.workflows.compilation import get_ready
 
-        get_ready(experiment.scene, say if sys.stderr.isatty() or not as_json else None)
+        get_ready(experiment.scene, notify if sys.stderr.isatty() or not as_json else None)
 
 
 def _draw(answer: "Comparison", plot: Path) -> None:

@@ -78,7 +78,7 @@ def simulate(
     ] = False,
 ) -> None:
     """Simulate a scene file; show where everything came to rest."""
-    from fixel.cli.screen import progress_bar, say
+    from fixel.cli.screen import notify, progress_bar
     from fixel.workflows.simulation import Outputs, SimulationMethod, simulate_file
 
     outputs = Outputs(trajectory=trajectory, plot=plot, animate=animate)
@@ -93,7 +93,7 @@ def simulate(
             plain=plain,
         ),
         outputs,
-        say=say if sys.stderr.isatty() or not as_json else None,
+        notify=notify if sys.stderr.isatty() or not as_json else None,
         progress=progress_bar("Filming"),
     )
     if as_json:

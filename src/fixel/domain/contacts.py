@@ -99,7 +99,7 @@ class PushedContacts:
     ----------
     contacts : TouchedPlaces
     parts : (n,) sequence
-        Label of the part of each: what was pushed of one part says nothing about another.
+        Label of the part of each: pushes of one part are no data for another.
     """
 
     def __init__(self, contacts: TouchedPlaces, parts: Sequence[Hashable]) -> None:

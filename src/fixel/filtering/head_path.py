@@ -42,7 +42,7 @@ def smoothed(time: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatA
     path : (n, k) float64
     rate : (k,) float64
         Variance by which the error of the path changes in a second, in the coordinates' own units;
-        zero where there are too few samples to tell.
+        zero where there are too few samples.
     """
     n = len(time)
     if n < MIN_SAMPLES:

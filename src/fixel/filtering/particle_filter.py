@@ -57,7 +57,7 @@ class ParticleFilter:
         At least 2. Up to 125 are moved in every frame, more of them less often: see
         docs/how-to/filtering.md for what that means for intervals.
     priors : mapping from name to (low, high) or None
-        Uniform beliefs about parameters, in place of those of `DEFAULT_PRIORS`: friction of support
+        Uniform beliefs about parameters, instead of those of `DEFAULT_PRIORS`: friction of support
         and pusher 0.1 to 1, of fixels 0.2 to 0.5, tripod radius 10 to 100 mm. None leaves a
         parameter at the scene's value.
     start_position_deviation, start_angle_deviation : float

@@ -114,7 +114,7 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
     ----------
     scene : Scene
     priors : mapping from name to (low, high) or None
-        In place of `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults that
+        Replace `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults that
         change nothing in the scene are left out; what is asked for and changes nothing is refused.
     """
     chosen = {**DEFAULT_PRIORS, **priors}

@@ -123,7 +123,7 @@ class FilterEstimates:
     def errors(self, measured: Trajectory) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Distance [m] and angle [rad] to the measured poses, and which of them were hidden.
 
-        The first frame is left out: there the filter was told the pose.
+        The first frame is left out: there the filter is given the pose.
         """
         kept = (measured.time > self.time[0] + SAME_INSTANT) & (
             measured.time <= self.time[-1] + SAME_INSTANT

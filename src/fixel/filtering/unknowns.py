@@ -94,8 +94,8 @@ class Unknowns:
 
         It goes along the difference of two others: such steps have the spread of the particles
         themselves. Some of the unknowns stay where they are, and every tenth step is a whole
-        difference, which can reach another peak. Parameters are drawn anew from the belief as often
-        as no path depends on them, and a quarter of the places have one unknown drawn anew.
+        difference, which can reach another peak. Parameters are drawn again from the belief where
+        no path depends on them; a quarter of the places have one unknown drawn again.
 
         Parameters
         ----------

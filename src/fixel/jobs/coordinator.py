@@ -30,7 +30,7 @@ BETWEEN_WORDS_S: Final = 1.0  # [s] shortest time between two writes of state.js
 
 
 def coordinate(
-    folder: Path, *, progress: Show | None = None, say: Notify | None = None
+    folder: Path, *, progress: Show | None = None, notify: Notify | None = None
 ) -> JobState:
     """Run a job until it is done or has to stop.
 
@@ -55,11 +55,11 @@ def coordinate(
     """
     job, run = files.read_job(folder), files.read_run(folder)
     with Journal(folder / files.JOURNAL) as journal:
-        desk = _Clerk(folder, progress, say)
+        desk = _Clerk(folder, progress, notify)
         try:
             desk.enter("preparing")
             _refuse_changed(folder, job, run)
-            _say_damage(journal, desk.say)
+            _say_damage(journal, desk.notify)
             result = _run(folder, job, run, journal, desk)
             desk.enter("collecting")
             _write_result(folder, result)
@@ -111,7 +111,7 @@ def interrupt_on_termination() -> None:
 def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, desk: _Clerk) -> bytes:
     inputs = folder / "inputs"
     work = named_function(job.maker)(inputs, job.options)
-    with _engine(folder, job, run, desk.say) as engine:
+    with _engine(folder, job, run, desk.notify) as engine:
         desk.engine = engine
         desk.enter("running")
         return run_work(
@@ -119,7 +119,7 @@ def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, desk: _Cler
         )
 
 
-def _engine(folder: Path, job: Job, run: RunSettings, say: Notify) -> AbstractEngine:
+def _engine(folder: Path, job: Job, run: RunSettings, notify: Notify) -> AbstractEngine:
     if run.workers == 0:
         return LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
@@ -132,8 +132,8 @@ def _engine(folder: Path, job: Job, run: RunSettings, say: Notify) -> AbstractEn
     if run.site is None:
         pool = LocalPool(folder, run.workers)
     else:
-        pool = SlurmPool(folder, run.workers, run.site, job.label, say=say)
-    return DaskEngine(folder, pool, say=say, lease_s=run.lease_s, max_deaths=run.max_deaths)
+        pool = SlurmPool(folder, run.workers, run.site, job.label, notify=notify)
+    return DaskEngine(folder, pool, notify=notify, lease_s=run.lease_s, max_deaths=run.max_deaths)
 
 
 def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
@@ -151,9 +151,9 @@ def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
         )
 
 
-def _say_damage(journal: Journal, say: Notify) -> None:
-    if journal.damaged:
-        say(f"the journal is damaged in {journal.damaged} places; what was there is computed again")
+def _say_damage(journal: Journal, notify: Notify) -> None:
+    if n := journal.damaged:
+        notify(f"the journal is damaged in {n} places; what was there is computed again")
 
 
 def _write_result(folder: Path, result: bytes) -> None:
@@ -167,10 +167,10 @@ def _write_result(folder: Path, result: bytes) -> None:
 class _Clerk:
     """Writer of the state and the log of a job."""
 
-    def __init__(self, folder: Path, progress: Show | None, say: Notify | None) -> None:
+    def __init__(self, folder: Path, progress: Show | None, notify: Notify | None) -> None:
         self._folder = folder
         self._progress = progress
-        self._say = say
+        self._say = notify
         self._written = 0.0
         self._before = files.read_status(folder)
         self.engine: AbstractEngine | None = None
@@ -183,7 +183,7 @@ class _Clerk:
 
     def enter(self, state: files.State, reason: str = "") -> None:
         """Store and log a new state of the job."""
-        self.say(f"{state}: {reason}" if reason else state)
+        self.notify(f"{state}: {reason}" if reason else state)
         still: dict[str, Any] = {}
         if state in files.ENDED:
             still = {"rate": 0.0, "left_s": None, "workers": 0}
@@ -191,7 +191,7 @@ class _Clerk:
             still["share"] = 1.0
         self._write(state=state, reason=reason, **still)
 
-    def say(self, sentence: str) -> None:
+    def notify(self, sentence: str) -> None:
         """Log a sentence and pass it on."""
         files.log(self._folder, sentence)
         if self._say is not None:

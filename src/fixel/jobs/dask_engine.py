@@ -51,7 +51,7 @@ class DaskEngine(AbstractEngine):
         answer is still taken if it comes first.
     max_deaths : int
         Number of workers that a chunk may kill before it is given up.
-    say : callable
+    notify : callable
         Called with a sentence when something happens.
     """
 
@@ -60,14 +60,14 @@ class DaskEngine(AbstractEngine):
         folder: Path,
         pool: AbstractPool,
         *,
-        say: Callable[[str], None],
+        notify: Callable[[str], None],
         lease_s: float = 300.0,
         max_deaths: int = 5,
     ) -> None:
         link.refuse_without_dask()
         self._folder = folder
         self._pool = pool
-        self._say = say
+        self._say = notify
         self._lease_s = lease_s
         self._max_deaths = max_deaths
         self._cluster: Cluster | None = None

@@ -174,7 +174,7 @@ class SlurmPool(AbstractPool):
     site : Site
     name : str
         Unique name of the jobs, by which they are found again.
-    say : callable
+    notify : callable
         Called with a sentence when something happens.
     poll_s : float
         Time between two calls of `squeue` [s].
@@ -191,7 +191,7 @@ class SlurmPool(AbstractPool):
         site: Site,
         name: str,
         *,
-        say: Callable[[str], None],
+        notify: Callable[[str], None],
         poll_s: float = 3.0,
         back_off_s: float = 1.0,
         patience_s: float = 120.0,
@@ -202,7 +202,7 @@ class SlurmPool(AbstractPool):
         self._folder = folder
         self._site = site
         self._name = name
-        self._say = say
+        self._say = notify
         self._poll_s = poll_s
         self._patience_s = patience_s
         self._jobs: dict[str, SlurmJob] = {}

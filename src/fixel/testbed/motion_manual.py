@@ -22,7 +22,7 @@ class ManualActuator(AbstractActuator):
         Smallest and largest position [m].
     ask : callable
         Function that prints a sentence and returns the line typed; `input` by default.
-    say : callable
+    notify : callable
         Function that prints a sentence.
     """
 
@@ -33,10 +33,10 @@ class ManualActuator(AbstractActuator):
         *,
         reach: tuple[float, float] = DRIVE_REACH,
         ask: Callable[[str], str] = input,
-        say: Callable[[str], None] = print,
+        notify: Callable[[str], None] = print,
     ) -> None:
         self.reach = checked_reach(reach)
-        self._ask, self._say = ask, say
+        self._ask, self._say = ask, notify
         self._connected = False
         self._at: float | None = None
         self._heading: float | None = None  # [m] target of the move under way

@@ -36,7 +36,7 @@ class Lockstep:
         Function of points (k, n) -> (k,).
     transform : callable
         Function of quantiles (k, n) in [0, 1] -> points (k, n).
-    tell : callable, optional
+    count : callable, optional
         Called with the number of points after each batch.
     """
 
@@ -44,11 +44,11 @@ class Lockstep:
         self,
         log_likelihood: Batched,
         transform: Batched,
-        tell: Callable[[int], None] | None = None,
+        count: Callable[[int], None] | None = None,
     ) -> None:
         self._log_likelihood = log_likelihood
         self._transform = transform
-        self._tell = tell
+        self._count = count
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
         """Return the results of a function of dynesty, in the order of the arguments."""
@@ -68,8 +68,8 @@ class Lockstep:
 
     def _evaluated(self, points: FloatArray) -> FloatArray:
         values = self._log_likelihood(np.ascontiguousarray(points))
-        if self._tell is not None:
-            self._tell(len(points))
+        if self._count is not None:
+            self._count(len(points))
         return values
 
     def _uniform(

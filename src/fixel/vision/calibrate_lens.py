@@ -113,7 +113,7 @@ class LensCalibration:
 def find_boards(
     pictures: Iterable[tuple[str, Picture]],
     board: Board,
-    tell: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> tuple[tuple[BoardView, ...], tuple[SkippedPicture, ...]]:
     """Find a board in pictures; return its views, and the pictures without one.
 
@@ -124,8 +124,8 @@ def find_boards(
     """
     views, dropped = [], []
     for name, picture in pictures:
-        if tell:
-            tell(name)
+        if notify:
+            notify(name)
         try:
             corners = board.find(picture)
         except InvalidInput as problem:

@@ -29,13 +29,13 @@ def cache_size() -> int:
 
 def get_ready(
     scene: Scene,
-    say: Notify | None = None,
+    notify: Notify | None = None,
     solver: AbstractSolver | None = None,
     plain: bool = False,
 ) -> None:
     """Compile or load what a simulation needs, so that its wall time excludes compilation."""
     solver = solver or Newton()
     plain = plain or not is_compiled(solver)
-    if say and engine_is_cold(plain):
-        say(COMPILING_PARTS if plain else COMPILING)
+    if notify and engine_is_cold(plain):
+        notify(COMPILING_PARTS if plain else COMPILING)
     simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)

@@ -131,9 +131,9 @@ def arrange(
     return run
 
 
-def run_here(folder: Path, progress: Show | None = None, say: Notify | None = None) -> JobStatus:
+def run_here(folder: Path, progress: Show | None = None, notify: Notify | None = None) -> JobStatus:
     """Run or continue a job in this process, until it ends."""
-    coordinate(folder, progress=progress, say=say)
+    coordinate(folder, progress=progress, notify=notify)
     return status_of(folder)
 
 

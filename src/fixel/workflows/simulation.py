@@ -88,7 +88,7 @@ def simulate_file(
     method: SimulationMethod | None = None,
     outputs: Outputs | None = None,
     *,
-    say: Notify | None = None,
+    notify: Notify | None = None,
     progress: Progress | None = None,
 ) -> Simulation:
     """Simulate a scene file and write the requested files.
@@ -101,7 +101,7 @@ def simulate_file(
         Changes to the scene file, as `path.to.key=value`.
     method : SimulationMethod, optional
     outputs : Outputs, optional
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
     progress : callable, optional
         Called as `progress(done, total)` while a film is made.
@@ -121,7 +121,7 @@ def simulate_file(
     motion, stepper, solver = parts(scene_file, method)
     refuse_method(scene_file.scene, solver)
     outputs.check()
-    get_ready(scene_file.scene, say, solver, method.plain)
+    get_ready(scene_file.scene, notify, solver, method.plain)
     simulation = simulate(
         scene_file.scene,
         motion=motion,

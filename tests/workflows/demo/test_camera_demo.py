@@ -62,7 +62,7 @@ def test_the_first_sentence_comes_before_the_engine_is_compiled(
     monkeypatch.setattr(camera_demo, "engine_is_cold", lambda: True)
     monkeypatch.setattr(camera_demo.SimulatedTestbed, "run", simulated)
     with pytest.raises(RuntimeError, match=r"simulating 1 pushes; the engine is compiled first"):
-        run_camera_tour(tmp_path / "tour", pushes=(0,), say=said.append)
+        run_camera_tour(tmp_path / "tour", pushes=(0,), notify=said.append)
 
 
 class Bench:

@@ -51,24 +51,24 @@ class ActuatorAnswer:
 
 
 def chosen_actuator(
-    driver: str, port: str | None, *, say: Notify = print, dead_man: float | None = None
+    driver: str, port: str | None, *, notify: Notify = print, dead_man: float | None = None
 ) -> AbstractActuator:
     """Create the driver called `grbl`, `manual` or `simulated`."""
     if driver == GrblActuator.name:
         return GrblActuator(port, keys=True, dead_man=dead_man)
     if driver == ManualActuator.name:
-        return ManualActuator(say=say, ask=_asking(say))
+        return ManualActuator(notify=notify, ask=_asking(notify))
     if driver == SimulatedActuator.name:
         return SimulatedActuator()
     names = ", ".join(member.name for member in (GrblActuator, ManualActuator, SimulatedActuator))
     raise InvalidInput("--driver", found=repr(driver), expected=f"one of {names}")
 
 
-def _asking(say: Notify) -> Callable[[str], str]:
+def _asking(notify: Notify) -> Callable[[str], str]:
     """Return an `input` that prompts through the notifier: stdout may be used for the answer."""
 
     def ask(sentence: str) -> str:
-        say(sentence)
+        notify(sentence)
         return input()
 
     return ask

@@ -110,7 +110,7 @@ def film(
     project: Path = Path(),
     limit: int | None = None,
     video: Path | None = None,
-    say: Notify | None = None,
+    notify: Notify | None = None,
     progress: Progress | None = None,
 ) -> list[FilmResult]:
     """Render films of scenes, plans and experiments.
@@ -127,7 +127,7 @@ def film(
         Maximum number of experiments per plan.
     video : Path, optional
         Video file to write too, which a camera source can play; only for a single film.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
     progress : callable, optional
         Called as `progress(done, total)` after every frame of a film.
@@ -150,7 +150,7 @@ def film(
     if count > 1:
         out.mkdir(parents=True)
     filmed = []
-    for shot in _prepared(items, say):
+    for shot in _prepared(items, notify):
         folder = out / shot.name if count > 1 else out
         filmed.append(_shoot(shot, folder, rig, looks, shooting, video, progress))
     return filmed
@@ -170,11 +170,11 @@ def _looks(name: str, rig: Rig) -> Looks:
     return looks
 
 
-def _prepared(items: Iterator[FilmScene], say: Notify | None) -> Iterator[FilmScene]:
+def _prepared(items: Iterator[FilmScene], notify: Notify | None) -> Iterator[FilmScene]:
     """Prepare the compiled code of the simulation, then yield the scenes."""
     from fixel.testing.scenes import sliding_block
 
-    get_ready(sliding_block(), say)
+    get_ready(sliding_block(), notify)
     yield from items
 
 

@@ -131,7 +131,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
 
 
 def frames_of(
-    source: FrameSource, live: bool, tell: Callable[[str], None] | None = None
+    source: FrameSource, live: bool, notify: Callable[[str], None] | None = None
 ) -> Iterator[Frame]:
     """Yield the pictures of an open source; of a live source only the newest.
 
@@ -140,7 +140,7 @@ def frames_of(
     source : FrameSource
     live : bool
         Whether the source continues without waiting for its reader.
-    tell : callable, optional
+    notify : callable, optional
         Called with the reason when the pictures have ended.
     """
     queue = FrameQueue(source, live=live, held=HELD)
@@ -159,8 +159,8 @@ def frames_of(
                 reason = queue.reason
             elif live and time.monotonic() - came > SILENT:
                 reason = f"the camera has sent nothing for {SILENT:g} s"
-        if tell is not None:
-            tell(reason)
+        if notify is not None:
+            notify(reason)
     finally:
         queue.close()
 

@@ -280,13 +280,13 @@ def run(
     workers: int | None = None,
     site: Site | None = None,
     progress: Callable[[JobProgress], None] | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> None:
     """Run or continue the job of a calibration; nothing to do where it is done."""
     if jobs.status_of(folder).state == "done":
         return
     jobs.arrange(folder, workers=workers, site=site)
-    jobs.run_here(folder, progress, say)
+    jobs.run_here(folder, progress, notify)
 
 
 def collect(

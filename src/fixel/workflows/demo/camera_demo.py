@@ -100,7 +100,7 @@ def run_camera_tour(
     *,
     pushes: tuple[int, ...] = PUSHES,
     frames: int | None = None,
-    say: Notify | None = None,
+    notify: Notify | None = None,
     progress: Progress | None = None,
 ) -> CameraTour:
     """Film simulated pushes, record the films with a camera, track, calibrate and compare.
@@ -119,7 +119,7 @@ def run_camera_tour(
         Indices of experiments in the plan of the thesis.
     frames : int, optional
         Maximum number of frames of each film.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before each part of the tour.
     progress : callable, optional
         Called as `progress(done, total)` while a film is rendered.
@@ -129,7 +129,7 @@ def run_camera_tour(
     InvalidInput
         The folder contains something else, or a run could not be tracked from its start.
     """
-    tell = say or (lambda _: None)
+    tell = notify or (lambda _: None)
     project = _begun(folder, {"pushes": list(pushes), "frames": frames})
     films = _filmed(project, folder, pushes, frames, tell, progress)
     firmware = _firmware(folder, tell)
@@ -321,7 +321,7 @@ def _filmed(
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)
-        film([name], films / name, shooting, project=project.folder, say=tell, progress=progress)
+        film([name], films / name, shooting, project=project.folder, notify=tell, progress=progress)
     return [films / one.name for one in planned]
 
 

@@ -65,7 +65,7 @@ class Tour:
     truth: TextTable
 
 
-def run_tour(folder: Path, say: Notify | None = None) -> Tour:
+def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     """Create a project of simulated experiments, calibrate it, and report how reliable it is.
 
     Experiments that an earlier tour stored are not simulated again.
@@ -74,10 +74,10 @@ def run_tour(folder: Path, say: Notify | None = None) -> Tour:
     ----------
     folder : Path
         Folder of the project; created if missing.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before each part of the tour.
     """
-    tell = say or (lambda _: None)
+    tell = notify or (lambda _: None)
     project = Project.open(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
     at = f"--project {shlex.quote(str(folder))}"
     tell(f"performing {EXPERIMENTS} experiments on a simulated testbed")

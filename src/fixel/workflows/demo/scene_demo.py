@@ -48,7 +48,7 @@ def example_text(name: str) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def run_demo(folder: Path, *, say: Notify | None = None, progress: Progress | None = None) -> Demo:
+def run_demo(folder: Path, notify: Notify | None = None, progress: Progress | None = None) -> Demo:
     """Simulate the example grasp; write its scene, picture, film and trajectory.
 
     Parameters
@@ -76,5 +76,5 @@ def run_demo(folder: Path, *, say: Notify | None = None, progress: Progress | No
     )
     with written_whole(scene) as temporary:
         temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
-    simulation = simulate_file(scene, outputs=outputs, say=say, progress=progress)
+    simulation = simulate_file(scene, outputs=outputs, notify=notify, progress=progress)
     return Demo(simulation, story(simulation), {"scene": scene, **outputs.files})

@@ -57,18 +57,18 @@ class Diagnosis:
         return {"passed": self.passed, "max_residual": worst, **asdict(self)}
 
 
-def examine(say: Notify | None = None) -> Diagnosis:
+def examine(notify: Notify | None = None) -> Diagnosis:
     """Collect versions, cores and the cache of compiled kernels, and run the self-test.
 
     Parameters
     ----------
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
     """
     start = time.perf_counter()
     warm = not engine_is_cold()
-    get_ready(scenes.sliding_block(), say)
-    get_ready(scenes.grasp(support_directions=8), say, Lemke())
+    get_ready(scenes.sliding_block(), notify)
+    get_ready(scenes.grasp(support_directions=8), notify, Lemke())
     checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
     return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)

@@ -83,7 +83,7 @@ def explore(
     command: str = "",
     project: str = "",
     threads: int | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> Exploration:
     """Explore the domain of applicability as in the thesis.
 
@@ -104,10 +104,10 @@ def explore(
     command, project : str
         Command as typed; ` --project FOLDER` for hints.
     threads : int, optional
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
     """
-    tell = say or _silent
+    tell = notify or _silent
     tell("Reading the experiments and their calibrations.")
     samples = read_samples(store, shape, dataset)
     summaries = store.calibration_summaries()
@@ -118,7 +118,7 @@ def explore(
     wanted = RolloutQueue()
     grower.ask(wanted)
     studies.ask(wanted)
-    get_ready(samples.targets[0].case.scene, say)
+    get_ready(samples.targets[0].case.scene, notify)
     tell(f"Simulating {len(wanted)} times.")
     comparer = Comparer(
         samples.targets,

@@ -38,7 +38,7 @@ def run_growth(
     command: str = "",
     where: str = "",
     threads: int | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> tuple[Exploration, StoredAnalysis]:
     """Explore the domain of applicability and store the result.
 
@@ -53,7 +53,7 @@ def run_growth(
         ` --project FOLDER`, for commands in hints.
     threads : int, optional
         Threads of the simulations; by default all cores.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
     """
     asked, begun = asked or GrowthRequest(), time.perf_counter()
@@ -71,7 +71,7 @@ def run_growth(
             command=command,
             project=where,
             threads=threads,
-            say=say,
+            notify=notify,
         )
     analysis = Analysis(
         kind="growth",
@@ -97,8 +97,8 @@ def run_growth(
         seconds=time.perf_counter() - begun,
     )
     shown = list(report.pictures(found))
-    if say is not None:
-        say(f"Drawing {len(shown)} pictures.")
+    if notify is not None:
+        notify(f"Drawing {len(shown)} pictures.")
     kept = keep(project, analysis, shown, {"largest_error": report.matrix_of(found)})
     return found, kept
 

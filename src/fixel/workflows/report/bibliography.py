@@ -216,7 +216,7 @@ def fixel() -> Work:
 
 
 def works(keys: Sequence[str]) -> dict[str, Work]:
-    """The program, and what is cited, each once; keys that nobody knows are left out."""
+    """The program, and what is cited, each once; unknown keys are left out."""
     known = {key: WORKS[key] for key in dict.fromkeys(keys) if key in WORKS}
     return {"fixel": fixel(), **known}
 

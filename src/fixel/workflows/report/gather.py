@@ -46,7 +46,7 @@ MISSING: Final[dict[Kind, str]] = {
 
 
 def gather(
-    project: Project, number: int | None, folder: Path, title: str, say: Notify | None = None
+    project: Project, number: int | None, folder: Path, title: str, notify: Notify | None = None
 ) -> Content:
     """Collect the content of a report, and draw its figures into a folder.
 
@@ -59,10 +59,10 @@ def gather(
         Existing folder for figures.
     title : str
         Title of the report; an empty one is replaced by one with the project's name.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before each part of the work.
     """
-    tell = say or (lambda _: None)
+    tell = notify or (lambda _: None)
     with project.store() as store:
         one = calibrated(store, number)
         ids = sorted(one.members)

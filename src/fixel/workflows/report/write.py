@@ -72,7 +72,7 @@ def write_report(
     number: int | None = None,
     title: str = "",
     command: str = "",
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> Report:
     """Write the report of a calibration and of the analyses that used it.
 
@@ -84,7 +84,7 @@ def write_report(
     number : int, optional
         Id of the calibration.
     title, command : str
-    say : callable, optional
+    notify : callable, optional
 
     Raises
     ------
@@ -93,7 +93,7 @@ def write_report(
     """
     template = _template()
     make_folder(folder / FIGURES)
-    content = gather(project, number, folder / FIGURES, title, say)
+    content = gather(project, number, folder / FIGURES, title, notify)
     cited = works(content.references)
     html = template.render(
         content=content,

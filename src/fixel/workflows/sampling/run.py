@@ -67,7 +67,7 @@ def sample(
     plot: Path | None = None,
     simulate: bool = False,
     eight_push: bool = False,
-    say: Notify | None = None,
+    notify: Notify | None = None,
 ) -> SampleAnswer:
     """Load a plan and check it; save and draw it if requested.
 
@@ -83,7 +83,7 @@ def sample(
         Whether to use the ASME paper's plan instead of the thesis's, if no file is given.
     simulate : bool
         Whether to simulate every experiment, to check that the object touches a fixel.
-    say : callable, optional
+    notify : callable, optional
         Called with a sentence before long operations.
 
     Raises
@@ -99,7 +99,7 @@ def sample(
         plan = eight_push_plan() if eight_push else thesis_plan()
     problems = plan.check()
     if simulate and plan.experiments:
-        get_ready(plan.experiments[0].scene, say)
+        get_ready(plan.experiments[0].scene, notify)
         problems = tuple(sorted([*problems, *rehearse(plan).problems]))
     if output is not None:
         with written_whole(output) as unfinished:

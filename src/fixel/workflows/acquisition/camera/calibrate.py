@@ -107,7 +107,7 @@ def calibrate(
     *,
     coefficients: int | None = None,
     fisheye: bool = False,
-    tell: NotedProgress | None = None,
+    progress: NotedProgress | None = None,
 ) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera.
 
@@ -121,7 +121,7 @@ def calibrate(
         Camera file to write.
     coefficients, fisheye
         See `calibrate_lens`.
-    tell : callable, optional
+    progress : callable, optional
         Called with the number of pictures done, their total, and the picture's name.
     """
     wanted = board_of(board)
@@ -132,8 +132,8 @@ def calibrate(
     def one(name: str) -> None:
         nonlocal done
         done += 1
-        if tell:
-            tell(min(done, len(files)), len(files), name)
+        if progress:
+            progress(min(done, len(files)), len(files), name)
 
     views, dropped = find_boards(pictures_of(files), wanted, one)
     found = calibrate_lens(views, dropped, coefficients=coefficients, fisheye=fisheye)
