@@ -152,5 +152,6 @@ def test_a_posterior_does_not_contradict_the_calibration_silently():
     assert apart.endswith("quote the calibration.")
     _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
     assert beside.startswith("mu_pusher disagrees with calibration 7")
+    assert " ," not in beside  # friction has no unit
     assert "(0.15 to open)" in beside
     assert beside.endswith("quote the wider interval.")

@@ -19,6 +19,8 @@ from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
+_FEW: Final = "Few experiments cannot show how results vary: quote the calibration."
+_SAME: Final = "The two allow for model error differently: quote the wider interval."
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
@@ -240,17 +242,14 @@ def _beside_calibration(found: Uncertainty) -> Iterator[str]:
             continue
         unit = readable(found.posterior.units[k])
         apart = high[k] < bottom or low[k] > top
+        ends = f"{unit.text(low[k])} to {unit.text(high[k])} {unit.name}"
         yield (
             f"{label} {'contradicts' if apart else 'disagrees with'} calibration {number}: this"
-            f" posterior of {of} has {unit.text(low[k])} to {unit.text(high[k])} {unit.name}, the"
-            f" calibration of {len(record.members)} has {unit.text(estimate.value)}"
-            f" ({_end(unit, estimate.low)} to {_end(unit, estimate.high)}). "
-            + (
-                "Few experiments cannot show how results vary from one to the next: quote the"
-                " calibration."
-                if few
-                else "The two allow for model error differently: quote the wider interval."
-            )
+            f" posterior of {of} has {ends.rstrip()}, the calibration of {len(record.members)} has"
+            f" {unit.text(estimate.value)} ({_end(unit, estimate.low)} to"
+            f" {_end(unit, estimate.high)}). "
+            + (_FEW if few else _SAME)
+        )
         )
 
 
