@@ -247,9 +247,7 @@ def _beside_calibration(found: Uncertainty) -> Iterator[str]:
             f"{label} {'contradicts' if apart else 'disagrees with'} calibration {number}: this"
             f" posterior of {of} has {ends.rstrip()}, the calibration of {len(record.members)} has"
             f" {unit.text(estimate.value)} ({_end(unit, estimate.low)} to"
-            f" {_end(unit, estimate.high)}). "
-            + (_FEW if few else _SAME)
-        )
+            f" {_end(unit, estimate.high)}). " + (_FEW if few else _SAME)
         )
 
 
