@@ -166,6 +166,7 @@ def _run(
     undone = 0
     last_taken = 0.0
     earlier_taken = 0.0
+    earliest_taken = 0.0  # last three steps, so that two are known after one is undone
     eventful = True  # whether it is known that something happens where the step begins
     careful = math.inf  # longest step until `careful_until`, after a step was undone
     careful_until = 0.0
@@ -326,7 +327,8 @@ def _run(
             _copy_state(before, state)
             _copy_state(older, before)
             last_taken = earlier_taken
-            earlier_taken = 0.0
+            earlier_taken = earliest_taken
+            earliest_taken = 0.0
             eventful = True
             sample = sample_before
             record.count[1] = rows_before
@@ -346,6 +348,7 @@ def _run(
         time += trial
         taken += 1
         if method.adaptive == 1:
+            earliest_taken = earlier_taken
             earlier_taken = last_taken
             cut_short = trial < step and trial >= left
             eventful = guessed == CUT or cut_short

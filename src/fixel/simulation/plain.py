@@ -119,7 +119,7 @@ def roll_plainly(
     worst = 0.0
     steps = 0
     before = State(*(np.array(a) for a in loop.state))
-    last_taken = earlier_taken = 0.0
+    last_taken = earlier_taken = earliest_taken = 0.0
     undone = 0
     eventful = True  # as in the compiled loop
     careful_until = careful = 0.0
@@ -150,7 +150,7 @@ def roll_plainly(
             loop.time = time_before
             loop.state = State(*(np.array(a) for a in before))
             before = older
-            last_taken, earlier_taken = earlier_taken, 0.0
+            last_taken, earlier_taken, earliest_taken = earlier_taken, earliest_taken, 0.0
             eventful = True
             samples.undo()
             steps -= 1
@@ -171,7 +171,7 @@ def roll_plainly(
         loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
         loop.time += advance.step
         steps += 1
-        earlier_taken, last_taken = last_taken, taken
+        earliest_taken, earlier_taken, last_taken = earlier_taken, last_taken, taken
         step = advance.next_step
         samples.take(before, taken, loop.span)
     if status != codes.CONVERGED and steps and not samples.every_step:
