@@ -153,7 +153,7 @@ function profiles() {
         { kind: "line", xs: curve.values.map((v) => factor * v), ys: curve.rises.map((r) => r ?? NaN), name: "best", label: "others fitted" },
         { kind: "line", xs: curve.slice_values.map((v) => factor * v), ys: curve.slice_rises.map((r) => r ?? NaN), name: "slice", label: "others held" },
       ],
-      marks: [{ y: curve.threshold, name: "before", label: "end of the interval" }],
+      marks: [{ y: curve.threshold, name: "before", label: "threshold" }],
       bands: curve.low === null && curve.high === null ? [] : [{ from: factor * (curve.low ?? low), to: factor * (curve.high ?? high), name: "inside" }],
       height: 190,
     }));
