@@ -255,13 +255,13 @@ def test_a_camera_that_falls_silent_says_so() -> None:
 
 
 def test_a_camera_that_drips_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fixel.testbed.url_source.OPENS_WITHIN", 0.3)
+    monkeypatch.setattr("fixel.testbed.url_source.OPENS_WITHIN", 1.2)
     part = b"--x\r\nContent-Length: 100000\r\n\r\n"
     with (
         answering(HEAD % b"x", part, drip=True) as url,
-        pytest.raises(InvalidInput, match=r"no whole picture within 0\.3 s"),
+        pytest.raises(InvalidInput, match=r"no whole picture within 1\.2 s"),
     ):
-        UrlSource(url, patience=0.15).open()
+        UrlSource(url, patience=0.6).open()
 
 
 def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
