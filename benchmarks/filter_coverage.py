@@ -41,7 +41,7 @@ NEARER: Final = {"slip": 0.075, "seated": 0.035}  # [m] by which pegs stand near
 
 
 class Bench(NamedTuple):
-    """How a laboratory differs from what the filter believes of it."""
+    """Differences between a laboratory and the beliefs of the filter."""
 
     noise: float = 1.0  # of the camera, times the belief
     imperfect: bool = False  # the default `SimulatedTestbed`: pressure on 24 points, uneven drive

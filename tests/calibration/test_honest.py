@@ -192,7 +192,7 @@ def test_a_probe_without_a_simulation_has_no_slope():
 
 @pytest.mark.slow
 def test_three_pushes_under_a_large_misfit_identify_no_friction():
-    """As in the film of the demo: few pushes, measured within 4 um, on a model that is far off."""
+    """Few pushes, measured within 4 um, on a model that is far off, as in the film of the demo."""
     # Only names that commit e063943 has: there this fails by its words and its numbers.
     bench = SimulatedTestbed(seed=1, position_noise=3.5e-6, angle_noise=2e-4)
     experiments = list(bench.run([thesis_plan().experiments[k] for k in (0, 12, 18)]))

@@ -1,4 +1,4 @@
-"""What steppers are told about the steps before."""
+"""Steps of the past that steppers predict from."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def list_(
     ] = None,
     flagged: Flagged = False,
     deleted: Annotated[bool, typer.Option("--deleted", help="Only those deleted.")] = False,
-    limit: Annotated[int, typer.Option(help="Show at most so many.", min=1)] = MAX_ROWS,
+    limit: Annotated[int, typer.Option(help="Maximum number of rows.", min=1)] = MAX_ROWS,
     as_json: AsJson = False,
 ) -> None:
     """List experiments."""

@@ -24,7 +24,7 @@ from fixel.typing import FloatArray
 RATIOS: Final = 10.0 ** np.arange(-8.0, 5.0, 2.0)
 EXACT: Final = 1e-8  # [m], [rad]: deviations of noise below it are rounding
 AS_GOOD: Final = 2.0  # [-] logarithms of likelihoods
-MIN_SAMPLES: Final = 5  # samples, below which the noise cannot be told from the motion
+MIN_SAMPLES: Final = 5  # samples, below which noise and motion cannot be separated
 
 
 def smoothed(time: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:

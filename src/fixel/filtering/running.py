@@ -40,9 +40,7 @@ MIN_SHARE: Final = 0.5
 MAX_WIDENED: Final = 8.0  # times the spread at the start
 ISLAND: Final = 125  # particles at most that are weighed, resampled and moved among themselves
 BLOCK: Final = 40  # frames of the past through which proposals are simulated in one frame
-MAX_PATH_FRAMES: Final = (
-    600  # frames of the pusher's path that are smoothed again with every new one
-)
+MAX_PATH_FRAMES: Final = 600  # of the pusher's path, smoothed again with every new frame
 POSE: Final = "x [m], y [m], angle [rad]"
 
 

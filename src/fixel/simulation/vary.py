@@ -437,9 +437,8 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         gone = np.asarray(values["contact_offset"] <= -_smallest(scene.pushers))
         _note(reasons, gone, "a pusher without extent")
     if "anisotropy_xy" in values or "anisotropy_diagonal" in values:
-        _note(
-            reasons, varied_plane(scene, values)[:, 1] <= 0.05, "a plane without friction one way"
-        )
+        slippery = varied_plane(scene, values)[:, 1] <= MIN_FACTOR
+        _note(reasons, slippery, "a plane without friction one way")
     return reasons
 
 
