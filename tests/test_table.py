@@ -1,0 +1,57 @@
+"""Tables as plain text, HTML, CSV and JSON."""
+
+import doctest
+import json
+import math
+
+import pytest
+
+import fixel.table
+from fixel.table import Column, Table
+
+TABLE = Table(
+    ("name", Column("error", "mm", ".2f"), "verdict"),
+    [("a<b>", 0.523, "not told apart"), ("c", None, ""), ("d", math.inf, "bounded")],
+)
+
+
+def test_its_examples() -> None:
+    assert doctest.testmod(fixel.table).failed == 0
+
+
+def test_plain_text_is_aligned_and_may_be_cut() -> None:
+    assert TABLE.lines() == [
+        "name  error [mm]         verdict",
+        "a<b>        0.52  not told apart",
+        "c              -",
+        "d            inf         bounded",
+    ]
+    assert len(TABLE.lines(max_rows=1)) == 2
+
+
+def test_html_is_escaped_and_marks_columns_of_words() -> None:
+    html = TABLE.html("Table <b>1</b>")
+    assert "<caption>Table <b>1</b></caption>" in html
+    assert '<tr><th scope="row">a&lt;b&gt;</th><td>0.52</td>' in html
+    assert '<th scope="col" class="words">verdict</th>' in html
+    assert "caption" not in TABLE.html()
+
+
+def test_values_remain_in_csv_and_json() -> None:
+    assert TABLE.csv().splitlines()[1:3] == ["a<b>,0.523,not told apart", "c,,"]
+    records = TABLE.records()
+    assert records[0] == {"name": "a<b>", "error": 0.523, "verdict": "not told apart"}
+    assert json.loads(json.dumps(records, allow_nan=False))[2]["error"] is None
+    assert TABLE.text()["rows"][1] == ["c", "-", ""]
+
+
+def test_a_table_without_rows_has_a_head() -> None:
+    empty = Table(("a", Column("b", "m")), [])
+    assert empty.lines() == ["a  b [m]"]
+    assert empty.records() == []
+    assert "<tbody>\n</tbody>" in empty.html()
+
+
+def test_rows_of_another_length_are_a_mistake() -> None:
+    with pytest.raises(ValueError, match="one value for each column"):
+        Table(("a", "b"), [(1.0,)])
